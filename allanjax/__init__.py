@@ -8,29 +8,34 @@ print(fit)
 fit.plot()
 """
 
+import os
+import sys
 from pathlib import Path
 from typing import Any
-
-import jax
-
-# Allan variances of a long record span ten decades: single precision cannot hold them.
-jax.config.update("jax_enable_x64", True)
 
 from allanjax import report  # noqa: F401 - gives results their methods, wherever these are imported from
 from allanjax.base.late import LateNames
 
-# What is public, and where it comes from, is listed in `__init__.pyi`.
+# Allan variances of a long record span ten decades: single precision cannot hold them. Importing JAX takes
+# half a second, so if it is not there yet, it is only set to start in double precision.
+os.environ["JAX_ENABLE_X64"] = "1"
+if "jax" in sys.modules:
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+# Public names and the modules that define them are listed in `__init__.pyi`.
 _PUBLIC = LateNames(__name__, Path(__file__).with_suffix(".pyi"))
 
 
 def __getattr__(name: str) -> Any:
-    """What has this public name, loaded when it is asked for the first time; and `__version__`."""
+    """Object with this public name, imported at its first use; and `__version__`."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version(__name__)
-    found = globals()[name] = _PUBLIC.load(name)
-    return found
+    public = globals()[name] = _PUBLIC.load(name)
+    return public
 
 
 def __dir__() -> list[str]:

@@ -79,10 +79,10 @@ from allanjax.posterior.result import AxisPosterior as AxisPosterior
 from allanjax.posterior.result import Posterior as Posterior
 from allanjax.posterior.result import PosteriorWarning as PosteriorWarning
 from allanjax.posterior.sample import sample as sample
-from allanjax.record.io import ChunkedRecording as ChunkedRecording
 from allanjax.record.io import read as read
-from allanjax.record.io import read_chunks as read_chunks
 from allanjax.record.io import write as write
+from allanjax.record.io.assembly import ChunkedRecording as ChunkedRecording
+from allanjax.record.io.assembly import read_chunks as read_chunks
 from allanjax.record.recording import Axis as Axis
 from allanjax.record.recording import Recording as Recording
 from allanjax.record.units import convert as convert

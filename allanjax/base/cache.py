@@ -1,4 +1,4 @@
-"""Cache of compiled programs on disk, so that only the first run on a machine compiles."""
+"""Disk cache of compiled programs, so that only the first run on a machine compiles."""
 
 import os
 import stat
@@ -11,16 +11,16 @@ from allanjax.base.errors import AllanjaxWarning
 
 
 def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) -> Path | None:
-    """Keep compiled programs in a directory for later processes.
+    """Store compiled programs in a directory for later processes.
 
     Args:
-        directory: where; by default as the environment variable ALLANJAX_CACHE says (`off` for nowhere), else
-            `allanjax/jax` in the user's cache directory; where that is not writable, a directory among the
-            temporary files that is the user's alone.
+        directory: the directory; by default the environment variable ALLANJAX_CACHE (`off`: no cache), else
+            `allanjax/jax` in the user's cache directory or, if that is not writable, a private directory of
+            the user among the temporary files.
 
     Returns:
-        The directory, or None if there is no cache: it was switched off or is not writable, which brings a
-        warning if that directory was asked for.
+        The directory, or None without a cache: it is switched off, or the directory is not writable, with a
+        warning if the user chose it.
     """
     chosen = os.environ.get("ALLANJAX_CACHE", "") if directory is None else os.fspath(directory)
     if chosen.lower() == "off":
@@ -29,19 +29,19 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
     problem = _problem(path) if path is not None else ""
     if path is None or problem:
         if chosen:
-            advice = "programs are compiled anew every time; set ALLANJAX_CACHE to a directory or to off"
-            warnings.warn(f"{path}: {problem}; {advice}", AllanjaxWarning, stacklevel=2)
+            advice = "so every run compiles again; set ALLANJAX_CACHE to another directory or to off"
+            warnings.warn(f"{path}: {problem}, {advice}", AllanjaxWarning, stacklevel=2)
         return None
     import jax
 
     jax.config.update("jax_compilation_cache_dir", str(path))
-    # Also small programs: to read them takes less time than to compile them.
+    # Small programs, too: reading them is faster than compiling them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     return path
 
 
 def _problem(path: Path) -> str:
-    """Why a directory, which is made if there is none, cannot be written to; "" if it can."""
+    """Why a directory, created if needed, is not writable; "" if it is."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -50,16 +50,16 @@ def _problem(path: Path) -> str:
 
 
 def _usual() -> Path | None:
-    """The user's directory for compiled programs, or one among the temporary files; None if there is neither.
+    """Default directory: the user's, else one among the temporary files, else None.
 
-    A home that is not there or not writable, as in a container, is not the user's mistake.
+    A missing or read-only home directory is usual in containers and is not an error.
     """
     try:
         path = _user_cache() / "allanjax" / "jax"
         if not _problem(path):
             return path
     except RuntimeError:
-        # There is no home.
+        # There is no home directory.
         pass
     try:
         return _temporary()
@@ -68,20 +68,20 @@ def _usual() -> Path | None:
 
 
 def _temporary() -> Path | None:
-    """Directory among the temporary files that only this user can write to; None if it is another's.
+    """Directory among the temporary files that only this user can write to; None if it belongs to another.
 
-    Programs that are read from a cache are run: they must not be somebody else's.
+    Programs from the cache are executed, so nobody else may have written them.
     """
     posix = os.name == "posix"
     path = Path(tempfile.gettempdir()) / (f"allanjax-{os.getuid()}" if posix else "allanjax")
     path.mkdir(mode=0o700, exist_ok=True)
-    about = path.lstat()
-    own = not posix or (about.st_uid == os.getuid() and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
-    return path if stat.S_ISDIR(about.st_mode) and own and not _problem(path) else None
+    status = path.lstat()
+    own = not posix or (status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
+    return path if stat.S_ISDIR(status.st_mode) and own and not _problem(path) else None
 
 
 def _user_cache() -> Path:
-    """Directory for cached data of the user, as the operating system has it."""
+    """The user's cache directory, by the convention of the operating system."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
     if sys.platform == "darwin":
@@ -92,9 +92,9 @@ def _user_cache() -> Path:
 def release_programs(share: float) -> None:
     """Drop all compiled programs if this process uses more than a share of its allowed memory mappings.
 
-    A program takes many mappings, of which Linux allows a process 65,530 by default (vm.max_map_count): a
+    Each program takes many mappings, and Linux allows a process 65,530 by default (vm.max_map_count), so a
     process that fits recordings of many lengths would fail after some dozens of them. Programs that are
-    needed again are loaded from the cache, or compiled.
+    needed again are loaded from the cache or compiled.
     """
     used, limit = _mapped()
     if used > share * limit:
@@ -104,11 +104,11 @@ def release_programs(share: float) -> None:
 
 
 def _mapped() -> tuple[int, float]:
-    """Number of memory mappings that this process has, and the number that it may have."""
+    """Number of memory mappings of this process, and the largest number allowed."""
     try:
         limit = int(Path("/proc/sys/vm/max_map_count").read_text())
         with open("/proc/self/maps", "rb") as file:
             return sum(1 for _ in file), limit
     except OSError:
-        # Not Linux: there is no such limit.
+        # Only Linux has this limit.
         return 0, float("inf")

@@ -1,7 +1,7 @@
-"""The χ² law: its tail and quantiles, and normal scores by the cube root, which is nearly normal.
+"""The χ² distribution: tail probabilities, quantiles, and normal scores from the cube root.
 
-The cube root is Wilson & Hilferty's (1931). Tail and quantiles are those of `scipy.stats.chi2`, which takes
-half a second to load.
+The cube root is nearly normal (Wilson & Hilferty 1931). `scipy.stats.chi2` has the same tails and quantiles,
+but takes half a second to load.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.base.errors import AllanjaxError
 
-# Normal score of p = 10⁻⁶: beyond it a misfit is no matter of chance.
+# Normal score of p = 10⁻⁶: a larger misfit is not due to chance.
 _BEYOND_DOUBT = 4.75
-# Tail probability down to which normal scores are computed from the law itself.
+# Smallest tail probability at which normal scores are computed from the distribution itself.
 _SMALLEST_TAIL = 1e-14
 
 
 def upper_tail(x: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
-    """Probability that a χ² variate is above x; NaN without degrees of freedom."""
+    """Probability that a χ² variate exceeds x; NaN without degrees of freedom."""
     from scipy.special import gammaincc
 
     nu = np.asarray(dof, float)
@@ -27,7 +27,7 @@ def upper_tail(x: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
 
 
 def quantile(probability: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
-    """Value that a χ² variate is below with this probability; NaN without degrees of freedom."""
+    """Quantile of the χ² distribution at a probability; NaN without degrees of freedom."""
     from scipy.special import gammaincinv
 
     return 2.0 * gammaincinv(np.asarray(dof, float) / 2.0, np.asarray(probability, float))
@@ -36,7 +36,7 @@ def quantile(probability: ArrayLike, dof: ArrayLike) -> Float[np.ndarray, ...]:
 def chi_squared_factors(
     dof: ArrayLike, level: float
 ) -> tuple[Float[np.ndarray, ...], Float[np.ndarray, ...]]:
-    """Confidence limits of a variance relative to its estimate, by the χ² law."""
+    """Confidence limits of a variance relative to its estimate, from the χ² distribution."""
     if not 0 < level < 1:
         raise AllanjaxError(f"the confidence level must lie between 0 and 1, not {level}")
     nu = np.asarray(dof)
@@ -44,10 +44,10 @@ def chi_squared_factors(
 
 
 def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...]) -> Float[Array, ...]:
-    """Normal score of a χ² (or gamma) variate over its mean, given the variance of this ratio.
+    """Normal score of the ratio of a χ² (or gamma) variate to its mean, given the variance of the ratio.
 
-    The usual approximation to the moments of the cube root, mean 1 − variance/9 and variance/9: for few
-    degrees of freedom see `exact_cube_root_score`.
+    Uses the approximate moments of the cube root, mean 1 − variance/9 and variance/9; for few degrees of
+    freedom see `exact_cube_root_score`.
     """
     xp = namespace(ratio, variance)
     g = xp.asarray(variance) / 9.0
@@ -55,10 +55,10 @@ def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...
 
 
 def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[Array, ...]:
-    """Normal score of a χ² variate over its mean, with the exact moments of the cube root.
+    """Normal score of the ratio of a χ² variate to its mean, with the exact moments of the cube root.
 
-    They are E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2), of which the usual approximation is 15 % off at one degree
-    of freedom; beyond a thousand the approximation is exact enough.
+    They are E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2). The usual approximation is 15 % off at one degree of
+    freedom and accurate enough beyond a thousand.
     """
     xp = namespace(ratio, dof)
     gammaln = special_functions(xp).gammaln
@@ -73,7 +73,7 @@ def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ..
 
 
 def normal_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-    """Normal score of a χ² variate over its mean, exact but in the far tails, where it is the cube root's."""
+    """Normal score of the ratio of a χ² variate to its mean; exact except in the far tails (cube root)."""
     from scipy.special import gammainc, gammaincc, ndtri
 
     shape = np.maximum(np.asarray(dof, float), 1e-3) / 2.0
@@ -85,7 +85,7 @@ def normal_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Fl
 
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:
-    """χ² that a model which is right exceeds with a probability of 10⁻⁶ only."""
+    """Value of χ² that a correct model exceeds with a probability of only 10⁻⁶."""
     xp = namespace(dof)
     dof = xp.asarray(dof)
     g = 2.0 / (9.0 * dof)

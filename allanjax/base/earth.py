@@ -1,4 +1,4 @@
-"""The Earth of inertial sensors: gravity, rotation and size."""
+"""Gravity, rotation and size of the Earth."""
 
 import math
 
@@ -24,15 +24,15 @@ _SEMI_MAJOR, _FLATTENING, _RATIO = 6378137.0, 1.0 / 298.257223563, 0.00344978650
 def normal_gravity(latitude: float, height: float = 0.0) -> float:
     """Normal gravity [m/s²] at a latitude [deg] and a height above the ellipsoid [m].
 
-    Somigliana's closed formula on the ellipsoid of WGS 84, and its second-order series in the height (NIMA
+    Uses Somigliana's closed formula on the WGS 84 ellipsoid and the second-order series in the height (NIMA
     TR8350.2, 4-1 and 4-3). True gravity differs by the anomaly δg of (2.23).
 
     Raises:
-        AllanjaxError: a latitude beyond ±90 deg, or a height that is no number.
+        AllanjaxError: the latitude is beyond ±90 deg, or the height is not finite.
     """
     if not (abs(latitude) <= 90.0 and math.isfinite(height)):
         raise AllanjaxError(
-            f"give the latitude in deg, from -90 to 90, and the height in m; got {latitude}, {height}"
+            f"latitude {latitude}, height {height}: give degrees from -90 to 90 and a height in m"
         )
     s2 = math.sin(math.radians(latitude)) ** 2
     surface = _EQUATOR * (1.0 + _SOMIGLIANA * s2) / math.sqrt(1.0 - _ECCENTRICITY2 * s2)

@@ -1,4 +1,4 @@
-"""Equality of results by their values, arrays and NaN included: a pickle of one equals it."""
+"""Equality of results by value, including arrays and NaN, so that a result equals its pickled copy."""
 
 import copyreg
 import dataclasses
@@ -10,11 +10,10 @@ import numpy as np
 
 
 class ByValue:
-    """Equality of a dataclass by its fields' values, for `@dataclass(frozen=True, eq=False)`.
+    """Mixin for `@dataclass(frozen=True, eq=False)`: equality by the values of the fields.
 
-    The generated equality fails on arrays, and takes two NaN for different. Fields with `compare=False`
-    do not count. The hash is that of the texts, integers and flags among the fields: hashing arrays would
-    take long.
+    The equality that `dataclass` generates fails for arrays and treats two NaN as different. Fields with
+    `compare=False` are ignored. The hash uses only texts, integers and flags, as hashing arrays is slow.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -26,7 +25,7 @@ class ByValue:
 
 
 def equal(a: Any, b: Any) -> bool:
-    """Whether two values are the same: numbers or both NaN, arrays, tables, containers, dataclasses."""
+    """Whether two values are equal: numbers, arrays, tables, containers or dataclasses; NaN equals NaN."""
     if a is b:
         return True
     if hasattr(a, "__array__") and not hasattr(a, "columns"):
@@ -45,7 +44,7 @@ def equal(a: Any, b: Any) -> bool:
 
 
 def _same_array(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two arrays are equal, NaN being equal to NaN."""
+    """Whether two arrays are equal; NaN equals NaN."""
     return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
 
 
@@ -56,9 +55,9 @@ def _same_fields(a: Any, b: Any) -> bool:
 
 
 def _read_only(items: dict) -> MappingProxyType:
-    """Read-only view of a dictionary: what a pickle of such a view is made anew by."""
+    """Read-only view of a dictionary, as restored from a pickle."""
     return MappingProxyType(items)
 
 
-# Python does not pickle a read-only view of a dictionary, which recordings and sensors have.
+# Recordings and sensors contain read-only views of dictionaries, which Python cannot pickle by itself.
 copyreg.pickle(MappingProxyType, lambda view: (_read_only, (dict(view),)))

@@ -2,21 +2,21 @@
 
 
 class AllanjaxError(ValueError):
-    """Base class of all errors that a user's input can cause; the message says what to do about it."""
+    """Base class of all errors caused by user input; the message says how to correct it."""
 
 
 class AllanjaxWarning(UserWarning):
-    """Base class of all warnings by which allanjax, and no library, has something to say to its user."""
+    """Base class of the warnings that allanjax itself, and no library, issues."""
 
 
 class UnitError(AllanjaxError):
-    """A unit that is unknown, or whose dimension does not fit its use."""
+    """A unit is unknown or has the wrong dimension."""
 
 
 class RecordingError(AllanjaxError):
-    """A file or an array that is not a usable recording.
+    """A file or an array is not a usable recording.
 
-    `about` says what of it is wrong: "gaps", "jitter", "rate" or "dead axis"; "" for anything else.
+    `about` is the kind of problem: "gaps", "jitter", "rate" or "dead axis"; "" for any other.
     """
 
     def __init__(self, message: str, about: str = "") -> None:
@@ -25,7 +25,7 @@ class RecordingError(AllanjaxError):
 
 
 class MixedRatesError(RecordingError):
-    """A table of several sensors, each with a rate of its own: `sensors` can be read one by one."""
+    """The sensors in a table have different rates; each of `sensors` can be read by itself."""
 
     def __init__(self, message: str, sensors: tuple[str, ...]) -> None:
         super().__init__(message)
@@ -33,4 +33,4 @@ class MixedRatesError(RecordingError):
 
 
 class FitError(AllanjaxError):
-    """A fit without a result: it did not converge, or the data cannot determine the model."""
+    """A fit has no result: it did not converge, or the data cannot determine the model."""

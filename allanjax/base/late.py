@@ -1,8 +1,8 @@
-"""What is loaded late: public names of a package (PEP 562), and methods of results that `report` implements.
+"""Late loading: public names of a package (PEP 562), and methods of results that `report` implements.
 
-A stub `__init__.pyi` says to type checkers and editors where each name comes from. It is read while the
-program runs, too, as Scientific Python's SPEC 1 has it, so that there is one list. Importing a package takes
-no longer than what is used of it.
+A stub `__init__.pyi` lists where each public name is defined. Type checkers and editors read it, and the
+running program does, too (Scientific Python's SPEC 1), so that there is one list. Importing a package loads
+nothing that is not used.
 """
 
 import ast
@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, TypeVar
 
 
 class LateNames:
-    """Names of a package by the modules that they come from.
+    """Public names of a package with the modules that define them.
 
     Args:
         package: name of the package, e.g. "allanjax".
@@ -29,23 +29,23 @@ class LateNames:
         imports = [line for line in lines if isinstance(line, ast.ImportFrom) and line.module]
         taken = [(alias, str(line.module)) for line in imports for alias in line.names]
         self._package = package
-        self._wholes = [module for alias, module in taken if alias.name == "*"]
-        self._homes = {
+        self._starred = [module for alias, module in taken if alias.name == "*"]
+        self._sources = {
             alias.asname or alias.name: (module, alias.name) for alias, module in taken if alias.name != "*"
         }
 
     def load(self, name: str) -> Any:
-        """What has this name, e.g. "fit"; "__all__" is the list of all of them.
+        """Object with this name, e.g. "fit"; "__all__" is the list of all names.
 
         Raises:
-            AttributeError: nothing has this name.
+            AttributeError: there is no such name.
         """
         if name == "__all__":
             return self.all()
-        if name in self._homes:
-            module, own = self._homes[name]
-            found = vars(import_module(module))
-            return found[own] if own in found else import_module(f"{module}.{own}")
+        if name in self._sources:
+            module, own = self._sources[name]
+            defined = vars(import_module(module))
+            return defined[own] if own in defined else import_module(f"{module}.{own}")
         if not name.startswith("_"):
             for module, names in self._lists():
                 if name in names:
@@ -53,27 +53,26 @@ class LateNames:
         raise AttributeError(f"module {self._package!r} has no attribute {name!r}")
 
     def all(self) -> list[str]:
-        """The names: constants, then classes, then what has a small letter, each by the alphabet."""
-        names = {*self._homes, *(name for _, names in self._lists() for name in names)}
+        """All names: constants, then classes, then lower-case names, each in alphabetical order."""
+        names = {*self._sources, *(name for _, names in self._lists() for name in names)}
         return sorted(names, key=lambda name: (not name.isupper(), name[0].islower(), name))
 
     def _lists(self) -> Iterator[tuple[str, list[str]]]:
-        """Modules that are taken as a whole, and what they list."""
-        for module in self._wholes:
+        """Modules of which all public names are imported, with these names."""
+        for module in self._starred:
             yield module, import_module(module).__all__
 
 
 # Methods of results that draw, print or export: declared with the result, implemented in `report`.
 #
-# A result is data, and the rooms that make results know nothing of pictures. So a result declares such a
-# method with its signature and docstring, and `report`, which knows all results, says by `present` which
-# function of its own that is. The function's module is imported when the method is called for the first
-# time: drawing libraries take long to load.
+# A result is data, and the rooms that make results know nothing about figures. So a result declares such a
+# method with its signature and docstring, and `report` registers with `present` the function that implements
+# it. The function's module is imported at the first call, since drawing libraries take long to load.
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-# Functions by the qualified names of the methods that they are.
+# Functions by the qualified names of the methods that they implement.
 _FUNCTIONS: dict[str, str] = {}
 
 
@@ -88,7 +87,7 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 class _Text(str):
-    """Text of a property that was a method: called as that, it warns and returns the text."""
+    """Text of a property that used to be a method: a call warns and returns the text."""
 
     def __call__(self) -> str:
         warnings.warn("this text is a property now: leave out the ()", DeprecationWarning, stacklevel=2)
@@ -96,7 +95,7 @@ class _Text(str):
 
 
 class TextProperty:
-    """Decorator of a method that returns a text: a property, which may still be called."""
+    """Decorator that makes a method returning text a property, which can still be called."""
 
     def __init__(self, method: Callable[[Any], str]) -> None:
         self._method, self.__doc__ = method, method.__doc__
@@ -111,7 +110,7 @@ def present(functions: Mapping[str, str]) -> None:
 
 
 def _function(method: Callable[..., Any], of: tuple[Any, ...]) -> Callable[..., Any]:
-    """Function registered for a method, its module imported; of a shared one that for the result's class."""
+    """Function registered for a method, or, if classes share the method, for the class of the result."""
     own = (f"{owner.__name__}.{method.__name__}" for result in of for owner in type(result).__mro__)
     name = next(name for name in (method.__qualname__, *own) if name in _FUNCTIONS)
     module, _, function = _FUNCTIONS[name].rpartition(".")

@@ -1,8 +1,8 @@
 """Small dense linear algebra that is safe to batch.
 
-Batched LAPACK calls of jaxlib wait, inside a worker thread, for tasks on the same thread pool: two of them at
-once on a machine with two cores never return (seen with jaxlib 0.10.2 as a stopped vmapped Cholesky). These
-few loops of vector operations use no LAPACK, and are as fast for the sizes met here.
+A batched LAPACK call of jaxlib waits in a worker thread for tasks on the same thread pool, so two such calls
+deadlock on a machine with two cores (observed with jaxlib 0.10.2 for a vmapped Cholesky factorization). The
+loops of vector operations below do not use LAPACK and are as fast for the sizes in this package.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ def whiten(
 ) -> CholeskyWhitened:
     """Whiten the columns of X by C = LL', positive definite: L⁻¹X and ln det L, NaN if it is not.
 
-    Row k of [L' | L⁻¹X] is that of [C | X] less what the rows above it explain: one pass over memory a row,
-    several times faster than eliminating it from all rows below. Of `rows`, if there are fewer than C has,
-    the others of L⁻¹X are zero.
+    Row k of [L' | L⁻¹X] is row k of [C | X] less the part explained by the rows above it. This takes one pass
+    over memory per row and is several times faster than eliminating the row from all rows below it. If `rows`
+    is less than the size of C, the remaining rows of L⁻¹X are zero.
     """
     m = C.shape[0]
     both = jnp.concatenate([C, X], axis=1)
@@ -61,12 +61,12 @@ def non_negative_least_squares(
 ) -> Float[Array, " terms"]:
     """Non-negative x that minimizes |Ax − b|, zero where not allowed; differentiable in A and b.
 
-    Principal pivoting (Portugal, Júdice & Vicente 1994): a set of positive entries is changed until all of
-    them are positive and no gradient says that another should be. Exchanging all offenders at once
-    is fast; Murty's rule, only the last of them, always ends, and takes over after a few rounds.
+    Principal pivoting (Portugal, Júdice & Vicente 1994): the set of positive entries is changed until all of
+    them are positive and no gradient calls for another one. Exchanging all offending entries at once is fast;
+    after a few rounds Murty's rule takes over, which exchanges only the last one and always terminates.
     """
     size = jnp.sqrt(jnp.sum(A**2, axis=0))
-    # Columns of zeros are those of no term at all.
+    # A column of zeros belongs to no term.
     size = jnp.where(size > 0.0, size, 1.0)
     A = A / size
     normal, target = A.T @ A, A.T @ b

@@ -1,7 +1,7 @@
 """Numbers as text in one style: values with errors, intervals, limits, durations.
 
-An error has two significant digits, and its value and interval as many decimals; thousands are set apart by
-commas; an exponent is written only for what is below 1e-4 or from 1e7 on.
+An error has two significant digits; its value and interval have as many decimals. Commas separate thousands.
+Only numbers below 1e-4 or from 1e7 on have an exponent.
 """
 
 import math
@@ -13,7 +13,7 @@ _SMALL, _LARGE = 1e-4, 1e7
 def format_with_error(value: float, std: float) -> str:
     """Value and standard deviation, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05".
 
-    Without an error the value alone, to six digits.
+    Without an error it is the value alone, to six digits.
     """
     if not _known(value, std):
         return plain(value, 6)
@@ -22,7 +22,7 @@ def format_with_error(value: float, std: float) -> str:
 
 
 def without_error(value: float, std: float) -> str:
-    """Value with the decimals that its standard deviation gives it, e.g. "0.5121" or "1.680e-05"."""
+    """Value with the decimals that its standard deviation warrants, e.g. "0.5121" or "1.680e-05"."""
     if not _known(value, std):
         return plain(value, 4)
     power = _power(max(abs(value), std))
@@ -30,9 +30,9 @@ def without_error(value: float, std: float) -> str:
 
 
 def format_interval(lower: float, upper: float, value: float, std: float) -> str:
-    """Interval with the decimals that `format_with_error` gives the value, e.g. "0.4985 … 0.5257".
+    """Interval with the decimals that `format_with_error` uses for the value, e.g. "0.4985 … 0.5257".
 
-    Without an error the width of the interval sets the decimals.
+    Without an error the width of the interval determines the decimals.
     """
     if not _known(value, std):
         std = (upper - lower) / 4.0
@@ -43,7 +43,7 @@ def format_interval(lower: float, upper: float, value: float, std: float) -> str
 
 
 def significant(x: float, digits: int = 3) -> str:
-    """Number with `digits` significant digits, zeros included, e.g. "3,470", "0.500" or "1.20e-06"."""
+    """Number with `digits` significant digits, including zeros, e.g. "3,470", "0.500" or "1.20e-06"."""
     if not math.isfinite(x) or x == 0.0:
         return f"{x:g}"
     place = 10.0 ** (_exponent(x, digits) - digits + 2)
@@ -60,14 +60,14 @@ def plain(x: float, digits: int = 6) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A length of time, e.g. "600 s", "25 min" or "2.78 h"."""
+    """Duration as text, e.g. "600 s", "25 min" or "2.78 h"."""
     if seconds < 1000.0:
         return f"{plain(seconds, 3)} s"
     return f"{plain(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{plain(seconds / 3600.0, 3)} h"
 
 
 def finite_or_none(x: float) -> float | None:
-    """A finite number, or None: JSON has no NaN and no infinity, and a CSV cell is empty for either."""
+    """A finite number, or None: JSON has neither NaN nor infinity, and their CSV cells are empty."""
     return float(x) if math.isfinite(x) else None
 
 
@@ -77,12 +77,12 @@ def _known(value: float, std: float) -> bool:
 
 
 def _exponent(x: float, digits: int) -> int:
-    """Power of ten of x once rounded to `digits` significant digits."""
+    """Exponent of ten of x, rounded to `digits` significant digits."""
     return int(f"{x:.{digits - 1}e}".partition("e")[2])
 
 
 def _power(largest: float) -> int:
-    """Power of ten to write after a number; 0 where it is easily read without."""
+    """Exponent of ten to write after a number; 0 if the number is easy to read without one."""
     return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else _exponent(largest, 16)
 
 
@@ -95,5 +95,5 @@ def _fixed(x: float, error: float, power: int) -> str:
 
 
 def _with_power(text: str, power: int) -> str:
-    """Text in brackets with its power of ten, if there is one."""
+    """Text, in brackets with its power of ten if there is one."""
     return f"({text})e{power:+03d}" if power else text

@@ -2,6 +2,7 @@
 
 import logging
 import os
+import re
 import sys
 import warnings
 from importlib import import_module
@@ -11,11 +12,12 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli.common import INTERRUPTED, epilog
+from allanjax.cli.common import epilog
+from allanjax.cli.interrupt import end_on_interrupt
 
 app = typer.Typer(
     name="allanjax",
-    help="Noise coefficients of gyros and accelerometers from a static recording, with honest uncertainties.",
+    help="Estimate noise coefficients of gyros and accelerometers, with intervals, from static recordings.",
     epilog=epilog("allanjax demo", "allanjax characterize imu.csv", "allanjax characterize --help"),
     add_completion=False,
     no_args_is_help=True,
@@ -29,15 +31,11 @@ _SILENT = logging.NullHandler()
 
 
 def main() -> None:
-    """Entry point of the command `allanjax`."""
+    """Run the command line."""
+    end_on_interrupt()
     for stream in (sys.stdout, sys.stderr):
         speak_plainly(stream)
-    try:
-        app(prog_name="allanjax")
-    except SystemExit as end:
-        if end.code == INTERRUPTED:
-            print("interrupted", file=sys.stderr)
-        raise
+    app(prog_name="allanjax")
 
 
 def _show_version(wanted: bool) -> None:
@@ -55,21 +53,23 @@ def _common(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
     ] = False,
 ) -> None:
-    # What libraries warn of, with paths and lines, is of no use to who runs a command.
+    # Warnings of libraries, with paths and line numbers, do not help users of a command.
     warnings.showwarning = _show_own
     logging.getLogger().addHandler(_SILENT)
-    # Of processes that the command starts, too.
+    # For processes that the command starts, too.
     os.environ.setdefault("PYTHONWARNINGS", "ignore")
 
 
 def _show_own(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
-    """Print a warning of allanjax on stderr, and no other."""
+    """Print warnings of allanjax on stderr, and no others."""
     if issubclass(category, AllanjaxWarning):
         print(f"warning: {message}", file=sys.stderr)
 
 
-# The order of `allanjax --help`; each is in the module of its name: its help, examples and function.
+# In the order of `allanjax --help`. The module of each command has its help, examples and function.
 _COMMANDS = "check characterize critique fleet export horizon navigate statespace kalman calibrate"
 for _name in f"{_COMMANDS} simulate convert schema demo".split():
     _module = import_module(f"allanjax.cli.{_name}")
-    app.command(_name, help=_module.HELP, epilog=_module.EPILOG)(_module.command)
+    # In the list of commands: the first sentence, without its enumeration.
+    _short = re.split("[.:] ", _module.HELP)[0].removesuffix(".")
+    app.command(_name, help=_module.HELP, short_help=_short, epilog=_module.EPILOG)(_module.command)

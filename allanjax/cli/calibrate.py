@@ -2,7 +2,6 @@
 
 import json
 import math
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, epilog, failures_told, prepare, print_json, saved_fit, stage
+from allanjax.cli.common import RESULTS, Out, epilog, prepare, print_result, saved_fit, stage, user_errors
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -19,9 +18,10 @@ if TYPE_CHECKING:
     from allanjax.record.recording import Recording
 
 HELP = (
-    "Calibrate gyros and accelerometers by recordings at rest in several orientations, as in a six-position "
-    "test: bias, scale factor and misalignment of each axis, with intervals that follow from the noise "
-    "model, drift between the positions included. Writes calibration.json and calibration.png."
+    "Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a "
+    "six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow "
+    "from the noise model and include drift between the positions. Writes calibration.json and "
+    "calibration.png."
 )
 EPILOG = epilog(
     "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
@@ -33,9 +33,9 @@ EPILOG = epilog(
 Recordings = Annotated[
     list[str] | None,
     typer.Argument(
-        help="Recordings in the order of time, whose names say which axis points up or down: imu_x_up.csv; "
-        "down.csv (that of z); if no name does, orientations are estimated: accelerometers, nine positions "
-        "or more.",
+        help="Recordings in time order. File names give the axis that points up or down: imu_x_up.csv, or "
+        "down.csv for z. If no name does, the orientations are estimated (accelerometers only, nine "
+        "positions or more).",
         metavar="FILE",
     ),
 ]
@@ -45,13 +45,16 @@ Positions = Annotated[
 ]
 Starts = Annotated[
     str | None,
-    typer.Option(help="When each recording starts, in s: 0,620,1240. Without: one after the other."),
+    typer.Option(
+        help="Start time of each recording in s, e.g. 0,620,1240. By default each starts where the one "
+        "before ends."
+    ),
 ]
 FittedNoise = Annotated[
     Path | None,
     typer.Option(
-        help="Fit of a long recording of the same sensor, NAME.json, as noise model. Without: the longest "
-        "position is fitted.",
+        help="Noise model: result of allanjax characterize for a long recording of the same sensor. By "
+        "default the longest position is fitted.",
         metavar="RESULT.json",
     ),
 ]
@@ -63,20 +66,22 @@ def command(
     files: Recordings = None,
     position: Positions = None,
     latitude: Annotated[
-        float | None, typer.Option(help="Latitude in deg, for normal gravity and the Earth's rate (gyros).")
+        float | None,
+        typer.Option(help="Latitude in deg, for normal gravity and (gyros) the Earth's rotation rate."),
     ] = None,
     height: Annotated[float, typer.Option(help="Height in m, for normal gravity.")] = 0.0,
-    gravity: Annotated[float | None, typer.Option(help="Local gravity in m/s^2, where it is known.")] = None,
+    gravity: Annotated[float | None, typer.Option(help="Local gravity in m/s^2, if known.")] = None,
     starts: Starts = None,
     second_order: Annotated[
         bool, typer.Option("--second-order", help="Estimate the second-order scale factor of accelerometers.")
     ] = False,
     orientation_error: Annotated[
-        float, typer.Option(help="Standard deviation in deg of the orientations about each axis across.")
+        float,
+        typer.Option(help="Standard deviation of the orientations in deg, about each transverse axis."),
     ] = 0.0,
     fit: FittedNoise = None,
     as_is: Annotated[
-        bool, typer.Option("--as-is", help="Use all of a recording, also where it was handled.")
+        bool, typer.Option("--as-is", help="Use the whole recordings, including disturbed parts.")
     ] = False,
     out: Out = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
@@ -85,13 +90,13 @@ def command(
     prepare(directory)
     from allanjax.calibration.static_positions import calibrate
 
-    with failures_told():
+    with user_errors():
         with stage("reading"):
-            named = [*((None, file) for file in files or ()), *map(_parted, position or ())]
+            named = [*((None, file) for file in files or ()), *map(_split, position or ())]
             recordings, orientations = _read(named, reading)
             noise = None if fit is None else saved_fit(fit)
         with stage("calibrating (without --fit the noise is fitted first)"):
-            found = calibrate(
+            result = calibrate(
                 recordings,
                 orientations,
                 latitude=latitude,
@@ -103,41 +108,36 @@ def command(
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
             )
-        if as_json:
-            print_json(found.to_dict())
-        else:
-            print(found)
-        if directory is not None:
-            _write(found, directory)
+        print_result(result, as_json, () if directory is None else _write(result, directory))
 
 
 def _read(
     named: Sequence[tuple[str | None, str]], reading: ReadOptions
 ) -> tuple[list["Recording"], list[str] | None]:
-    """Recordings, and their orientations if one is told beside its file."""
+    """Recordings, and their orientations if a --position gives one."""
     if not named:
-        raise typer.BadParameter("give recordings: FILE, or --position x+=FILE")
+        raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
     recordings = [read_recording(Path(file), reading, file) for _, file in named]
     if all(orientation is None for orientation, _ in named):
         return recordings, None
     return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
 
 
-def _write(found: "Calibration", directory: Path) -> None:
-    """Write calibration.json and calibration.png."""
+def _write(result: "Calibration", directory: Path) -> list[Path]:
+    """Write calibration.json and calibration.png, and return their paths."""
     directory.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(found.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     paths = [directory / f"calibration.{kind}" for kind in ("json", "png")]
     paths[0].write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
-    found.plot(path=paths[1])
-    print(f"wrote {paths[0]}, {paths[1]}", file=sys.stderr)
+    result.plot(path=paths[1])
+    return paths
 
 
-def _parted(text: str) -> tuple[str, str]:
+def _split(text: str) -> tuple[str, str]:
     """Orientation and file of `x+=FILE`."""
     orientation, equals, file = text.partition("=")
     if not (equals and file):
-        raise AllanjaxError(f"--position {text!r}: write an orientation and a file, x+=FILE")
+        raise AllanjaxError(f"--position {text!r}: give an orientation and a file, e.g. x+=FILE")
     return orientation, file
 
 
@@ -145,4 +145,4 @@ def _numbers(text: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise AllanjaxError(f"--starts {text!r}: write numbers of seconds, 0,620,1240") from error
+        raise AllanjaxError(f"--starts {text!r}: give times in s, separated by commas: 0,620,1240") from error

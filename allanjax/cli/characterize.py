@@ -10,8 +10,6 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
 from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.stream import accumulate
-from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     from allanjax.estimate.check import Check
@@ -20,9 +18,9 @@ if TYPE_CHECKING:
     from allanjax.spectrum.psd import PowerSpectrum
 
 HELP = (
-    "Estimate the noise coefficients of static recordings. Prints a table a file, and writes NAME.json, "
-    "NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. Where one of several "
-    "files is bad, the others go on."
+    "Estimate the noise coefficients of static recordings. Prints one table per file and writes NAME.json, "
+    "NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others "
+    "are still processed."
 )
 EPILOG = epilog(
     "allanjax characterize imu.csv",
@@ -41,8 +39,8 @@ def command(
         bool,
         typer.Option(
             "--stream",
-            help="Read chunk by chunk, for recordings that do not fit into memory. The Allan variances are "
-            "those of the pyramid estimator, at octaves; there is no NAME_psd.png.",
+            help="Read in chunks, for recordings that do not fit into memory. The Allan variances are "
+            "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
         ),
     ] = False,
     out: Out = None,
@@ -65,50 +63,53 @@ def command(
                 drawn = None if spectrum is None else spectrum.result()
                 paths = write_results(fit, drawn, directory, file.name, check)
         first = [] if check is None else [f"check: {check.summary()}"]
-        told = "\n".join([*first, str(fit), *(f"note: {note}" for note in fit.notes)])
+        text = "\n".join([*first, str(fit), *(f"note: {note}" for note in fit.notes)])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
         missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
-        return Outcome(told, with_check(fit, check), paths, missing)
+        return Outcome(text, with_check(fit, check), paths, missing)
 
     work_through(files, out, as_json, work, lambda fits, _: {"schema_version": SCHEMA_VERSION, "fits": fits})
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[PowerSpectrum], Fit]":
-    """Check, spectrum and fit of a file's recording; the spectrum is estimated while the fit compiles."""
+    """Check, spectrum and fit of a file's recording; the spectrum is estimated during the fit."""
     from allanjax.estimate.check import check_of
 
     with stage(f"{file.label}: reading"):
         recording = file.read(options.reading)
     with fitting(file, recording), ThreadPoolExecutor(1) as pool:
-        seen = options.inspect(recording)
-        spectrum = pool.submit(_spectrum, seen.quiet(recording))
-        fit = options.fit(recording, seen)
-        return check_of(recording, seen), spectrum, fit
+        inspection = options.inspect(recording)
+        spectrum = pool.submit(_spectrum, inspection.quiet(recording))
+        fit = options.fit(recording, inspection)
+        return check_of(recording, inspection), spectrum, fit
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
-    """Fit of a file that is never in memory as a whole."""
+    """Fit of a file that is read in chunks."""
+    from allanjax.fleet.stream import accumulate
+    from allanjax.record.io.assembly import open_chunks
+
     if options.regressors:
         raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
     reading = file.options(options.reading)
-    with stage(f"{file.label}: reading") as say:
+    with stage(f"{file.label}: reading") as show:
 
         def progress(done: int, total: int | None) -> None:
-            share = f" of {total:,} ({100.0 * done / total:.0f} %)" if total else ""
-            say(f"{file.label}: {done:,}{share} samples read")
+            share = f" of {total:,}" if total else ""
+            show(f"{file.label}: reading, {done:,} samples{share}")
 
         accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
-        seen = options.inspect(accumulator)
-        if seen.stretch is not None:
-            # What was handled cannot be taken out again, but the file can be read again without.
-            reading = reading.within(seen.stretch)
+        inspection = options.inspect(accumulator)
+        if inspection.stretch is not None:
+            # Disturbed parts cannot be removed from the sums, so the file is read again without them.
+            reading = reading.within(inspection.stretch)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
-        return options.fit_accumulated(accumulator, seen)
+        return options.fit_accumulated(accumulator, inspection)
 
 
 def _spectrum(recording: "Recording") -> "PowerSpectrum":
-    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the pictures
+    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the figures
 
     from allanjax.spectrum.psd import power_spectrum
 

@@ -11,9 +11,9 @@ from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions
 
 HELP = (
-    "Say whether static recordings are fit for the estimation of noise coefficients: rate, gaps, resolution, "
-    "saturation, motion, units, bandwidth and others, and how long to record for N, B and K. Each line is "
-    "fine, worth a look, or a reason to stop; with one of these the exit code is 1."
+    "Check whether static recordings are suitable for estimating noise coefficients: rate, gaps, resolution, "
+    "saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each line reads "
+    "fine, look or stop; any 'stop' makes the exit code 1."
 )
 EPILOG = epilog(
     "allanjax check imu.csv",
@@ -36,19 +36,19 @@ def command(
     stopped: list[str] = []
 
     def work(file: Input, _: Path | None) -> Outcome:
-        with stage(f"{file.label}: reading") as say:
+        with stage(f"{file.label}: reading") as show:
             try:
                 recording = file.read(reading)
             except MixedRatesError:
                 raise
             except RecordingError as error:
-                found = unreadable(error, file.name)
+                result = unreadable(error, file.name)
             else:
-                say(f"{file.label}: fitting, to see how long to record (the first run also compiles)")
-                found = check(recording, vibrating=vibrating)
-        if found.stops:
+                show(f"{file.label}: fitting, to estimate how long to record (the first run also compiles)")
+                result = check(recording, vibrating=vibrating)
+        if result.stops:
             stopped.append(file.label)
-        return Outcome(str(found), found.to_dict(), (), ())
+        return Outcome(str(result), result.to_dict(), (), ())
 
     def document(checks: list[dict[str, Any]], _: int) -> dict[str, Any]:
         return {"schema_version": SCHEMA_VERSION, "checks": checks}

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -17,52 +20,50 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
-from allanjax.fleet.files import matching_files
+from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
-    from allanjax.estimate.result import AxisFit, Fit
+    from allanjax.estimate.result import Fit
     from allanjax.fleet.stream import AllanAccumulator
     from allanjax.noise.datasheet import DataSheet
     from allanjax.record.recording import Recording
 
 RESULTS = Path("allanjax-results")
 _STDIN = "-"
-INTERRUPTED = 130
-"""Exit code of a command that was told to stop, as shells count it."""
 
 Files = Annotated[
     list[str],
     typer.Argument(
         help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5, .mat, TDMS, ROS bags (.bag, .db3, "
-        ".mcap, or a folder), PX4 .ulg, ArduPilot .bin; patterns of them in quotes, * for any name, ** for "
-        "any folders; - for standard input.",
+        ".mcap, or a folder), PX4 .ulg, ArduPilot .bin. Quoted patterns may contain * (any name) and ** (any "
+        "folders); - reads standard input.",
         metavar="FILE",
     ),
 ]
 Out = Annotated[
     Path | None,
-    typer.Option(help=f"Folder for the results, by default {RESULTS}; with --json there is none by default."),
+    typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json."),
 ]
 Vibrating = Annotated[
     bool,
-    typer.Option("--vibrating", help="The platform is meant to move or vibrate: it is not tested for rest."),
+    typer.Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
 ]
 
 
 def epilog(*examples: str) -> str:
-    """End of a command's help: examples and exit codes, apart since typer breaks lines at empty ones only."""
+    """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
     codes = (
-        "Exit codes: 0 success; 1 bad input, or an axis without result; 2 a wrong command line; "
+        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
         f"{INTERRUPTED} interrupted."
     )
     return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 class Input(NamedTuple):
-    """Recording that a command works on: its file, its name in messages, and that of its results alone.
+    """Recording that a command processes: its file, its name in messages, and the name of its results.
 
-    Of a table whose sensors have rates of their own it is one `sensor`.
+    `sensor` is set if the sensors of a table have different rates and are processed one by one.
     """
 
     path: Path
@@ -71,23 +72,23 @@ class Input(NamedTuple):
     sensor: str = ""
 
     def of(self, sensors: Iterable[str]) -> list[Input]:
-        """Each of its sensors."""
+        """One input per sensor."""
         return [Input(self.path, f"{self.label} ({s})", f"{self.name}_{s}", s) for s in sensors]
 
     def options(self, reading: ReadOptions) -> ReadOptions:
-        """How to read it."""
+        """Options to read it with."""
         return replace(reading, columns=self.sensor) if self.sensor else reading
 
     def read(self, reading: ReadOptions) -> Recording:
         """The recording."""
-        found = read_recording(self.path, self.options(reading), self.label)
-        return replace(found, name=f"{found.name}_{self.sensor}") if self.sensor else found
+        recording = read_recording(self.path, self.options(reading), self.label)
+        return replace(recording, name=f"{recording.name}_{self.sensor}") if self.sensor else recording
 
 
 class Outcome(NamedTuple):
-    """What a command has found in a file, in words and as JSON; what it wrote; which axes have no result."""
+    """Result of a command for one file: as text, as JSON, the files written, and axes without a result."""
 
-    told: str
+    text: str
     document: Mapping[str, Any]
     written: Sequence[Path]
     without_result: Sequence[str]
@@ -101,10 +102,10 @@ def work_through(
     document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
     writes: bool = True,
 ) -> None:
-    """Do a command's `work` on files, of which bad ones do not stop the others, and print what comes of it.
+    """Do a command's `work` on each file and print the results; a bad file does not stop the others.
 
-    As JSON that is what `document` makes of the files' documents and of how many files there were. Ends the
-    program if files failed. A command that writes no files has no folder for them.
+    JSON is what `document` makes of the files' documents and the number of files. Ends the program with an
+    error if a file failed. `writes` is whether the command writes files, which go into the folder `out`.
     """
     directory = out if as_json or not writes else out or RESULTS
     prepare(directory)
@@ -125,10 +126,8 @@ def work_through(
             if as_json:
                 documents.append({"file": file.label, **done.document})
             else:
-                print(done.told, flush=True)
-            if done.written:
-                told = ", ".join(map(str, done.written))
-                print(f"wrote {told}", file=sys.stderr if as_json else sys.stdout)
+                print(done.text, flush=True)
+            print_written(done.written, as_json)
             errors += [_reported(file, message) for message in done.without_result]
     if as_json:
         print_json({**document(documents, len(given)), "errors": errors})
@@ -137,12 +136,15 @@ def work_through(
 
 @contextmanager
 def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, ...]]:
-    """Recordings that arguments stand for: files, matches of patterns, standard input; each once.
+    """Recordings that arguments name: files, matches of patterns, standard input; each once.
 
-    Patterns do not match results, which are below `out`. A pipe, which can be read only once, is copied to a
-    file.
+    Patterns do not match files below the folder of results, `out`. A pipe can be read only once, so it is
+    copied to a file.
     """
+    from allanjax.fleet.files import matching_files
+
     with TemporaryDirectory() as folder:
+        TEMPORARY.append(folder)
         files: dict[Path, tuple[Path, str]] = {}
         for text in arguments:
             if text == _STDIN or Path(text).is_fifo():
@@ -154,11 +156,11 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
                 files.setdefault(Path(text), (kept, name if text == _STDIN else text))
                 continue
             try:
-                found = matching_files(text, out or RESULTS)
+                paths = matching_files(text, out or RESULTS)
             except AllanjaxError:
-                # Reading it will say that there is none, and the others go on.
-                found = (Path(text),)
-            for path in found:
+                # Reading it reports that it is missing, and the other files are still processed.
+                paths = (Path(text),)
+            for path in paths:
                 files.setdefault(path.resolve(), (path, str(path)))
         given = list(files.values())
         names = result_names([path for path, _ in given])
@@ -166,42 +168,43 @@ def inputs(arguments: Sequence[str], out: Path | None) -> Iterator[tuple[Input, 
 
 
 def prepare(out: Path | None = None) -> None:
-    """Prepare a command: check the folder for results, open no windows, reuse compiled programs.
+    """Prepare a command: check the folder for results, draw without windows, reuse compiled programs.
 
-    Ends the program if the folder `out` can not be written to.
+    Ends the program if the folder `out` is not writable.
     """
     if out is not None:
         place = next(path for path in (out, *out.absolute().parents) if os.path.exists(path))
-        wrong = ""
+        problem = ""
         if not place.is_dir():
-            wrong = "is a file: give a folder"
+            problem = "is a file"
         elif not os.access(place, os.W_OK | os.X_OK):
-            wrong = "can not be written to: give another folder"
-        if wrong:
-            print_error(f"{place} {wrong} for the results by --out")
+            problem = "is not writable"
+        if problem:
+            print_error(f"{place} {problem}: choose another folder for the results with --out")
             raise typer.Exit(1)
     os.environ["MPLBACKEND"] = "Agg"
     from allanjax.base.cache import enable_compilation_cache
 
-    enable_compilation_cache()
+    with stage("loading allanjax"):
+        enable_compilation_cache()
 
 
-#: Failures by the input, the disk or the machine; any other exception is a bug and shows itself.
+#: Failures caused by the input, the disk or the machine; any other exception is a bug.
 FAILURES = (AllanjaxError, OSError, MemoryError)
 
 
 def _reason(failure: BaseException, label: str) -> str:
-    """Message that says what went wrong with the file of this label."""
+    """Message about the failure of the file with this label."""
     if isinstance(failure, MemoryError):
-        return f"{label}: not enough memory; take a stretch by --start and --stop, or --stream"
+        return f"{label}: not enough memory; read a part with --start and --stop, or pass --stream"
     if isinstance(failure, OSError) and failure.strerror:
         return f"{label if failure.filename is None else failure.filename}: {failure.strerror}"
     return str(failure)
 
 
 @contextmanager
-def failures_told() -> Iterator[None]:
-    """End the program with a message on bad input and failing files; other exceptions show themselves."""
+def user_errors() -> Iterator[None]:
+    """End the program with a message if the input is bad or a file fails; other exceptions pass."""
     try:
         yield
     except FAILURES as failure:
@@ -211,24 +214,58 @@ def failures_told() -> Iterator[None]:
 
 @contextmanager
 def stage(text: str) -> Iterator[Callable[[str], None]]:
-    """Show a spinner on stderr, where that is a terminal; yields a function that changes its text."""
-    from rich.console import Console
-    from rich.text import Text
+    """Show on stderr what is being done; yields a function that changes the text.
 
-    console = Console(stderr=True)
-    with console.status(Text(text)) as status:
-        yield lambda words: status.update(Text(words))
+    A terminal shows a spinner. Any other stderr gets a line after 2 s and one every 10 s: a quick command
+    prints nothing, and the log of a slow one shows that it is alive.
+    """
+    if sys.stderr.isatty():
+        from rich.console import Console
+        from rich.text import Text
+
+        with Console(stderr=True).status(Text(text)) as status:
+            yield lambda words: status.update(Text(words))
+        return
+    current, ended, begin, stream = [text], threading.Event(), time.monotonic(), sys.stderr
+
+    def report() -> None:
+        for seconds in chain([2], count(10, 10)):
+            if ended.wait(max(begin + seconds - time.monotonic(), 0.0)):
+                return
+            print(f"{current[0]}, {seconds} s", file=stream, flush=True)
+
+    reporter = threading.Thread(target=report, daemon=True)
+    reporter.start()
+    try:
+        yield lambda words: current.__setitem__(0, words)
+    finally:
+        ended.set()
+        reporter.join()
 
 
 def fitting(file: Input, data: Recording | AllanAccumulator) -> AbstractContextManager[Callable[[str], None]]:
     """Show that a recording is being fitted, see `stage`."""
-    size = f"{data.n:,} samples of {len(data.axes)} axes"
-    return stage(f"{file.label}: fitting {size} (the first run on a machine also compiles)")
+    return stage(f"{file.label}: fitting {data.n:,} samples per axis (the first run also compiles)")
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print a document on stdout, where nothing else is printed."""
+    """Print a document on stdout, as the only output there."""
     print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
+
+
+def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> None:
+    """Print a result as text or as JSON, and which files were written."""
+    if as_json:
+        print_json(result.to_dict())
+    else:
+        print(result, flush=True)
+    print_written(written, as_json)
+
+
+def print_written(paths: Sequence[Path], as_json: bool = False) -> None:
+    """Print which files were written: on stderr if stdout has JSON."""
+    if paths:
+        print(f"wrote {', '.join(map(str, paths))}", file=sys.stderr if as_json else sys.stdout)
 
 
 def print_error(message: str) -> None:
@@ -237,14 +274,14 @@ def print_error(message: str) -> None:
 
 
 def _reported(file: Input, message: str) -> dict[str, str]:
-    """Print an error of a file on stderr; returns it as the JSON has it."""
+    """Print an error of a file on stderr, and return it as in the JSON."""
     begin = f"{file.label}: "
     print_error(message if message.startswith(begin) else begin + message)
     return {"file": file.label, "message": message}
 
 
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
-    """End the program if files failed, and say which of how many."""
+    """End the program if files failed, with a line on stderr that names them."""
     if errors:
         failed = dict.fromkeys(error["file"] for error in errors)
         if files > 1:
@@ -253,38 +290,33 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
 
 
 def result_names(files: Sequence[Path]) -> list[str]:
-    """Names for the results of each file: its own without suffix, numbered where several share it."""
+    """Names for the results of each file: the file's without suffix, numbered if several files share it."""
     names: list[str] = []
     for file in files:
         stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
-        # Some file systems do not tell case apart.
+        # Some file systems ignore case.
         taken = {name.casefold() for name in names}
         numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))
         names.append(next(name for name in (stem, *numbered) if name.casefold() not in taken))
     return names
 
 
-SavedFit = Annotated[
-    Path, typer.Argument(help="What allanjax characterize wrote: NAME.json.", metavar="RESULT.json")
-]
-
-
 OptionalFit = Annotated[
     Path | None,
-    typer.Argument(help="What allanjax characterize wrote, or a data sheet .toml.", metavar="RESULT.json"),
+    typer.Argument(help="Result of allanjax characterize, or a data sheet (.toml).", metavar="RESULT.json"),
 ]
 Sheet = Annotated[
     str | None,
-    typer.Option(help="A data sheet instead: a sensor of allanjax convert --list, or a file of TOML."),
+    typer.Option(help="Use a data sheet: a sensor listed by allanjax convert --list, or a TOML file."),
 ]
 
 
 def fit_or_sheet(path: Path | None, sheet: str | None) -> Fit | DataSheet:
-    """The fit in a file, or a data sheet by its name or in a file; AllanjaxError if there is none."""
+    """The fit in a file, or a data sheet given by name or file; AllanjaxError if there is none."""
     from allanjax.noise.datasheet import datasheet
 
     if (path is None) == (sheet is None):
-        raise AllanjaxError("give one: a result, such as allanjax-results/imu.json, or --sheet SENSOR")
+        raise AllanjaxError("give either a result, e.g. allanjax-results/imu.json, or --sheet SENSOR")
     if sheet is not None:
         return datasheet(sheet)
     assert path is not None
@@ -295,20 +327,12 @@ def saved_fit(path: Path) -> Fit:
     """The fit in a file; AllanjaxError if there is none, or more than one."""
     from allanjax.estimate.as_json import load
 
-    found = load(path)
-    if not isinstance(found, dict):
-        return found
-    if len(found) != 1:
+    fits = load(path)
+    if not isinstance(fits, dict):
+        return fits
+    if len(fits) != 1:
         raise AllanjaxError(
-            f"{path}: holds {len(found)} fits, {', '.join(found)}; characterize them without --json "
-            "and give one NAME.json"
+            f"{path}: contains {len(fits)} fits ({', '.join(fits)}); run allanjax characterize without "
+            "--json and give one NAME.json"
         )
-    return next(iter(found.values()))
-
-
-def measured_axis(fit: Fit, name: str, path: Path) -> AxisFit:
-    """The fit of an axis; AllanjaxError if it is no measurement of the sensor."""
-    axis = fit[name]
-    if not axis.measured:
-        raise AllanjaxError(f"{path}: {name}: {axis.verdict}")
-    return axis
+    return next(iter(fits.values()))

@@ -5,12 +5,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, failures_told, print_json
+from allanjax.cli.common import epilog, print_result, user_errors
 
 HELP = (
-    "Convert a value from one unit to another, or the figures of a data sheet to noise coefficients. Roots "
-    "may be written √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both "
-    "are told."
+    "Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write "
+    "roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results "
+    "are printed."
 )
 EPILOG = epilog(
     "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
@@ -27,18 +27,18 @@ def command(
     to: Annotated[str | None, typer.Option(help="Unit to convert to.")] = None,
     sided: Annotated[
         Literal["one", "two"] | None,
-        typer.Option(help="Which density a unit per √Hz is of: one-sided as in data sheets, or two-sided."),
+        typer.Option(help="Whether a density per √Hz is one-sided, as in data sheets, or two-sided."),
     ] = None,
     sheet: Annotated[
         str | None,
         typer.Option(
-            help="Data sheet to convert to coefficients instead: a sensor of --list, or a file of TOML."
+            help="Data sheet to convert to noise coefficients: a sensor listed by --list, or a TOML file."
         ),
     ] = None,
     show_list: Annotated[
-        bool, typer.Option("--list", help="List the sensors whose data sheets are known, and exit.")
+        bool, typer.Option("--list", help="List the sensors with a built-in data sheet and exit.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --sheet only.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; needs --sheet.")] = False,
 ) -> None:
     if show_list:
         from allanjax.noise.datasheet import known_sheets
@@ -51,22 +51,19 @@ def command(
     if sheet is not None:
         from allanjax.noise.datasheet import datasheet
 
-        with failures_told():
-            found = datasheet(sheet)
-        if as_json:
-            print_json(found.to_dict())
-        else:
-            print(found)
+        with user_errors():
+            values = datasheet(sheet)
+        print_result(values, as_json)
         return
     if unit is None or to is None or as_json:
         raise typer.BadParameter("give VALUE UNIT --to UNIT")
-    with failures_told():
+    with user_errors():
         for line in _converted(float(value or 0.0), unit, to, sided):
             print(line)
 
 
 def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | None) -> list[str]:
-    """The value in the other unit, in words; one line for each kind of density that it may be."""
+    """Lines with the value in the other unit: one, or one per kind of density if that is not given."""
     from allanjax.record.units import convert, density_power
 
     number = convert(value, unit, to)
@@ -78,6 +75,6 @@ def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | 
     if sided is not None:
         return [f"{one if sided == 'one' else two} ({sided}-sided density)"]
     return [
-        f"{one} if the density is one-sided, as in data sheets by convention (--sided one)",
-        f"{two} if it is two-sided, as in IEEE 952 and here (--sided two)",
+        f"{one} if the density is one-sided, as usual in data sheets (--sided one)",
+        f"{two} if it is two-sided, as in IEEE 952 and in allanjax (--sided two)",
     ]

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
 
 HELP = (
-    "Say what a simulation of static recordings from their noise terms gets wrong, and why. Prints a story a "
-    "file, and writes NAME_critique.json and a picture of every finding. Where one of several files is bad, "
-    "the others go on. With --json (schema: allanjax schema critique) the document of one file is printed "
-    "as it is, with a list of errors in it; those of several files, or of none that could be read, come as "
+    "Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers, "
+    "filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per "
+    "finding. If one file fails, the others are still processed. With --json (schema: allanjax schema "
+    "critique), the output for one file is its document; with several files, or if none could be read, it is "
     "{schema_version, critiques, errors}."
 )
 EPILOG = epilog(
@@ -34,27 +34,27 @@ def command(
     vibrating: Vibrating = False,
     refit: Annotated[
         bool,
-        typer.Option("--refit", help="Print the coefficients of the samples less what was found, too."),
+        typer.Option("--refit", help="Also print the coefficients after correction for the findings."),
     ] = False,
     out: Out = None,
     as_json: Annotated[
         bool,
         typer.Option(
             "--json",
-            help="Print JSON instead: of one file {schema_version, recording, findings, axes, "
-            "shared_findings, errors, ...}, of several {schema_version, critiques, errors}.",
+            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, errors, "
+            "...} for one file, {schema_version, critiques, errors} for several.",
         ),
     ] = False,
 ) -> None:
     from allanjax.report.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        found = _read_and_criticize(file, reading, vibrating)
-        paths = [] if directory is None else _write(found, directory, file)
-        missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in found.dead]
-        missing += [f"{axis}: {why}" for axis, why in found.fit.not_measured.items()]
-        told = f"{found}\n\n{found.refit()}" if refit else str(found)
-        return Outcome(told, to_dict(found), paths, missing)
+        result = _read_and_criticize(file, reading, vibrating)
+        paths = [] if directory is None else _write(result, directory, file)
+        missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in result.dead]
+        missing += [f"{axis}: {why}" for axis, why in result.fit.not_measured.items()]
+        text = f"{result}\n\n{result.refit()}" if refit else str(result)
+        return Outcome(text, to_dict(result), paths, missing)
 
     def document(critiques: list[dict[str, Any]], count: int) -> dict[str, Any]:
         if count == len(critiques) == 1:
@@ -69,12 +69,12 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
         from allanjax.critic.critique import critique
     with stage(f"{file.label}: reading"):
         recording = file.read(reading)
-    with fitting(file, recording) as tell:
-        return critique(recording, vibrating=vibrating, progress=lambda text: tell(f"{file.label}: {text}"))
+    with fitting(file, recording) as show:
+        return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
 
 
 def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
-    """Write the JSON file and the figures; returns their paths."""
+    """Write the JSON file and the figures, and return their paths."""
     from allanjax.report.critique_figure import figure_names, plot_critique
     from allanjax.report.critique_json import write_json
 

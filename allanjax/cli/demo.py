@@ -6,10 +6,10 @@ from typing import Annotated
 import typer
 
 from allanjax.cli.characterize import read_and_fit
-from allanjax.cli.common import Input, failures_told, prepare, stage
+from allanjax.cli.common import Input, prepare, print_written, stage, user_errors
 from allanjax.fleet.options import FitOptions
 
-HELP = "Characterize a simulated six-axis sensor, and compare what is found with what was put in."
+HELP = "Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."
 EPILOG = None
 
 
@@ -23,7 +23,7 @@ def command(
         from allanjax.cli.demo_sensor import compare, demo_recording
         from allanjax.record.io import write
         from allanjax.report.files import write_results
-    with failures_told():
+    with user_errors():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"
         with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
@@ -35,8 +35,8 @@ def command(
             paths = write_results(fit, spectrum.result(), out, file.stem, check)
     table, inside, count = compare(fit)
     print(table)
-    print(f"{inside} of {count} intervals hold the truth; of 95 % ones, one in twenty should not.")
-    print(f"wrote {', '.join(str(path) for path in paths)}")
-    print("\nFor a recording of your own:\n    allanjax characterize imu.csv")
-    print("and if it has no time stamps and no units in its header:")
+    print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
+    print_written(paths)
+    print("\nFor your own recording:\n    allanjax characterize imu.csv")
+    print("If it has no time stamps and no units in its header:")
     print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")

@@ -1,4 +1,4 @@
-"""Simulated sensor of the demonstration, whose true coefficients a fit is compared with."""
+"""Simulated sensor of the demonstration, and the comparison of a fit with its true coefficients."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -40,8 +40,8 @@ def demo_recording() -> Recording:
 def compare(fit: Fit) -> tuple[str, int, int]:
     """Comparison of the coefficients of a fit of `demo_recording` with the truth.
 
-    Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or limits of
-    what is not detectable, hold the truth; and how many there are.
+    Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or upper
+    limits of terms that are not detected, contain the true value; and how many there are.
     """
     models, rows, inside = demo_models(), [], 0
     for result in fit.results:
@@ -53,7 +53,7 @@ def compare(fit: Fit) -> tuple[str, int, int]:
             inside += holds
             shown = c.in_unit()
             value = replace(c, value=truth).in_unit().value
-            put_in = f"{plain(value, 4)} {shown.unit}" if truth else "nothing"
-            rows.append((c.axis.name, c.title, shown.describe(), put_in, "inside" if holds else "OUTSIDE"))
-    headings = ("axis", "coefficient", "found", "put in", "95 %")
-    return text_table("found, and put in", headings, rows), inside, len(rows)
+            true = f"{plain(value, 4)} {shown.unit}" if truth else "none"
+            rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
+    headings = ("axis", "coefficient", "estimate", "true", "95 %")
+    return text_table("estimates and true coefficients", headings, rows), inside, len(rows)

@@ -2,18 +2,16 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import Sheet, epilog, failures_told, fit_or_sheet
-from allanjax.report.export.exporting import Axes, converted, exported
-from allanjax.report.export.targets import TARGETS
+from allanjax.cli.common import Sheet, epilog, fit_or_sheet, user_errors
 
 HELP = (
-    "Write a result, a data sheet or another target's file as an estimator's, autopilot's or simulator's "
-    "parameters."
+    "Write noise parameters for an estimator, autopilot or simulator, from a result, a data sheet or another "
+    "target's file."
 )
 EPILOG = epilog(
     "allanjax export --list",
@@ -29,50 +27,54 @@ def command(
     result: Annotated[
         Path | None,
         typer.Argument(
-            help="NAME.json that characterize or fleet wrote; with --from a target's own file.",
+            help="Result of characterize or fleet (NAME.json); with --from, that target's file.",
             metavar="RESULT.json",
         ),
     ] = None,
-    to: Annotated[str | None, typer.Option(help="A target of --list.", metavar="TARGET")] = None,
+    to: Annotated[str | None, typer.Option(help="Target listed by --list.", metavar="TARGET")] = None,
     source: Annotated[
         str | None,
-        typer.Option("--from", help="The target whose own file it is, to convert it.", metavar="TARGET"),
+        typer.Option("--from", help="Convert a file of this target.", metavar="TARGET"),
     ] = None,
     sheet: Sheet = None,
     axes: Annotated[
-        Axes | None,
+        Literal["each", "worst", "mean"] | None,
         typer.Option(
-            help="The largest value of the axes, their mean, or each where the target holds three; by "
-            "default each where it does, else the worst."
+            help="Value per axis (if the target has one per axis), largest value of the axes, or their mean. "
+            "Default: each if the target has it, else worst."
         ),
     ] = None,
     rate: Annotated[
         float | None,
         typer.Option(
-            help="Rate in Hz of the target's steps or samples; by default that of the recording or the file, "
-            "and of autopilots that of their filter."
+            help="Sample or step rate of the target in Hz. Default: the rate of the recording or file; for "
+            "autopilots the rate of their filter."
         ),
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Export what is not a measurement of the sensor, too.")
+        bool, typer.Option("--force", help="Also export axes that are not a measurement of the sensor.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="File to write; by default the standard output.")
+        Path | None, typer.Option("--out", "-o", help="File to write. Default: standard output.")
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the targets and exit.")] = False,
 ) -> None:
+    from allanjax.report.export.targets import TARGETS
+
     if show_list:
         for target in TARGETS.values():
             keys = dict.fromkeys(key.called for key in target.noise_keys)
             print(f"{target.name:19} {target.title}: {', '.join(keys)}")
         return
     if to is None:
-        raise typer.BadParameter("give a target of --list, e.g. kalibr", param_hint="--to")
-    with failures_told():
+        raise typer.BadParameter("give a target, e.g. kalibr; --list shows them all", param_hint="--to")
+    from allanjax.report.export.exporting import converted, exported
+
+    with user_errors():
         if source is None:
             made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate, force=force)
         elif result is None:
-            raise AllanjaxError("give the file that is to be converted")
+            raise AllanjaxError("give the file to convert")
         else:
             made = converted(_text(result), source, to, axes=axes, rate=rate, name=str(result))
         if out is None:
@@ -85,8 +87,8 @@ def command(
 
 
 def _text(path: Path) -> str:
-    """The text of a file; AllanjaxError if it is none."""
+    """Text of a file; AllanjaxError if it is not text."""
     try:
         return path.read_text(encoding="utf-8")
     except ValueError as error:
-        raise AllanjaxError(f"{path}: not a text: {error}") from error
+        raise AllanjaxError(f"{path}: not a text file: {error}") from error

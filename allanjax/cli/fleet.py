@@ -1,5 +1,6 @@
 """The command `allanjax fleet`."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from allanjax.cli.common import RESULTS, epilog, exit_if_failed, failures_told, prepare, print_error, stage
+from allanjax.cli.common import (
+    RESULTS,
+    epilog,
+    exit_if_failed,
+    prepare,
+    print_error,
+    print_result,
+    stage,
+    user_errors,
+)
 from allanjax.cli.options import with_options
 from allanjax.fleet.options import FitOptions
 
@@ -15,12 +25,12 @@ if TYPE_CHECKING:
     from allanjax.fleet.fleet import Progress
 
 HELP = (
-    "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary, and "
-    "writes fleet.parquet (one row a recording, axis and coefficient), fleet.png (how each coefficient is "
-    "distributed over the fleet, outlying units marked), errors.csv, notes.txt (what to know before reading "
-    "the table), and each recording's fit to recordings/NAME.json as soon as it is done. Where one of the "
-    "files is bad, the others go on. A later run with the same --out computes only what is not there yet; "
-    "the table is of the files that are named."
+    "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and "
+    "writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each "
+    "coefficient over the fleet, outlying units marked), errors.csv, notes.txt (read it before the table), "
+    "and recordings/NAME.json as soon as each recording is fitted. If one file fails, the others are still "
+    "processed. A later run with the same --out only fits recordings without a result; the table covers only "
+    "the files given."
 )
 EPILOG = epilog(
     "allanjax fleet 'logs/*.parquet' --out results",
@@ -37,7 +47,7 @@ def command(
     patterns: Annotated[
         list[str],
         typer.Argument(
-            help="Recordings, or patterns of them in quotes: * for any name, ** for any folders.",
+            help="Recordings, or quoted patterns with * (any name) and ** (any folders).",
             metavar="PATTERN",
         ),
     ],
@@ -45,28 +55,28 @@ def command(
     group: Annotated[
         str | None,
         typer.Option(
-            help=r"Which units are alike and compared: a regular expression whose parentheses match the "
-            r"group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file and group."
+            help=r"Which units are compared with each other: a regular expression whose parentheses match "
+            r"the group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group."
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder for the results, from which a later run goes on.")
+        Path, typer.Option(help="Folder for the results; a later run continues from it.")
     ] = RESULTS,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; by default one a core.", min=1)
+        int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
     piece: Annotated[
-        int, typer.Option(help="Samples; longer recordings are divided, and never in memory as a whole.")
+        int, typer.Option(help="Samples per piece: longer recordings are read and processed in pieces.")
     ] = 20_000_000,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Address of a running Dask scheduler to use instead, e.g. tcp://cluster:8786."),
+        typer.Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
     ] = None,
 ) -> None:
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
-    with failures_told(), _progress_bar() as progress:
+    with user_errors(), _progress_bar() as progress:
         result = characterize_fleet(
             patterns,
             out,
@@ -77,8 +87,7 @@ def command(
             progress=progress,
             **options.arguments(),
         )
-    print(result, flush=True)
-    print(f"wrote {', '.join(str(out / name) for name in _WRITTEN)}")
+    print_result(result, as_json=False, written=[out / name for name in _WRITTEN])
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))
@@ -86,13 +95,16 @@ def command(
 
 @contextmanager
 def _progress_bar() -> Iterator["Progress"]:
-    """Show a bar on stderr, where that is a terminal; yields what moves it."""
+    """Show progress on stderr, as a bar on a terminal; yields a function that updates it."""
+    if not sys.stderr.isatty():
+        with stage("fleet: starting") as show:
+            yield lambda done, failed, total: show(f"fleet: {done} of {total} done, {failed} failed")
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
     counts = TextColumn("{task.completed} of {task.total} done, {task.fields[failed]} failed")
     columns = (BarColumn(), counts, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("", total=None, failed=0)
         yield lambda done, failed, total: bar.update(task, completed=done, failed=failed, total=total)

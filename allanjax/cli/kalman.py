@@ -1,19 +1,18 @@
 """The command `allanjax kalman`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import epilog, failures_told, prepare, print_json, saved_fit, stage
+from allanjax.cli.common import epilog, prepare, print_result, saved_fit, stage, user_errors
 from allanjax.cli.options import with_options
 from allanjax.record.io import ReadOptions, read_recording
 
 HELP = (
-    "Filter a recording by its noise model: the bias over time with its interval, and whether innovations "
-    "are white and of their size, as they are where the model is right."
+    "Run a Kalman filter with a noise model on a recording: estimate the bias over time with its interval, "
+    "and test whether the innovations are white and of the predicted size, as they should be."
 )
 EPILOG = epilog(
     "allanjax kalman imu.csv --fit allanjax-results/imu.json",
@@ -24,40 +23,41 @@ EPILOG = epilog(
 @with_options
 def command(
     reading: ReadOptions,
-    file: Annotated[Path, typer.Argument(help="A recording.", metavar="FILE")],
+    file: Annotated[Path, typer.Argument(help="Recording to filter.", metavar="FILE")],
     fit: Annotated[
         Path | None,
-        typer.Option(help="Fit with the model of each axis, NAME.json.", metavar="RESULT.json"),
+        typer.Option(
+            help="Result of allanjax characterize with the model of each axis.", metavar="RESULT.json"
+        ),
     ] = None,
     terms: Annotated[
-        str | None, typer.Option(help="Or a noise model with values, for all axes, which are of one sensor.")
+        str | None,
+        typer.Option(
+            help="Alternatively a noise model with values, used for every axis (gyros only or accelerometers "
+            "only)."
+        ),
     ] = None,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="Estimate the bias from all samples, not those up to each.")
+        bool, typer.Option("--smooth", help="Estimate the bias from all samples, not only earlier ones.")
     ] = False,
     out: Annotated[
         list[Path] | None,
-        typer.Option("--out", "-o", help="File to write: the picture (e.g. .png), or the table (.csv)."),
+        typer.Option("--out", "-o", help="Figure (e.g. .png) or table (.csv) to write; repeat for more."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table, in SI.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, in SI units.")] = False,
 ) -> None:
     prepare()
     from allanjax.kalman.filtering import kalman_filter
 
-    with failures_told():
+    with user_errors():
         if (fit is None) == (terms is None):
-            raise AllanjaxError("a filter needs one noise model: give --fit RESULT.json or --terms")
+            raise AllanjaxError("give the noise model, either with --fit RESULT.json or with --terms")
         models = str(terms) if fit is None else saved_fit(fit)
         with stage(f"{file}: filtering"):
-            found = kalman_filter(read_recording(file, reading, str(file)), models, smooth=smooth)
+            result = kalman_filter(read_recording(file, reading, str(file)), models, smooth=smooth)
         for path in out or ():
             if path.suffix == ".csv":
-                found.to_dataframe().to_csv(path, index=False)
+                result.to_dataframe().to_csv(path, index=False)
             else:
-                found.plot(path=path)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        print(found)
-    if out:
-        print(f"wrote {', '.join(map(str, out))}", file=sys.stderr if as_json else sys.stdout)
+                result.plot(path=path)
+    print_result(result, as_json, out or ())

@@ -1,7 +1,7 @@
-"""Options that commands share, each declared once: a command takes one object for all of a kind.
+"""Options shared by commands, each declared once, so that no command can forget to pass one on.
 
-`@with_options` gives a command, for its parameter `reading`, the options of `ReadOptions`, and for its
-parameter `options` those of `FitOptions`, the former among them. So no command can forget to pass one on.
+`@with_options` replaces a command's parameter `reading` by the options of `ReadOptions`, and its parameter
+`options` by those of `FitOptions`, which include the former.
 """
 
 import functools
@@ -16,17 +16,17 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Vibrating
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
     from allanjax.noise.model import Model
+    from allanjax.record.units import Sensor
 
-# Options of reading that are numbers; the others are text.
+# Types of the reading options that are numbers; the others are text.
 _NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Command with options in place of the parameters `reading` and `options` of a function."""
+    """Decorator of a command that replaces its parameters `reading` and `options` by options."""
     expanded = list(_expanded(command))
 
     @functools.wraps(command)
@@ -39,7 +39,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
-    """Parameters of a function, those of a builder in place of what it builds."""
+    """Parameters of a function; a parameter with a builder is replaced by the builder's parameters."""
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name in _BUILDERS:
             yield from _expanded(_BUILDERS[parameter.name])
@@ -48,7 +48,7 @@ def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
 
 
 def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
-    """Call a function with those of the values that it takes, after builders have combined them."""
+    """Call a function with the values that it takes, after builders have combined them."""
     return function(
         **{
             name: _call(_BUILDERS[name], values) if name in _BUILDERS else values[name]
@@ -58,7 +58,7 @@ def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
 
 
 def _read_options(**values: Any) -> ReadOptions:
-    """Options of reading, or a wrong command line."""
+    """Reading options; typer.BadParameter if they are invalid."""
     try:
         return ReadOptions(**values)
     except AllanjaxError as error:
@@ -86,41 +86,41 @@ def _fit_options(
         str | None,
         typer.Option(
             help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
-            "markov(correlation_time=100 s held)'. Without: those of the five basic terms and a Markov "
-            "process that the data call for, by their evidence."
+            "markov(correlation_time=100 s held)'. By default the terms are selected from the five basic "
+            "ones and a Markov process by their evidence."
         ),
     ] = None,
     objective: Annotated[
         Literal["allan", "wavelet", "whittle", "exact"],
         typer.Option(
-            help="Fit the Allan variances, the Haar wavelet variances (the five basic terms, if none are "
-            "given), the spectrum by Whittle's likelihood (better for lines), or the samples by their exact "
-            "likelihood (given terms, up to 100,000 samples)."
+            help="What to fit: the Allan variances; the Haar wavelet variances (by default with the five "
+            "basic terms); the spectrum, with Whittle's likelihood (better for spectral lines); or the "
+            "samples, with their exact likelihood (needs --terms; up to 100,000 samples)."
         ),
     ] = "allan",
     regressors: Annotated[
         str | None,
-        typer.Option(help="Auxiliary columns to regress on, with --objective whittle, e.g. temperature."),
+        typer.Option(help="Auxiliary columns to regress on, e.g. temperature; needs --objective whittle."),
     ] = None,
     as_is: Annotated[
         bool,
-        typer.Option("--as-is", help="Use all of a recording, also where it was handled or disturbed."),
+        typer.Option("--as-is", help="Use the whole recording, including disturbed parts."),
     ] = False,
     vibrating: Vibrating = False,
     plain: Annotated[
         bool,
         typer.Option(
             "--plain",
-            help="The plain noise terms only, also where they do not follow the data; else a filter, "
-            "resonances and lines are looked for there.",
+            help="Fit the noise terms only. By default, if they do not fit the data, a filter, resonances "
+            "and spectral lines are searched for, too.",
         ),
     ] = False,
 ) -> FitOptions:
     model = None if terms is None else parsed_model(terms)
     for p in () if model is None else model.parameters:
         if p.parameter.is_amplitude and p.start is not None:
-            wrong = f"{p.label} is what the fit estimates; leave out its value"
-            raise typer.BadParameter(wrong, param_hint="--terms")
+            message = f"leave out the value of {p.label}: the fit estimates it"
+            raise typer.BadParameter(message, param_hint="--terms")
     names = (name.strip() for name in (regressors or "").split(","))
     return FitOptions(
         reading, model, objective, tuple(name for name in names if name), as_is, vibrating, plain
@@ -130,8 +130,8 @@ def _fit_options(
 _BUILDERS: dict[str, Callable[..., Any]] = {"reading": _read_options, "options": _fit_options}
 
 
-def parsed_model(terms: str, sensor: Sensor | None = None) -> "Model":
-    """Model that --terms describes, or a wrong command line."""
+def parsed_model(terms: str, sensor: "Sensor | None" = None) -> "Model":
+    """Model described by --terms; typer.BadParameter if the text is invalid."""
     from allanjax.noise.notation import parse_model
 
     try:

@@ -2,15 +2,14 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
-from allanjax.cli.common import Sheet, epilog, failures_told, prepare, stage
+from allanjax.cli.common import Sheet, epilog, prepare, stage, user_errors
 from allanjax.cli.options import parsed_model
-from allanjax.record.units import Sensor
 
-HELP = "Simulate a static recording of a known sensor or of noise terms, and write it to a file."
+HELP = "Simulate a static recording of a known sensor or of given noise terms, and write it to a file."
 EPILOG = epilog(
     "allanjax simulate --list",
     "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
@@ -22,23 +21,23 @@ EPILOG = epilog(
 
 
 def command(
-    preset: Annotated[str | None, typer.Argument(help="A sensor of --list.", metavar="SENSOR")] = None,
+    preset: Annotated[str | None, typer.Argument(help="Sensor listed by --list.", metavar="SENSOR")] = None,
     terms: Annotated[
         str | None,
-        typer.Option(help="Noise terms with their values and units, instead of a sensor; sqrt(h) may be √h."),
+        typer.Option(help="Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots."),
     ] = None,
     sheet: Sheet = None,
-    sensor: Annotated[Sensor, typer.Option(help="What the terms are those of.")] = "gyro",
+    sensor: Annotated[Literal["gyro", "accel"], typer.Option(help="Kind of sensor, with --terms.")] = "gyro",
     duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
     rate: Annotated[
-        float, typer.Option(help="Sample rate in Hz, with --terms or --sheet: sensors have their own.")
+        float, typer.Option(help="Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.")
     ] = 100.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="File to write, .csv, .parquet or .npz; axes of another sample rate go to a file each, "
-            "with the rate in its name."
+            help="File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per "
+            "rate is written, with the rate in its name."
         ),
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
@@ -51,11 +50,13 @@ def command(
             print(f"{known.name:12} {known.description}; {rates}")
         return
     if [preset, terms, sheet].count(None) != 2:
-        raise typer.BadParameter("give either a sensor, --terms or --sheet", param_hint="SENSOR")
+        raise typer.BadParameter("give exactly one: a sensor, --terms or --sheet", param_hint="SENSOR")
     if out is None:
         raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
     if preset is not None and preset not in SENSORS:
-        raise typer.BadParameter(f"no sensor {preset!r}; there are {', '.join(SENSORS)}", param_hint="SENSOR")
+        raise typer.BadParameter(
+            f"no sensor {preset!r}; choose from {', '.join(SENSORS)}", param_hint="SENSOR"
+        )
     model = None if terms is None else parsed_model(terms, sensor)
     for name, value in (("--duration", duration), ("--rate", rate)):
         if not 0.0 < value < math.inf:
@@ -67,7 +68,7 @@ def command(
     from allanjax.record.recording import Recording
 
     recordings: tuple[Recording, ...]
-    with failures_told(), stage("simulating"):
+    with user_errors(), stage("simulating"):
         if model is not None or sheet is not None:
             models: Any = datasheet(str(sheet)) if model is None else {sensor: model}
             recordings = (simulate_recording(models, round(duration * rate), rate, seed, name=out.stem),)

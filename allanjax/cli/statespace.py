@@ -5,11 +5,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import SavedFit, epilog, failures_told, measured_axis, prepare, saved_fit
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import epilog, prepare, print_result, saved_fit, user_errors
 
 HELP = (
     "Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' = A x + w, "
-    "z = H x + v, with the states' names and units, in SI."
+    "z = H x + v. The file also gives the names and SI units of the states."
 )
 EPILOG = epilog(
     "allanjax statespace allanjax-results/imu.json --axis gyro_x --out gyro_x.npz",
@@ -18,17 +19,19 @@ EPILOG = epilog(
 
 
 def command(
-    result: SavedFit,
+    result: Annotated[
+        Path, typer.Argument(help="Result of allanjax characterize: NAME.json.", metavar="RESULT.json")
+    ],
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
-    axis: Annotated[str, typer.Option(help="Which axis, e.g. gyro_x.")],
+    axis: Annotated[str, typer.Option(help="Axis, e.g. gyro_x.")],
     rate: Annotated[
-        float | None, typer.Option(help="Sample rate of the filter in Hz; by default that of the recording.")
+        float | None, typer.Option(help="Sample rate of the filter in Hz; by default the recording's.")
     ] = None,
     duration: Annotated[
         float | None,
         typer.Option(
-            help="How long the filter runs in s, by default the recording's length: bias instability is a "
-            "sum of Gauss–Markov processes up to there."
+            help="Time in s that the filter runs, by default the recording's length. Up to this time, bias "
+            "instability is approximated by a sum of Gauss–Markov processes."
         ),
     ] = None,
     form: Annotated[
@@ -36,17 +39,18 @@ def command(
     ] = "npz",
 ) -> None:
     prepare()
-    with failures_told():
+    with user_errors():
         fit = saved_fit(result)
-        found = measured_axis(fit, axis, result)
-        # A filter in front of the samples is that of the recording's rate.
+        measured = fit[axis]
+        if not measured.measured:
+            raise AllanjaxError(f"{result}: {axis}: {measured.verdict}")
+        # A filter that precedes sampling depends on the recording's rate.
         length = fit.curve.n / fit.curve.rate if duration is None else duration
         rate = fit.curve.rate if rate is None else rate
-        space = found.model.state_space(rate, duration=length, sensor=found.axis.sensor)
+        space = measured.model.state_space(rate, duration=length, sensor=measured.axis.sensor)
         if form == "npz":
             space.to_numpy(out)
         else:
             text = space.to_matlab() if form == "matlab" else space.to_c_header()
             out.write_text(text, encoding="utf-8")
-    print(space)
-    print(f"wrote {out}")
+    print_result(space, as_json=False, written=[out])

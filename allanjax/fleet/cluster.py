@@ -5,8 +5,10 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from allanjax.base.cache import enable_compilation_cache
@@ -47,18 +49,32 @@ def connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterato
         with client:
             yield client
         return
-    with (
-        LocalCluster(
+    with _interrupts_blocked():
+        cluster = LocalCluster(
             n_workers=min(workers or CPU_COUNT, tasks),
             threads_per_worker=1,
             processes=True,
             dashboard_address="localhost:0",
             # A worker that dies is reported with its recording, or does no harm.
             silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+        )
+    with cluster, Client(cluster, set_as_default=False) as client:
         yield client
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Make processes that are started now ignore Ctrl-C, which they would answer with a traceback each."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started with the first process, the tracker would unblock the signal.
+    resource_tracker.ensure_running()
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
 
 
 Call = tuple[Callable[..., Any], Sequence[Any]]

@@ -1,18 +1,20 @@
 """Options of reading and fitting, in one object that commands and fleets hand on as a whole."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from allanjax.estimate.fit import Objective, fit_inspected, inspected
-from allanjax.estimate.result import Fit
-from allanjax.fleet.stream import AllanAccumulator
-from allanjax.inspection import Inspection
-from allanjax.noise.model import Model
 from allanjax.record.io.options import ReadOptions
-from allanjax.record.recording import Recording
+
+if TYPE_CHECKING:
+    from allanjax.estimate.fit import Objective
+    from allanjax.estimate.result import Fit
+    from allanjax.fleet.stream import AllanAccumulator
+    from allanjax.inspection import Inspection
+    from allanjax.noise.model import Model
+    from allanjax.record.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class FitOptions:
 
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
         """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
+        from allanjax.estimate.fit import fit_inspected
+
         seen = self.inspect(recording) if seen is None else seen
         options = self.model, self.objective, self.regressors, self.plain
         return fit_inspected(recording, seen, *options, as_is=self.as_is)
@@ -54,6 +58,9 @@ class FitOptions:
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""
+        from allanjax.estimate.fit import inspected
+        from allanjax.fleet.stream import AllanAccumulator
+
         if isinstance(of, AllanAccumulator):
             return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
         return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
@@ -76,5 +83,7 @@ def _plain(value: Any) -> Any:
         return sorted(map(_plain, value))
     if isinstance(value, list | tuple):
         return [_plain(part) for part in value]
+    import numpy as np
+
     number = np.asarray(value)
     return repr(float(number)) if number.ndim == 0 else _plain(number.tolist())

@@ -2,6 +2,7 @@
 
 import json
 import math
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -33,14 +34,20 @@ def write_odd(name):
     return ("odd.csv", *READING, "--columns", ",".join([first, "-", *others]))
 
 
+def ran(*words):
+    done = run(*words)
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
 def check_fit(document, fit):
     assert document["recording"]["n"] == fit.curve.n
     assert [axis["name"] for axis in document["axes"]] == list(fit)
     for axis in document["axes"]:
-        for told, c in zip(axis["coefficients"], fit[axis["name"]].coefficients.values(), strict=True):
-            assert (told["label"], told["detected"]) == (c.label, c.detected)
+        for entry, c in zip(axis["coefficients"], fit[axis["name"]].coefficients.values(), strict=True):
+            assert (entry["label"], entry["detected"]) == (c.label, c.detected)
             if c.detected:
-                ends = [told["si"]["value"], told["si"]["std"], *told["si"]["interval_95"]]
+                ends = [entry["si"]["value"], entry["si"]["std"], *entry["si"]["interval_95"]]
                 np.testing.assert_allclose(ends, [c.value, c.std, *c.interval], rtol=1e-5)
 
 
@@ -64,43 +71,40 @@ def test_sensors_of_two_rates_in_one_table_have_results_of_their_own():
     table = pd.DataFrame(np.hstack([own[name][rows[name]] for name in clocks]), columns=heads)
     table.insert(0, "time [s]", stamps)
     table.to_csv("both.csv", index=False)
-    done = run("characterize", "both.csv", "--out", "there")
-    assert done.exit_code == 0
+    ran("characterize", "both.csv", "--out", "there")
     for name, rate in clocks.items():
         fit = aj.load(f"there/both_{name}.json")
         assert fit.curve.rate == pytest.approx(rate, rel=1e-3)
         assert list(fit) == [f"{name}_{k}" for k in "xyz"]
         assert all(abs(fit[axis]["N"].value - N) < 4.0 * N / np.sqrt(2 * 40.0 * rate) for axis in fit)
-    (one, two) = json.loads(run("check", "both.csv", "--json").stdout)["checks"]
+    (one, two) = json.loads(ran("check", "both.csv", "--json"))["checks"]
     assert (one["file"], two["file"]) == ("both.csv (gyro)", "both.csv (accel)")
 
 
 def test_characterize_prints_the_table_and_writes_the_results():
-    done = run("characterize", *write_odd("small"), "--out", "there")
-    assert (done.exit_code, done.stderr) == (0, "")
+    printed = ran("characterize", *write_odd("small"), "--out", "there")
     endings = [".json", "_allan.csv", "_allan.png", "_coefficients.csv", "_psd.png"]
     assert sorted(path.name for path in Path("there").iterdir()) == [f"odd{end}" for end in endings]
     document = json.loads(Path("there/odd.json").read_text(encoding="utf-8"))
     check_fit(document, bench.fit("small"))
     assert [axis["unit"] for axis in document["axes"]] == ["deg/h"] * 3 + ["mg"]
-    assert document["check"]["verdict"] in done.stdout.splitlines()[0]
-    assert bench.fit("small")["gyro_x"]["N"].in_unit().describe() in done.stdout
-    assert all(str(Path("there") / f"odd{end}") in done.stdout for end in endings)
+    assert document["check"]["verdict"] in printed.splitlines()[0]
+    assert bench.fit("small")["gyro_x"]["N"].in_unit().describe() in printed
+    assert all(str(Path("there") / f"odd{end}") in printed for end in endings)
 
 
-def test_critique_tells_the_story_and_writes_the_results():
-    done = run("critique", *write_odd("steps"), "--out", "there")
-    assert done.exit_code == 0, done.stderr
+def test_critique_prints_a_summary_and_writes_the_results():
+    printed = ran("critique", *write_odd("steps"), "--out", "there")
     document = json.loads(Path("there/odd_critique.json").read_text(encoding="utf-8"))
     expected = bench.critique("steps")
     assert document["recording"] == {"name": "odd", "n": 16_384, "rate_hz": 100.0, "duration_s": 163.84}
-    for told, finding in zip(document["findings"], expected.findings, strict=True):
-        assert (told["cause"], told["axes"]) == (finding.cause, list(finding.axes))
-        assert told["gain_nats"] == pytest.approx(finding.gain, rel=1e-3)
+    for entry, finding in zip(document["findings"], expected.findings, strict=True):
+        assert (entry["cause"], entry["axes"]) == (finding.cause, list(finding.axes))
+        assert entry["gain_nats"] == pytest.approx(finding.gain, rel=1e-3)
     written = [path.name for path in Path("there").iterdir()]
     assert len(written) == 1 + len(expected.plot())
-    assert all(str(Path("there") / word) in done.stdout for word in written)
-    assert "bias step" in done.stdout
+    assert all(str(Path("there") / word) in printed for word in written)
+    assert "bias step" in printed
 
 
 def test_one_bad_file_does_not_stop_the_others():
@@ -160,7 +164,7 @@ def test_options_of_a_fit_reach_it():
     check_fit(of_all, aj.fit(handled, "N + K", as_is=True))
 
 
-def test_check_says_look_or_stop_and_the_lengths():
+def test_check_reports_look_or_stop_and_the_lengths():
     aj.write(bench.recording("small"), "small.csv")
     table = pd.read_csv("small.csv")
     table.loc[9000:, "time [s]"] += 1.0
@@ -169,31 +173,38 @@ def test_check_says_look_or_stop_and_the_lengths():
     document, expected = json.loads(done.stdout), aj.check(bench.recording("small"))
     assert [entry["verdict"] for entry in document["checks"]] == [expected.verdict, "stop"]
     assert done.exit_code == len(document["errors"]) == 1
-    told = document["checks"][0]["lengths"]
-    assert len(told) == len(expected.lengths) > 0
-    assert {entry["detected"] for entry in told} == {True, False}
+    lengths = document["checks"][0]["lengths"]
+    assert len(lengths) == len(expected.lengths) > 0
+    assert {entry["detected"] for entry in lengths} == {True, False}
 
 
-# What happens while a command runs, and what of it is printed.
-WARNED = [
-    ('warnings.warn("divide by zero", RuntimeWarning)', ""),
-    ('warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)', ""),
-    ('logging.getLogger("jax._src.xla_bridge").warning("no GPU")', ""),
-    (
-        'warnings.warn("a cache that is full", allanjax.base.errors.AllanjaxWarning)',
-        "warning: a cache that is full\n",
-    ),
-]
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for one process")
+def test_a_slow_command_reports_progress_and_can_be_interrupted():
+    words = ("simulate", "--terms", "N=1 deg/√h", "--duration", "200000", "--out", "long.npz")
+    slow = subprocess.Popen([sys.executable, "-m", "allanjax", *words], stderr=subprocess.PIPE, text=True)
+    assert any(line.startswith("simulating, ") for line in slow.stderr)
+    slow.send_signal(signal.SIGINT)
+    assert (slow.communicate()[1], slow.returncode) == ("interrupted\n", 130)
 
 
-@pytest.mark.parametrize(("happens", "printed"), WARNED)
-def test_warnings_of_libraries_do_not_reach_a_user(happens, printed):
-    """In a process of its own, as pytest takes warnings for itself."""
-    code = "import logging, sys, warnings, allanjax.base.errors, allanjax.cli.schema as s\n"
-    code += "from allanjax.cli.app import main\n"
-    code += f"s.print_json = lambda _: {happens}\nsys.argv[1:] = ['schema', 'fleet']\nmain()"
-    done = subprocess.run([sys.executable, "-W", "always", "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, printed)
+WARNING = """
+import logging, sys, warnings, allanjax.cli.schema as schema
+from allanjax.base.errors import AllanjaxWarning
+from allanjax.cli.app import main
+def warn(_):
+    warnings.warn("divide by zero", RuntimeWarning)
+    warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)
+    logging.getLogger("jax._src.xla_bridge").warning("no GPU")
+    warnings.warn("a cache that is full", AllanjaxWarning)
+schema.print_json, sys.argv[1:] = warn, ["schema", "fleet"]
+main()
+"""
+
+
+def test_warnings_of_libraries_do_not_reach_a_user():
+    """In a process of its own, as pytest handles warnings itself."""
+    done = subprocess.run([sys.executable, "-W", "always", "-c", WARNING], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "warning: a cache that is full\n")
 
 
 def test_reading_options_are_those_of_read():
@@ -204,21 +215,11 @@ def test_reading_options_are_those_of_read():
     options |= {"gaps": "fill", "start": 1.0, "stop": 11.0}
     model = "N=0.3 deg/√h + K=3 deg/h/√h"
     words = [x for name, value in options.items() for x in (f"--{name.replace('_', '-')}", value)]
-    done = run("kalman", "stamped.csv", *words, "--terms", model, "--json")
-    assert done.exit_code == 0, done.stderr
-    (told,) = json.loads(done.stdout)["axes"]
+    (axis,) = json.loads(ran("kalman", "stamped.csv", *words, "--terms", model, "--json"))["axes"]
     recording = aj.read("stamped.csv", **options)
-    assert (told["samples"], recording.rate) == (500, pytest.approx(50.0))
+    assert (axis["samples"], recording.rate) == (500, pytest.approx(50.0))
     expected = aj.kalman_filter(recording, model)["gyro_x"].log_likelihood
-    assert told["log_likelihood"] == pytest.approx(expected, rel=1e-9)
-
-
-def test_every_command_takes_every_option_of_reading():
-    names = ["rate", "gyro-unit", "accel-unit", "columns", "time", "time-unit", "start", "stop"]
-    names += ["topic", "instance", "gaps"]
-    for command in ("characterize", "critique", "check", "fleet", "kalman", "calibrate"):
-        shown = run(command, "--help").output
-        assert [name for name in names if f"--{name} " not in shown] == [], command
+    assert axis["log_likelihood"] == pytest.approx(expected, rel=1e-9)
 
 
 DEG = np.pi / 180.0
@@ -229,12 +230,6 @@ def saved(tmp_path):
     path = tmp_path / "small.json"
     aj.write_json(bench.fit("small"), path)
     return path
-
-
-def ran(*words):
-    done = run(*words)
-    assert done.exit_code == 0, done.stderr
-    return done.stdout
 
 
 def plain(document):
@@ -253,15 +248,14 @@ def test_horizon(saved, process):
     document = json.loads(ran(*words, "--json"))
     schema("horizon").validate(document)
     (axis,), result = document["axes"], expected["accel_z"]
-    assert (document["process"], document["horizon_s"], document["probability"]) == (process, 10.0, 0.9)
-    for c, told in ((result.white, axis["white"]["si"]), (result.walk, axis["walk"]["si"])):
-        numbers = [told["value"], told["std"], *told["interval_95"]]
+    for c, entry in ((result.white, axis["white"]["si"]), (result.walk, axis["walk"]["si"])):
+        numbers = [entry["value"], entry["std"], *entry["interval_95"]]
         np.testing.assert_allclose(numbers, [c.value, c.std, *c.interval])
     # 1 m/s/√h is 1/60 m/s/√s.
     assert axis["white"]["unit"] == "m/s/√h"
     assert axis["white"]["value"] == pytest.approx(60.0 * result.white.value)
     assert (axis["correlation_time"] is None) == (process == "walk")
-    assert axis["curves_si"]["error"] == result.error.tolist()
+    assert document == plain(expected.to_dict())
 
 
 def test_navigate(saved):
@@ -293,9 +287,9 @@ def test_statespace(saved):
 def test_kalman_with_a_fit_and_files(saved):
     recording, fit = bench.recording("small").between(0.0, 20.48), aj.load(saved)
     aj.write(recording, "a.parquet")
-    told = ran("kalman", "a.parquet", "--fit", saved, "--smooth", "--out", "a.png", "--out", "a.csv")
+    printed = ran("kalman", "a.parquet", "--fit", saved, "--smooth", "--out", "a.png", "--out", "a.csv")
     expected = aj.kalman_filter(recording, fit, smooth=True)
-    assert lines_of(told)[1:-1] == lines_of(expected)[1:]
+    assert lines_of(printed)[1:-1] == lines_of(expected)[1:]
     assert Path("a.png").exists()
     for name, rows in pd.read_csv("a.csv").groupby("axis"):
         np.testing.assert_allclose(rows["bias"], expected[name].bias, rtol=1e-9)
@@ -322,8 +316,8 @@ def test_calibrate_by_names_of_files_and_by_options():
     options = {"latitude": 51.0, "height": 100.0, "starts": [0.0, 100.0], "orientation_error": 0.1 * DEG}
     files = {"z up": "up.csv", "z down": "down.csv"}
     expected = aj.calibrate(files, rate=20.0, as_is=True, fit=aj.load("noise.json"), **options).to_dict()
-    for told, own in zip(document["parameters"], plain(expected)["parameters"], strict=True):
-        assert told == pytest.approx(own, nan_ok=True)
+    for entry, own in zip(document["parameters"], plain(expected)["parameters"], strict=True):
+        assert entry == pytest.approx(own, nan_ok=True)
     assert [p["start_s"] for p in document["positions"]] == [0.0, 100.0]
     assert document["gravity_m_s2"] == expected["gravity_m_s2"]
 
@@ -365,12 +359,12 @@ def test_documents_of_data_sheets_and_schemas():
 
 
 @pytest.mark.notebook
-def test_the_demo_finds_what_was_put_in():
-    told = ran("demo")
+def test_the_demo_estimates_the_true_coefficients():
+    printed = ran("demo")
     names = {path.name.removeprefix("demo").lstrip("_") for path in Path("allanjax-demo").iterdir()}
     assert names == {".csv", ".json", "allan.csv", "allan.png", "coefficients.csv", "psd.png"}
-    assert told.count("inside") >= 26
-    assert told.count("inside") + told.count("OUTSIDE") == 30
+    assert printed.count("inside") >= 26
+    assert printed.count("inside") + printed.count("OUTSIDE") == 30
     means = aj.read("allanjax-demo/demo.csv").values.mean(axis=0)
     np.testing.assert_allclose(means, [0.0, 0.0, 0.0, 0.0, 0.0, 9.80665], atol=0.1)
     found = json.loads(Path("allanjax-demo/demo.json").read_text(encoding="utf-8"))
@@ -384,18 +378,14 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
 @pytest.mark.parametrize(
     ("words", "code", "word"),
     [
-        ("characterize empty.csv", 1, "empty"),
         ("characterize a.csv", 1, "--rate"),
         (f"characterize {UNIT} --start 9 --stop 5", 2, "9 s"),
         (f"characterize {UNIT} --start 300", 1, "--start"),
-        ("characterize .", 1, "folder"),
         (f"critique {UNIT} --out a.csv/inside", 1, "--out"),
         ("characterize a.csv --terms N=1deg/√h", 2, "leave out"),
         ("characterize", 2, "FILE"),
         (f"kalman {UNIT}", 1, "--terms"),
         ("horizon none.json --horizon 10", 1, "none.json"),
-        ("horizon small.json --horizon 10 --axis gyro_w", 1, "gyro_w"),
-        ("navigate small.json --latitude 51 --gyro-bias 2", 1, "unit"),
         ("calibrate", 2, "recordings"),
         ("calibrate --position file.csv", 1, "orientation"),
         ("simulate --out a.csv", 2, "--terms"),
@@ -405,9 +395,8 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
         ("convert 1 deg/h", 2, "--to"),
     ],
 )
-def test_what_is_wrong_is_said(saved, words, code, word):
+def test_errors_name_what_is_wrong(saved, words, code, word):
     Path("a.csv").write_text("gyro_x\n" + "1\n2\n" * 50)
-    Path("empty.csv").write_text("")
     done = run(*words.split())
     assert done.exit_code == code
     assert word in " ".join(done.stderr.replace("│", " ").split())

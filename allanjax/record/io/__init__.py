@@ -1,19 +1,19 @@
 """Reading and writing recordings."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from allanjax.base.errors import RecordingError
-from allanjax.record.io.assembly import ChunkedRecording, assemble, read_chunks
-from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import GapChoice, ReadOptions, TimeChoice
-from allanjax.record.recording import Recording
-from allanjax.record.validation import Source
 
-__all__ = ["ChunkedRecording", "ReadOptions", "read", "read_chunks", "read_recording", "write"]
+if TYPE_CHECKING:
+    from allanjax.record.recording import Recording
+
+__all__ = ["ReadOptions", "read", "read_recording", "write"]
 
 
 def read(
@@ -76,6 +76,10 @@ def read(
 
 def read_recording(path: str | os.PathLike[str], options: ReadOptions, label: str | None = None) -> Recording:
     """Read a static recording with these options, as `read` does; messages name the file `label`."""
+    from allanjax.record.io.assembly import assemble
+    from allanjax.record.io.formats import format_of, name_of
+    from allanjax.record.validation import Source
+
     path = Path(path)
     source = Source(label or str(path))
     return assemble(format_of(path, source).table(path, source, options), name_of(path), options)
@@ -87,6 +91,7 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     Raises:
         RecordingError: another suffix, or a folder that is not there.
     """
+    import numpy as np
     import pyarrow
     import pyarrow.csv
     import pyarrow.parquet

@@ -1,61 +1,64 @@
-"""Options of reading, in one object, so that no reader and no command can leave one out."""
+"""Reading options in one object, so that no reader and no command can leave one out."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, get_args
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from allanjax.base.errors import RecordingError
-from allanjax.record.units import Sensor
+
+if TYPE_CHECKING:
+    from allanjax.record.units import Sensor
 
 TimeChoice = str | Literal[False] | None
 GapChoice = Literal["error", "segments", "fill"]
 
 
 def _option(help: str) -> Any:
-    """An option that is not given by default, and what the command line's help says of it."""
+    """Option that is None by default, with its help on the command line."""
     return field(default=None, metadata={"help": help})
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """The arguments of `read` and `read_chunks`, whose meaning is told there; None where one is not given."""
+    """The arguments of `read` and `read_chunks`, which are described there; None if not given."""
 
     rate: float | None = _option(
-        "Sample rate in Hz; needed if the file has no time stamps, else used instead of theirs."
+        "Sample rate in Hz. Required if the file has no time stamps; otherwise it overrides their rate."
     )
     gyro_unit: str | None = _option(
-        "Unit of the gyros, whatever the header says: deg/s, rad/s, ...; rad for increments; of counts the "
-        "size of one, 'deg/s/131'."
+        "Unit of the gyros, overriding the header: deg/s, rad/s, ...; rad for increments; for counts the "
+        "size of one count, 'deg/s/131'."
     )
     accel_unit: str | None = _option(
-        "Unit of the accelerometers, whatever the header says: m/s^2, g, ...; m/s for increments; of counts "
-        "the size of one, 'g/16384'."
+        "Unit of the accelerometers, overriding the header: m/s^2, g, ...; m/s for increments; for counts "
+        "the size of one count, 'g/16384'."
     )
     columns: str | Sequence[str] | None = _option(
-        "Columns to read, or a name for each in order, - to skip one, e.g. time,gyro_x,-,gyro_z."
+        "Columns to read, or a name for each column in order with - to skip one: time,gyro_x,-,gyro_z."
     )
     time: TimeChoice = _option(
-        "Column of time stamps; none to ignore them; uniform to take samples as even at their mean rate."
+        "Column of time stamps; none ignores them; uniform assumes even samples at their mean rate."
     )
     time_unit: str | None = _option("Unit of the time stamps: s, ms, us, ns, min, h, or '0.1 ms'.")
-    start: float | None = _option("Leave out what is before this time, in s.")
-    stop: float | None = _option("Leave out what is from this time on, in s.")
+    start: float | None = _option("Leave out samples before this time in s.")
+    stop: float | None = _option("Leave out samples from this time on, in s.")
     topic: str | None = _option(
-        "Topic of a ROS bag, or message of a flight log, e.g. /imu/data or sensor_gyro; or two: a,b."
+        "Topic of a ROS bag or message of a flight log, e.g. /imu/data or sensor_gyro; if gyros and "
+        "accelerometers are in different ones, a,b."
     )
-    instance: int | None = _option(
-        "Number of the sensor in a flight log that has several; by default the first."
-    )
+    instance: int | None = _option("Number of the sensor if a flight log has several; by default the first.")
     gaps: GapChoice | None = _option(
-        "Missing samples: error; segments, the longest stretch without; fill, draw them given the others."
+        "What to do about missing samples: error (default); segments, use the longest segment without "
+        "gaps; fill, replace them by simulated samples."
     )
 
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop
         for name, time in (("start", start), ("stop", stop)):
-            if time is not None and not np.isfinite(time):
+            if time is not None and not math.isfinite(time):
                 raise RecordingError(f"{name}= (--{name}) must be a time in s, not {time}")
         if self.gaps not in (None, *get_args(GapChoice)):
             raise RecordingError(f"gaps= (--gaps) must be error, segments or fill, not {self.gaps!r}")
@@ -66,21 +69,21 @@ class ReadOptions:
 
     @property
     def allows_gaps(self) -> bool:
-        """Whether missing samples are no error."""
+        """Whether missing samples are allowed."""
         return self.gaps in ("segments", "fill")
 
     @property
     def uniform(self) -> bool:
-        """Whether samples are evenly spaced whatever their stamps say."""
+        """Whether samples are assumed to be evenly spaced, whatever their time stamps."""
         return isinstance(self.time, str) and self.time.casefold() == "uniform"
 
     @property
     def units(self) -> dict[Sensor, str | None]:
-        """Unit of each sensor's samples, where it is given."""
+        """Unit of each sensor's samples, if given."""
         return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
-    def within(self, stretch: tuple[float, float]) -> "ReadOptions":
-        """Options for a stretch [s] of what these read, from its first sample."""
+    def within(self, stretch: tuple[float, float]) -> ReadOptions:
+        """Options for a stretch [s] of the recording that these read, counted from its first sample."""
         origin = self.start or 0.0
         return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
 
