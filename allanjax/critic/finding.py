@@ -12,6 +12,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.critic.parameters import Detail
 from allanjax.noise.estimate import Estimate, title_of
+from allanjax.record.units import Sensor
 
 #: Coefficients by whose change a finding's effect is measured, beside the drift and the Allan deviation.
 MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
@@ -20,6 +21,19 @@ _SIZES = (
     *("amplitude", "coefficient", "peak", "scale", "step", "ratio", "bandwidth"),
     *("upper_level", "lower_level", "fraction"),
 )
+
+# What people call causes whose names do not say it.
+_TITLES = {
+    "common_mode": "shared noise",
+    "event": "outlier event",
+    "low_pass": "low-pass filter",
+    "markov": "Gauss-Markov process",
+    "power_law": "power-law noise",
+    "sinusoid": "spectral line",
+    "telegraph": "telegraph noise",
+    "temperature": "temperature effect",
+    "warm_up": "warm-up",
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -151,9 +165,9 @@ class Finding(ByValue):
         return next((self.parameters[label] for label in _SIZES if label in self.parameters), None)
 
     def named(self, cause: str) -> str:
-        """A cause, its own or a rival's, for people; of accelerometers K is an acceleration random walk."""
+        """Name of its own or of a rival's cause for people, e.g. "spectral line" for "sinusoid"."""
         sensors = {e.axis.sensor for e in self.parameters.values()}
-        return title_of(cause, "accel" if sensors == {"accel"} else "gyro")
+        return cause_title(cause, "accel" if sensors == {"accel"} else "gyro")
 
     @property
     def amplitudes(self) -> dict[str, Estimate]:
@@ -204,6 +218,11 @@ class Finding(ByValue):
     @presented
     def __repr__(self) -> str:
         raise NotImplementedError
+
+
+def cause_title(cause: str, sensor: Sensor) -> str:
+    """Name of a cause or a coefficient for people, e.g. "spectral line" for "sinusoid"."""
+    return _TITLES.get(cause) or title_of(cause, sensor)
 
 
 def _off(d: Discrepancy) -> float:
