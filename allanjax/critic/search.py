@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
+from allanjax.critic.finding import cause_title
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
 from allanjax.critic.parameters import Detail
 from allanjax.critic.policy import AcceptanceRule
@@ -17,7 +18,7 @@ from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import EVERYTHING, Candidate, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
-from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
@@ -44,8 +45,8 @@ class Draft:
         start, end: view of the axis without findings, and with all of them subtracted.
         steps: the findings as they were made.
         tests: `Cause.p_value` at the start, of those causes that have one.
-        notes: notes for the user: causes as probable as noise, or that the search ended early.
-        preprocessed: whether a finding says that the samples are not what the sensor gave.
+        notes: notes for the user: causes as probable as noise, or an early end of the search.
+        preprocessed: whether a finding concerns the samples themselves, such as rounding.
         is_anew: whether findings were refitted, so that views before others are those of old ones.
     """
 
@@ -74,7 +75,7 @@ class Search(Draft):
 def search(
     view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
 ) -> Draft:
-    """Causes that are found in one axis; `progress` is called with a text that says what is being done."""
+    """Search for causes in one axis; `progress` is called with a text that describes the step."""
     accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
     for cause in (c for c in causes if c.is_preprocessing):
@@ -130,7 +131,7 @@ def going_on(
             waveforms = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
             offered = {cause: offered[cause] for cause in left} | nothing | waveforms
     else:
-        notes += (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
+        notes += (f"{view.axis.name}: the search stopped at {len(steps)} findings; there may be more",)
     # It may have to wait for those of other axes.
     view.forget()
     notes = tuple(dict.fromkeys(notes))
@@ -143,12 +144,12 @@ def _others(view: View, causes: Sequence[Cause]) -> list[Cause]:
 
 
 def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
-    """Search that is over: all is fitted once more, and the filter and the resonances are told."""
+    """Search that is over: all is fitted once more, and the filter and the resonances are described."""
     start, known, anew = draft.start, list(draft.steps), draft.is_anew
     steps, view = refitted(known, draft.end, _others(draft.end, causes), last=True)
     shape = finished(view, coefficient_folds(view.n))
     if shape is not None:
-        steps = _told(steps, shape)
+        steps = _with_shape(steps, shape)
         anew = True
     elif any(s.candidate.cause == SpectralShape.name for s in steps):
         steps = [s for s in steps if s.candidate.cause != SpectralShape.name]
@@ -168,7 +169,7 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
     )
 
 
-def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
+def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:
     """Steps in which the filter and the resonances stand for the structure of the spectrum."""
     (first,) = [s for s in steps if s.candidate.cause == SpectralShape.name][:1]
     parts = []
@@ -201,7 +202,7 @@ def _candidates(
     most = 0.0
     while left and most < max(_EARLY_STOP_NATS, _EARLY_STOP_RATIO * offered.get(left[0], np.inf)):
         cause = left.pop(0)
-        progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
+        progress(f"{view.axis.name}: looking for {cause_title(cause.name, view.axis.sensor)}")
         if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
             for part in (candidate, *candidate.parts):
                 part.after.forget()
@@ -213,11 +214,11 @@ def _candidates(
 def _undecided(candidate: Candidate, view: View) -> str:
     """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
     sensor = view.axis.sensor
-    instead = [title_of(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
+    instead = [cause_title(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.chance > _CERTAIN or not instead:
         return ""
-    name, odds = title_of(candidate.cause, sensor), np.exp(candidate.gain)
-    return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
+    name, odds = cause_title(candidate.cause, sensor), np.exp(candidate.gain)
+    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {odds:.2g} : 1)"
 
 
 def _chosen(

@@ -381,7 +381,7 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
     assert allan.get_ylabel() == f"Allan deviation\n[{unit}]"
     x, y = spectrum.get_lines()[0].get_data()
     assert x[np.argmax(y)] == pytest.approx(finding.parameters["frequency"].value, abs=0.01)
-    assert "sinusoid" in " ".join(t.get_text() for t in text.texts)
+    assert "spectral line" in " ".join(t.get_text() for t in text.texts)
     (step,) = steps.plot(findings=steps.findings[:1])
     assert step.axes[2].get_xlabel() == "time since start [s]"
     for each in (figure, step):

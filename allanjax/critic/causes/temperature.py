@@ -1,4 +1,4 @@
-"""Influence of an auxiliary channel, such as temperature, on the rate."""
+"""Effects of an auxiliary channel, such as temperature, on the rate."""
 
 from __future__ import annotations
 
