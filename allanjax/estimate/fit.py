@@ -426,12 +426,23 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
 
 
 def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
-    """Notes on terms that the data could not tell apart."""
-    notes = []
+    """Notes on terms that the data leave undecided: one note per term, with its axes and probabilities."""
+    found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
     for axis in selection.values() if selection else ():
-        if found := axis.ambiguities():
-            notes.append(f"{axis.axis.name}: the data do not tell {'; '.join(found[:3])}")
+        for question, words, *odds in axis.undecided():
+            found.setdefault((question, words), []).append((axis.axis.name, odds[0], odds[1]))
+    notes = []
+    for (question, words), of in found.items():
+        names, *odds = zip(*of, strict=True)
+        probabilities = words.format(*map(_percent, odds))
+        notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
     return tuple(notes)
+
+
+def _percent(probabilities: Sequence[float]) -> str:
+    """Range of probabilities, e.g. "19 %" or "19–30 %"."""
+    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
+    return f"{'–'.join(ends)} %"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, plain, significant
+from allanjax.estimate.tables import as_html, as_text, details, overview
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
@@ -81,8 +82,8 @@ _NEAR = 3.0
 _NAMED = 3
 #: What to do about a curve that is far off.
 NEXT = (
-    "look at the picture; allanjax critique FILE looks for the cause; "
-    "--start and --stop cut off what was not at rest, --terms takes other terms"
+    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
+    "at rest, --terms selects other terms"
 )
 # Least share of N that is white noise.
 _LITTLE = 1e-6
@@ -126,13 +127,12 @@ class Misfit:
 
     def __str__(self) -> str:
         if self.largest == 0.0:
-            return f"its {self.curve} is off, nowhere by more than single estimates scatter"
+            return f"{self.curve} off, but nowhere by more than single estimates scatter"
         chance = ""
         if np.log1p(self.scatter) > _MUCH * abs(np.log1p(self.largest)):
-            chance = f" (by chance up to {deviation(self.scatter)} there)"
-        place = f"{plain(self.at, 3)} {self.unit}{chance}"
+            chance = f" (up to {deviation(self.scatter)} may be chance)"
         return (
-            f"its {self.curve} is off by up to {deviation(self.largest)} at {place}, "
+            f"{self.curve} off by {deviation(self.largest)} at {plain(self.at, 3)} {self.unit}{chance}, "
             f"{deviation(self.rms)} rms"
         )
 
@@ -211,11 +211,11 @@ def spectral_misfit(
 
 
 def deviation(relative: float) -> str:
-    """A relative deviation in words: "47 %", or of large ones the factor, whichever way: "a factor 18"."""
+    """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
         return f"{100.0 * abs(relative):.2g} %"
-    return f"a factor {factor:.2g}" if factor < 99.5 else f"a factor {factor:,.0f}"
+    return f"×{factor:.2g}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
 class AxisEstimates:
@@ -264,8 +264,8 @@ class AxisEstimates:
         names: dict[bool, list[str]] = {True: [], False: []}
         for c in self.coefficients.values():
             names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
-        absent = f"; not detectable: {', '.join(names[False])}" if names[False] else ""
-        found = ", ".join(names[True]) or "nothing found"
+        absent = f"; not detected: {', '.join(names[False])}" if names[False] else ""
+        found = ", ".join(names[True]) or "nothing detected"
         return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
 
 
@@ -289,7 +289,7 @@ def correction_of(
         bandwidth: of the response, if there is one.
     """
     causes = _bandwidth(found, bandwidth)
-    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "line")
+    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "spectral line")
     if not causes:
         several = sum(isinstance(term, Markov) for term in template.terms) > 1
         causes = ["Markov processes of several correlation times" if several else "a Markov process"]
@@ -297,7 +297,7 @@ def correction_of(
     if before is None or not (after.value > 0.0 and before.value > 0.0):
         return text
     new, old = after.in_unit(), before.in_unit()
-    return f"{text}: {new.title} {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
+    return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
 
 def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
@@ -438,6 +438,16 @@ class AxisFit(ByValue, AxisEstimates):
         return "at rest" in self.not_measured
 
     @property
+    def misfits(self) -> str:
+        """How far and where the fitted curves are off, in words; "" if the model fits."""
+        return "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether the model does not fit the data."""
+        return self.discrepancy > 0.0 or bool(self.misfits)
+
+    @property
     def is_far_off(self) -> bool:
         """Whether the fitted curve is too far from the measured one."""
         return self.misfit is not None and self.misfit.excessive
@@ -562,12 +572,19 @@ class AxisFit(ByValue, AxisEstimates):
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
         if np.isfinite(self.p_value):
             text += f" (p = {self.p_value:.2g})" if self.p_value > 1e-300 else " (p < 1e-300)"
-        off = "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
         if self.is_far_off:
-            return f"not a measurement of this sensor: the model does not follow the data, {off}; {text}"
+            return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
             return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
-        return f"{text}; model incomplete: {off}" if off else text
+        if not self.incomplete:
+            return f"fits: {text}"
+        return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))
+
+    def details(self) -> str:
+        """All coefficients with their 95 % intervals and limits, and χ², as text."""
+        return details("", [self])
+
+    __str__ = details
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -588,7 +605,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
     """
 
     CALLED: ClassVar[str] = "the fit"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -606,7 +622,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
     def warnings(self) -> tuple[str, ...]:
         """What a user of the coefficients should know, the gravest first."""
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
-        far_off = f"{names}: not a measurement of this sensor, the model does not follow the data: {NEXT}"
+        far_off = f"{names}: not a measurement of this sensor, as the model does not fit: {NEXT}"
         return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
@@ -688,29 +704,15 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """The fit as plain dictionaries, lists, numbers and strings, as `write_json` writes it."""
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, coefficient, value, 95 % interval."""
-        cells = []
-        for result in self.results:
-            if not result.converged:
-                told = any(result.reason in warning for warning in self.warnings)
-                why = "no result: see the warning above" if told else result.verdict
-                cells.append((result.axis.name, "", why, ""))
-                continue
-            for c in result.coefficients.values():
-                if c.term in result.further:
-                    continue
-                shown = c.in_unit()
-                known = c.detected and not c.held and np.isfinite(c.std)
-                interval = shown.describe_interval() if known else ""
-                cells.append((result.axis.name, c.title, shown.describe(), interval))
-            if level := result.level:
-                cells.append((result.axis.name, "", level, ""))
-            cells += [
-                (result.axis.name, "", text, "") for text in (result.correction, result.verdict) if text
-            ]
-        cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
-        return cells
+    def details(self) -> str:
+        """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
+        return details(self._title(), self.results)
+
+    def __str__(self) -> str:
+        return as_text(self._title(), *overview(self))
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title(), *overview(self))
 
     def _title(self) -> str:
         length = duration(self.curve.n / self.curve.rate)

@@ -20,10 +20,11 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
+from allanjax.estimate.tables import SYMBOLS, Column, Number, as_html, as_text, column, tables_of
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
@@ -32,7 +33,7 @@ from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.units import SENSORS, default_coefficient_unit, unit_scale
 from allanjax.spectrum.cosine import (
     Bins,
     SpectralStatistics,
@@ -48,15 +49,13 @@ if TYPE_CHECKING:
 # Draws of sets and powers, and the shortest cluster of the drift, in samples.
 _DRAWS = 2000
 _SHORTEST = 10
-# The drift is told at decades of the cluster time up to this power of ten [s].
-_LAST_DECADE = 7
+# The drift is printed at so many decades of the cluster time from 1 s on.
+_DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
 # Subsets that are less probable are not drawn from.
 _IMPROBABLE = 1e-4
 _QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
-# Headings of the columns of numbers in the printed table.
-_NUMBERS = ("probability", "nats behind")
 # Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: 20 is "strong").
 _ODDS = 20.0
 # A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
@@ -88,18 +87,12 @@ class Averaged(ByValue):
     deviation: Float[np.ndarray, " m"]
     interval: Float[np.ndarray, "m 2"]
 
-    def told(self, axis: Axis) -> list[str]:
-        """The drift in words, at 1, 10, 100, … s."""
-        unit = default_coefficient_unit(axis.sensor, 0.0)
-        scale, found, log_time = unit_scale(unit, axis.sensor), [], np.log(self.cluster_time)
-        curves = np.log(np.column_stack([self.deviation, self.interval]) / scale)
-        for decade in range(int(np.ceil(np.log10(self.cluster_time[0]))), _LAST_DECADE):
-            if 10.0**decade > self.cluster_time[-1]:
-                break
-            middle, low, high = (np.exp(np.interp(decade * np.log(10.0), log_time, y)) for y in curves.T)
-            value = f"{plain(middle, 3)} {unit} ({plain(low, 3)} … {plain(high, 3)})"
-            found.append(f"averaged: Allan deviation {value} at {duration(10.0**decade)}")
-        return found
+    def at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Deviation and the ends of its interval at a cluster time [s]; nan where there is none."""
+        if not self.cluster_time[0] <= time <= self.cluster_time[-1]:
+            return np.full(3, np.nan)
+        curves, log_time = np.log([self.deviation, *self.interval.T]), np.log(self.cluster_time)
+        return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
 
 
 def averaged(
@@ -319,26 +312,26 @@ class AxisSelection(ByValue):
 
     def __repr__(self) -> str:
         chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
-        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets"
-        return (
-            f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n"
-            f" the data do not tell {close} apart>"
-        )
+        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
+        return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
-    def ambiguities(self) -> tuple[str, ...]:
-        """Phrases about what the data leave open beside the chosen set, the most probable first."""
+    def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
+        """At most three questions that the data leave undecided, the most probable first.
+
+        Each has its words, those for two probabilities, and these: of a term, without it and with it; of
+        "one or another", of the chosen one and of the other.
+        """
         found = []
         for other in self.indistinguishable:
-            sensor, chosen = self.axis.sensor, self.chosen.terms
-            extra = tuple(title_of(t, sensor) for t in other.terms if t not in chosen)
-            missing = tuple(title_of(t, sensor) for t in chosen if t not in other.terms)
-            odds = f"{100.0 * self.chosen.probability:.2g} % against {100.0 * other.probability:.2g} %"
-            if len(missing) <= 1 and len(extra) <= 1 and missing and extra:
-                found.append(f"{missing[0]} from {extra[0]} ({odds})")
+            sensor, chosen = self.axis.sensor, self.chosen
+            extra = [title_of(t, sensor) for t in other.terms if t not in chosen.terms]
+            missing = [title_of(t, sensor) for t in chosen.terms if t not in other.terms]
+            pair = (other, chosen) if missing and not extra else (chosen, other)
+            odds = pair[0].probability, pair[1].probability
+            if len(missing) == len(extra) == 1:
+                found.append((f"{missing[0]} or {extra[0]}", "{} and {}", *odds))
             elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                found.append(
-                    f"whether there is {(missing or extra)[0]} ({odds} {'with' if extra else 'without'} it)"
-                )
+                found.append(((missing or extra)[0], "{} without it, {} with it", *odds))
         return tuple(found[:3])
 
 
@@ -353,8 +346,6 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     """
 
     CALLED: ClassVar[str] = "the selection"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "noise terms", *_NUMBERS)
-    RIGHT: ClassVar[tuple[str, ...]] = _NUMBERS
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -369,17 +360,41 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     def _title(self) -> str:
         return f"{self.name}: noise terms by evidence".lstrip(": ")
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
+    def _tables(self) -> list[list[Column]]:
+        """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
+        rows = []
         for axis in self.results:
-            for rank, s in enumerate(axis.ranking[: max(3, len(axis.indistinguishable))]):
-                behind = axis.best.log_evidence - s.log_evidence
-                mark = "" if rank == 0 else " (not told apart)" if s in axis.indistinguishable else ""
-                words = title_of(f"{s}{mark}", axis.axis.sensor)
-                rows.append((axis.axis.name, words, f"{100 * s.probability:.3g} %", f"{behind:.1f}"))
-            if axis.averaged is not None:
-                rows += [(axis.axis.name, words, "", "") for words in axis.averaged.told(axis.axis)]
-        return rows
+            for s in axis.ranking[: max(3, len(axis.indistinguishable))]:
+                verdict = "chosen" if s == axis.chosen else "undecided" if s in axis.indistinguishable else ""
+                terms = " + ".join(SYMBOLS.get(term, term) for term in s.terms)
+                behind = f"{axis.best.log_evidence - s.log_evidence:11.1f}"
+                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:9.1f} %", behind, verdict))
+        heads = ("axis", "noise terms", "probability", "nats behind", "verdict")
+        tables = [[Column(*pair) for pair in zip(heads, map(list, zip(*rows, strict=True)), strict=True)]]
+        for sensor in SENSORS:
+            drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
+            unit = default_coefficient_unit(sensor, 0.0)
+            columns = []
+            for time in 10.0 ** np.arange(_DECADES):
+                drift = [drift.at(time) / unit_scale(unit, sensor) for drift in drifts.values()]
+                if np.isfinite(drift).any():
+                    numbers = [Number(x, (high - low) / 2.0 / TWO_SIDED_95) for x, low, high in drift]
+                    columns.append(column(f"σ at {duration(time)}", unit, numbers))
+            tables += tables_of([Column("axis", list(drifts))], [], columns) if columns else []
+        return tables
+
+    def _lines(self) -> list[str]:
+        terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
+        sensor = self.results[0].axis.sensor
+        names = [f"{symbol}: {title_of(term, sensor)}" for term, symbol in SYMBOLS.items() if term in terms]
+        drift = "σ: Allan deviation averaged over all sets by their probabilities, ± 1σ"
+        return [", ".join(names), drift, *(f"warning: {warning}" for warning in self.warnings)]
+
+    def __str__(self) -> str:
+        return as_text(self._title(), self._tables(), self._lines())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title(), self._tables(), self._lines())
 
 
 def select_terms(
