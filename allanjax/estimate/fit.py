@@ -429,12 +429,12 @@ def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     """Notes on terms that the data leave undecided: one note per term, with its axes and probabilities."""
     found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
     for axis in selection.values() if selection else ():
-        for question, words, *odds in axis.undecided():
-            found.setdefault((question, words), []).append((axis.axis.name, odds[0], odds[1]))
+        for question, words, one, other in axis.undecided():
+            found.setdefault((question, words), []).append((axis.axis.name, one, other))
     notes = []
     for (question, words), of in found.items():
-        names, *odds = zip(*of, strict=True)
-        probabilities = words.format(*map(_percent, odds))
+        names = [name for name, *_ in of]
+        probabilities = words.format(_percent([one for _, one, _ in of]), _percent([p for *_, p in of]))
         notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
     return tuple(notes)
 

@@ -171,8 +171,8 @@ def overview(fit: Fit) -> tuple[list[list[Column]], list[str]]:
 def _coefficient_columns(results: Sequence[AxisFit | None]) -> dict[str, Column]:
     """Columns of the main coefficients, and of others that some axis has, by their labels."""
     found: dict[str, dict[int, Estimate]] = {}
-    for k, result in enumerate(results):
-        for label, c in {} if result is None else result.coefficients.items():
+    for k, result in ((k, result) for k, result in enumerate(results) if result is not None):
+        for label, c in result.coefficients.items():
             if c.term not in result.further:
                 found.setdefault(label, {})[k] = c.in_unit()
     columns = {}

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, text_table
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.result import Fit
+from allanjax.estimate.tables import as_html, as_text
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
@@ -26,7 +26,7 @@ from allanjax.fleet.options import FitOptions
 from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
 from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import cells, cells_of_units, judged, left_out
+from allanjax.fleet.summary import judged, left_out, printed
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -89,15 +89,14 @@ class FleetResult(ByValue):
         )
 
     def __str__(self) -> str:
-        units = cells_of_units(self.table)
-        tables = [text_table("", *cells(self.table)), *([text_table("", *units)] if units[1] else [])]
-        return "\n".join([self._title(), *tables, *self.notes])
+        tables, lines = printed(self.table)
+        return as_text(self._title(), tables, [*lines, *self.notes])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        title = " ".join([self._title(), *self.notes])
-        return html_table(title, *cells(self.table)) + html_table("", *cells_of_units(self.table))
+        tables, lines = printed(self.table)
+        return as_html(self._title(), tables, [*lines, *self.notes])
 
 
 def characterize_fleet(

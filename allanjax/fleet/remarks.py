@@ -28,7 +28,7 @@ _SAME = 0.1
 # What so few of the other units have, or so many, is unusual where a unit has it, or lacks it.
 _RARE, _USUAL = 0.25, 0.75
 
-NOT_MEASURED, INCOMPLETE = "not a measurement", "incomplete"
+NOT_MEASURED, INCOMPLETE = "not a measurement", "misfit"
 
 
 class Remark(NamedTuple):
@@ -80,7 +80,7 @@ def terms_of(axis: Mapping[str, Any]) -> list[str]:
 
 def why_not_measured(axis: Mapping[str, Any]) -> str:
     """Why an axis's coefficients are not a measurement of the sensor, in words, by the axis's JSON."""
-    return why_no_measurement(axis["not_measured"]) or "the model does not follow the data"
+    return why_no_measurement(axis["not_measured"]) or "the model does not fit"
 
 
 def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[Remark]:
