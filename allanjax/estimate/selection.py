@@ -1,9 +1,8 @@
 """The choice of noise terms: the evidence of every subset of the candidates, ranked and averaged over.
 
-Where the data do not tell a random walk from flicker noise the coefficient of either may be zero, but what
-the sensor drifts by is known: each set that has a share in the probability says nearly the same. For the
-average, draws are taken of the sets by their probability, and of the logarithms of their powers from the
-normal law at the maximum of their likelihood.
+Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
+the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
+the logarithms of their powers from the normal law at the maximum of their likelihood.
 """
 
 from __future__ import annotations
@@ -75,8 +74,8 @@ class Averaged(ByValue):
     """Coefficients and drift averaged over sets of noise terms.
 
     Attributes:
-        coefficients: each candidate's amplitude by its label: median and intervals over all sets, those
-            without the term included. It is detected if these leave less than 2.5 % to zero.
+        coefficients: the candidates' amplitudes by label: median and intervals over all sets, including those
+            without the term. A term is detected if zero has a probability below 2.5 %.
         cluster_time: cluster times [s], octaves from ten samples to a quarter of the record.
         deviation: median Allan deviation of the noise there [rad/s or m/s²].
         interval: its 95 % interval (m, 2).
@@ -103,7 +102,7 @@ def averaged(
     statistics: SpectralStatistics,
     share: Float[np.ndarray, " m"],
 ) -> Averaged:
-    """What the sets of one axis say together, each row with its probability."""
+    """Average over the sets of one axis, each row with its probability."""
     rng, bins = np.random.default_rng(0), candidates.bins
     octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
     time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
@@ -195,10 +194,10 @@ class TermSet:
     Attributes:
         terms: names of the terms.
         parameters: number of their free parameters.
-        log_evidence: logarithm of the marginal likelihood of the set over that of the best one [nats].
-        probability: posterior probability of the set, with equal prior probabilities of all sets.
-        intervals: 95 % interval [SI] of each amplitude by its label, for sets that the data do not
-            distinguish from the best one; but for a ramp's.
+        log_evidence: logarithm of the marginal likelihood relative to the best set [nats].
+        probability: posterior probability of the set, all sets having equal prior probabilities.
+        intervals: 95 % interval [SI] of each amplitude but a ramp's by label, for sets that cannot be
+            distinguished from the best one.
     """
 
     terms: tuple[str, ...]
@@ -221,10 +220,8 @@ class AxisSelection(ByValue):
     Attributes:
         axis: the axis.
         ranking: all sets, the most probable first.
-        discrepancy: relative error of the best set's root spectrum that its misfit calls for; 0 if it
-            suffices.
-        averaged: coefficients and drift averaged over all sets, for those to whom it does not matter which is
-            right.
+        discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
+        averaged: coefficients and drift averaged over all sets.
     """
 
     axis: Axis
@@ -239,14 +236,14 @@ class AxisSelection(ByValue):
 
     @property
     def indistinguishable(self) -> tuple[TermSet, ...]:
-        """Best set, and those that the data do not tell from it: Bayes factors below 20."""
+        """The best set and those that cannot be distinguished from it: Bayes factors below 20."""
         return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_ODDS))
 
     @property
     def chosen(self) -> TermSet:
-        """Set with the fewest parameters among those that are at most five times less probable than the best.
+        """The set with the fewest parameters among those at most five times less probable than the best.
 
-        Of two explanations that the data hardly tell apart, it is the one that claims less.
+        Of two explanations that are hard to distinguish, it is the simpler one.
         """
         close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
         return min(close, key=lambda s: (s.parameters, -s.log_evidence))
@@ -261,8 +258,7 @@ class AxisSelection(ByValue):
     def intervals(self) -> dict[str, tuple[float, float]]:
         """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets.
 
-        Sets with a free time count only if the chosen one has one, too: with a short time they say the same
-        as white noise.
+        Sets with a free time count only if the chosen one has one, too: a short time is like white noise.
         """
         found: dict[str, tuple[float, float]] = {}
         for label, (low, high) in (item for s in self._compared for item in s.intervals.items()):
@@ -279,9 +275,9 @@ class AxisSelection(ByValue):
     def doubtful(self) -> dict[str, tuple[str, ...]]:
         """The chosen terms whose posterior probability is below 95 %, and the terms that may replace each.
 
-        Sets with a free time compete only if the chosen one has one, too: with a long time they say the same
-        as a random walk. The rivals are of the sets that are not told from the best, the most probable
-        first, if these sets need them; none if the term may as well be missing altogether.
+        Sets with a free time compete only if the chosen one has one, too: a long time is like a random walk.
+        The rivals are terms that the sets indistinguishable from the best one need, the most probable first;
+        none if the term may just as well be missing.
         """
         compared = self._compared
         total, found = sum(s.probability for s in compared), {}
@@ -295,7 +291,7 @@ class AxisSelection(ByValue):
         return found
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a set; log-evidences are relative to the best set's [nats]."""
+        """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
 
         return pd.DataFrame(
@@ -342,7 +338,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     Attributes:
         name: name of the recording.
         results: rankings of the axes.
-        facts: what was found in the recording before, the gravest first.
+        facts: what the inspection of the recording detected, the gravest first.
     """
 
     CALLED: ClassVar[str] = "the selection"
@@ -354,7 +350,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user of the ranking should know, the gravest first."""
+        """Warnings about the ranking, the gravest first."""
         return warnings_of(self.facts)
 
     def _title(self) -> str:
@@ -410,30 +406,28 @@ def select_terms(
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
     The evidence (marginal likelihood) is Whittle's likelihood integrated over the coefficients by Laplace's
-    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no "number of
-    samples" to say how sharply a coefficient is known, which is ten for a rate random walk and all for an
-    angle random walk; unlike held-out likelihood it uses a drift's few low frequencies in full. All sets have
-    the same prior probability.
+    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no effective number
+    of samples per coefficient (about ten for a rate random walk, all for an angle random walk); unlike
+    held-out likelihood it uses the few low frequencies of a drift in full. All sets have the same prior
+    probability.
 
-    Where no set follows the spectrum within its scatter (p < 10⁻⁶), all are given a relative error that makes
-    the best one fit, which lowers all Bayes factors; sets with a free time are left out then: it would fit
-    whatever else the model lacks.
+    Where no set fits the spectrum (p < 10⁻⁶), all are given the relative error that makes the best one fit,
+    which lowers all Bayes factors; sets with a free time are then left out, as they would absorb the misfit.
 
-    Two Markov processes are compared, too, if the candidates have two (`"N + B + K + markov + markov"`),
-    beside the sets that one of them brings near the best. What all sets say together, coefficients and drift
-    averaged by their probabilities, is the `averaged` of each axis's result. Of a recording in stretches the
-    evidence is that of all together. What `inspect` finds unlike the rest is left out, as by `fit`.
+    If the candidates have two Markov processes (`"N + B + K + markov + markov"`), both together are compared,
+    too, beside the sets that come near the best with one of them. `averaged` of each result has coefficients
+    and drift averaged over all sets by their probabilities. The segments of a recording with gaps are
+    combined. Disturbed parts that `inspect` detects are left out, as by `fit`.
 
     Args:
-        recording: what `read` returns, or what else `fit` takes.
-        candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
-            Markov process.
+        recording: a result of `read`, or anything else that `fit` takes.
+        candidates: the terms to choose from, as in `fit`; by default the five basic ones and a Markov process.
         axes: names of the axes; by default all.
         rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 
     Raises:
-        AllanjaxError: candidates that cannot be compared: lines, resonances and steps, a free shape that is
-            no time, more than one term with a free time (but for two of one kind), more than six terms.
+        AllanjaxError: candidates that cannot be compared: lines, resonances, steps, a free shape other than a
+            time, more than one term with a free time (except two of one kind), more than six terms.
         FitError: a record of fewer than 64 samples.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
@@ -451,7 +445,7 @@ def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSel
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
-            "record at least 64"
+            "record at least 64 samples"
         )
     if recording.others:
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
