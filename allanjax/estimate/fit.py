@@ -41,7 +41,7 @@ from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
 from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
+from allanjax.estimate.selection import AxisSelection, TermSelection, percent, ranked
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
@@ -433,15 +433,9 @@ def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     notes = []
     for (question, words), of in found.items():
         names = [name for name, *_ in of]
-        probabilities = words.format(_percent([one for _, one, _ in of]), _percent([p for *_, p in of]))
+        probabilities = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
         notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
     return tuple(notes)
-
-
-def _percent(probabilities: Sequence[float]) -> str:
-    """Range of probabilities, e.g. "19 %" or "19–30 %"."""
-    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
-    return f"{'–'.join(ends)} %"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

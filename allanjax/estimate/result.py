@@ -357,8 +357,8 @@ class AxisFit(ByValue, AxisEstimates):
         axis: the axis.
         converged: whether there is a result; otherwise `reason` gives the reason.
         chi2, dof, p_value: χ² of the spectrum's levels about the model (for "exact", about the maximum of
-            Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; there
-            is no p-value then, as it does not follow a χ² law at long cluster times.
+            Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; it
+            has no p-value, as it does not follow a χ² law at long cluster times.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
             Standard deviations and intervals include it.

@@ -94,6 +94,12 @@ class Averaged(ByValue):
         return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
 
 
+def percent(probabilities: Sequence[float]) -> str:
+    """Range of probabilities, e.g. "19 %" or "19–30 %"."""
+    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
+    return f"{'–'.join(ends)} %"
+
+
 def averaged(
     axis: Axis,
     candidates: Candidates,
@@ -311,6 +317,13 @@ class AxisSelection(ByValue):
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
+    def ambiguities(self) -> tuple[str, ...]:
+        """What the data leave undecided, in words, the most probable first."""
+        return tuple(
+            f"{question} (probability {words.format(percent([one]), percent([other]))})"
+            for question, words, one, other in self.undecided()
+        )
+
     def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
         """At most three questions that the data leave undecided, the most probable first.
 
@@ -421,7 +434,7 @@ def select_terms(
 
     Args:
         recording: a result of `read`, or anything else that `fit` takes.
-        candidates: the terms to choose from, as in `fit`; by default the five basic ones and a Markov process.
+        candidates: the terms to choose from, as in `fit`; by default the five basic ones and Markov.
         axes: names of the axes; by default all.
         rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 

@@ -1,4 +1,4 @@
-"""Options of reading and fitting, in one object that commands and fleets hand on as a whole."""
+"""Options of reading and fitting, in one object that commands and fleets pass on."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
@@ -38,7 +38,7 @@ class FitOptions:
         return own | self.reading.given()
 
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
-        """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
+        """Fit of a recording with these options; `seen` is its inspection if that is known."""
         seen = self.inspect(recording) if seen is None else seen
         options = self.model, self.objective, self.regressors, self.plain
         return fit_inspected(recording, seen, *options, as_is=self.as_is)
@@ -46,20 +46,20 @@ class FitOptions:
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.
 
-        It is of the recording, or of the stretch of it that `seen` says, which is how the whole of it looked.
+        It covers the recording, or the stretch of it that the inspection `seen` of the whole selects.
         """
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
         return accumulator.fit_inspected(seen, self.model, self.objective)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
-        """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""
+        """Inspection of a recording, or of what was accumulated of one, as used by its fit."""
         if isinstance(of, AllanAccumulator):
             return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
         return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
 
     def to_dict(self) -> dict[str, Any]:
-        """The options in JSON's types, all that there are; equal if, and only if, the options are."""
+        """All options in JSON's types; equal if and only if the options are equal."""
         return {option.name: _plain(getattr(self, option.name)) for option in fields(self)}
 
 
