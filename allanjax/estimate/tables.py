@@ -236,9 +236,7 @@ def details(title: str, results: Sequence[AxisFit]) -> str:
     rows = [
         row for r in results if r.converged for row in map(_detail, [r] * len(r.coefficients), r.coefficients)
     ]
-    lines = []
-    for r in results:
-        lines += [f"{r.axis.name}: {text}" for text in (r.level, r.correction, r.verdict) if text]
+    lines = [f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, r.correction, r.level)))}" for r in results]
     table = [Column(head, list(cells)) for head, cells in zip(headings, zip(*rows, strict=True), strict=True)]
     return as_text(title, [table] if rows else [], lines)
 
