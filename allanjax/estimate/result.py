@@ -215,7 +215,7 @@ def deviation(relative: float) -> str:
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
         return f"{100.0 * abs(relative):.2g} %"
-    return f"×{factor:.2g}" if factor < 99.5 else f"×{factor:,.0f}"
+    return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
 class AxisEstimates:
@@ -573,7 +573,7 @@ class AxisFit(ByValue, AxisEstimates):
             return f"no result: {self.reason}"
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
         if np.isfinite(self.p_value):
-            text += f" (p = {self.p_value:.2g})" if self.p_value > 1e-300 else " (p < 1e-300)"
+            text += f" (p = {significant(self.p_value, 2)})" if self.p_value > 1e-300 else " (p < 1e-300)"
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:

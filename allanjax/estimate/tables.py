@@ -69,7 +69,7 @@ def column(name: str, unit: str, numbers: Sequence[Number | None], digits: int =
     largest = max((abs(x.value) for x in there), default=0.0)
     power = 0 if 1e-3 <= largest < 1e7 or largest == 0.0 else _exponent(largest)
     by = 10.0**power
-    places = sorted(1 - _exponent(x.error / by) for x in there if x.error > 0.0)
+    places = sorted(1 - _exponent(x.error / by) for x in there if 0.0 < x.error < math.inf)
     if places:
         # Two digits of the median error, and at least one of the smallest.
         decimals = max(places[len(places) // 2], places[-1] - 1)
@@ -79,7 +79,7 @@ def column(name: str, unit: str, numbers: Sequence[Number | None], digits: int =
     for x in numbers:
         if x is None or not math.isfinite(x.value):
             written.append(("", ""))
-        elif x.error > 0.0:
+        elif 0.0 < x.error < math.inf:
             own = min(decimals, 2 - _exponent(x.error / by))
             written.append((x.before + _fixed(x.value / by, own), f"{_fixed(x.error / by, own)}{x.after}"))
         else:
@@ -254,11 +254,9 @@ def _detail(result: AxisFit, label: str) -> tuple[str, str, str, str, str]:
         text += number.after
     if c.held:
         text, remark = plain(c.value), "held"
-    elif not c.measured:
-        remark = "not a measurement"
     elif number is None:
         remark = "not determined"
-    elif not c.detected:
+    elif not c.detected and c.measured:
         rivals = " or ".join(SYMBOLS.get(term, term) for term in c.rivals)
         remark = f"may be {rivals}" if rivals else "not detected"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
