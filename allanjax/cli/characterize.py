@@ -47,6 +47,9 @@ def command(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
+    ] = False,
 ) -> None:
     from allanjax.estimate.as_json import SCHEMA_VERSION
     from allanjax.report.files import with_check, write_results
@@ -63,7 +66,7 @@ def command(
                 drawn = None if spectrum is None else spectrum.result()
                 paths = write_results(fit, drawn, directory, file.name, check)
         first = [] if check is None else [f"check: {check.summary()}"]
-        text = "\n".join([*first, str(fit), *(f"note: {note}" for note in fit.notes)])
+        text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
         missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
         return Outcome(text, with_check(fit, check), paths, missing)

@@ -33,10 +33,10 @@ _Made = TypeVar("_Made", bound=Parametrized)
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
-    """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` says what each means.
+    """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` describes the keys.
 
-    Numbers that do not exist, such as the χ² of an axis without result, are None; so are those that are not
-    finite, the upper end of an interval without one, say. `load` makes the fit of them again.
+    Numbers that do not exist, such as the χ² of an axis without a result, and numbers that are not finite,
+    such as the upper end of an open interval, are None. `load` restores the fit.
     """
     return {
         "schema_version": SCHEMA_VERSION,
@@ -215,7 +215,7 @@ def _coefficient(c: Estimate) -> dict[str, Any]:
 
 
 def in_both_units(c: Estimate) -> dict[str, Any]:
-    """Value, scatter and intervals of an estimate in the unit in which it is shown, and in SI."""
+    """Value, standard deviation and intervals of an estimate in its usual unit and in SI."""
     shown, si = c.in_unit(), c.in_unit(c.si_unit)
     return {"unit": shown.unit, **_numbers(shown), "si": {"unit": si.unit, **_numbers(si)}}
 
@@ -232,28 +232,28 @@ def _numbers(c: Estimate) -> dict[str, Any]:
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
-    """Load a fit with its curve from a JSON file: it prints and plots as the one that was written.
+    """Load a fit with its curve from a JSON file; it prints and plots like the original.
 
-    The spectrum of a fit by Whittle's likelihood is not in the file, so that such a fit cannot be sampled.
+    The file does not hold the spectrum of a fit by Whittle's likelihood, so such a fit cannot be sampled.
 
     Args:
-        path: what `write_json` or `allanjax characterize` wrote; the output of `allanjax characterize --json`
-            or of `allanjax fleet` (`recordings/NAME.json`).
+        path: file written by `write_json`, `allanjax characterize`, `allanjax characterize --json` or
+            `allanjax fleet` (`recordings/NAME.json`).
         terms: classes of user-defined noise terms in the model.
 
     Returns:
-        The fit; for the output of `--json`, which may hold several, fits by their files.
+        The fit; for the output of `--json`, which may hold several, a dictionary of fits by file.
 
     Raises:
-        AllanjaxError: there is no such file, it holds no fit, is damaged, is of another version, or has a
-            term that is not allanjax's and not among `terms`.
+        AllanjaxError: the file does not exist, holds no fit, is damaged or of another version, or has a term
+            that is neither built in nor among `terms`.
     """
     try:
         document = json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise AllanjaxError(f"{path}: no such file; check the path") from error
     except (OSError, ValueError) as error:
-        raise AllanjaxError(f"{path}: not a file of JSON, or damaged: {error}") from error
+        raise AllanjaxError(f"{path}: not a JSON file, or damaged: {error}") from error
     classes = term_classes() | {term.name(): term for term in terms}
     try:
         if "fits" in document:
@@ -262,21 +262,21 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
     except AllanjaxError as error:
         raise AllanjaxError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise AllanjaxError(f"{path}: not a fit that allanjax wrote, or damaged: {error!r}") from error
+        raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
 
 
 def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
     """Fit from its JSON document."""
     if "baseline" in document or "schema_version" not in document or "axes" not in document:
-        raise AllanjaxError("not a fit that allanjax wrote; such a file comes from allanjax characterize")
+        raise AllanjaxError("not a fit written by allanjax; allanjax characterize writes such files")
     if document["schema_version"] != SCHEMA_VERSION:
         raise AllanjaxError(
-            f"of schema version {document['schema_version']}, this allanjax reads {SCHEMA_VERSION}; load it "
-            f"with allanjax {document.get('allanjax_version', 'of its time')}"
+            f"schema version {document['schema_version']}, but this allanjax reads version {SCHEMA_VERSION}; "
+            f"load it with allanjax {document.get('allanjax_version', 'of the version that wrote it')}"
         )
     if "curve" not in document:
         raise AllanjaxError(
-            f"written by allanjax {document.get('allanjax_version')}, without its curve; characterize the "
+            f"written by allanjax {document.get('allanjax_version')} without the curve; characterize the "
             "recording again"
         )
     template = _model(document, classes)
@@ -311,7 +311,7 @@ def _loaded_term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]
     """Noise term of the fitted model."""
     if term["term"] not in classes:
         raise AllanjaxError(
-            f"its term {term['term']!r} is none of allanjax's: give its class, load(path, terms=[…])"
+            f"unknown term {term['term']!r}; pass the class of a user-defined term with load(path, terms=[…])"
         )
     return _parametrized(classes[term["term"]], term)
 

@@ -169,7 +169,7 @@ def fit_spectrum(
     random = np.array([not term.deterministic for term in template.terms])
     if not (random & active).any():
         raise FitError(
-            "Whittle's likelihood needs a noise term besides lines and ramps: add AngleRandomWalk()"
+            "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
         )
     labels = zip(template.term_labels, random, strict=True)
     noise = template.without([label for label, here in labels if not here])
@@ -333,14 +333,14 @@ def fit_wavelet(
     """Fit every axis of a recording by generalized least squares of its wavelet variances.
 
     Raises:
-        FitError: a term that these variances do not see, or too few levels.
+        FitError: a term that these variances do not determine, or too few levels.
     """
     found = WaveletFilter.of(wavelet)
     for term in template.terms:
         if term.deterministic or term.narrow_band:
             raise FitError(
-                f"the variances of {wavelet} do not determine {term.name()}: leave it out of the model, or "
-                'give wavelet="haar"'
+                f"the {wavelet} wavelet variances do not determine {term.name()}; leave it out, or use "
+                'wavelet="haar"'
             )
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
@@ -507,12 +507,12 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
-    """Raise FitError if there are no more estimates, called so, of n samples than free parameters."""
+    """Raise FitError unless n samples give more of these `estimates` than there are free parameters."""
     free_count = sum(p.free for p in template.parameters)
     if count <= free_count:
         raise FitError(
             f"{name or 'the recording'}: {n} samples give {count} {estimates}, too few for {free_count} "
-            "parameters; record longer or use fewer terms"
+            "parameters; record for longer or use fewer terms"
         )
 
 
@@ -540,7 +540,9 @@ def _axis_fit(
     return AxisFit(
         axis=axis,
         converged=bool(solution.converged),
-        reason="" if solution.converged else "the fit did not converge; try fewer terms or other starts",
+        reason=""
+        if solution.converged
+        else "the fit did not converge; try fewer terms or other start values",
         chi2=float(solution.chi2),
         dof=dof,
         p_value=float(upper_tail(solution.chi2, dof)),

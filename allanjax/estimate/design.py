@@ -145,12 +145,12 @@ def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_resp
     """Model as `as_model` makes it, for a fit to these axes.
 
     Raises:
-        FitError: the model has a response, and that can not be fitted here.
+        FitError: the model has a response, which cannot be fitted here.
     """
     found = as_model(model, axes)
     if found.response is not None and not with_response:
         raise FitError(
-            f"a response ({found.response!r}) is estimated from the spectrum of a recording only: give "
+            f"a response ({found.response!r}) can only be estimated from a recording's spectrum; use "
             'objective="whittle" (--objective whittle), or leave it out'
         )
     return found

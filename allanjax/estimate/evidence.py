@@ -390,12 +390,14 @@ def sorted_terms(model: Model) -> tuple[tuple[int, ...], tuple[int, ...], tuple[
     for k, term in enumerate(model.terms):
         free = [p for p in term.parameters()[1:] if term.is_free(p)]
         if not term.has_free_amplitude:
-            raise AllanjaxError(f"{term.name()}: a held amplitude leaves nothing to choose")
+            raise AllanjaxError(
+                f"{term.name()}: a term with a held amplitude cannot be chosen; leave it free"
+            )
         if term.deterministic and len(term.parameters()) == 1:
             ramps.append(k)
         elif term.deterministic or term.narrow_band or len(free) > 1 or any(p.kind != "time" for p in free):
             raise AllanjaxError(
-                f"{term.name()} cannot be compared by evidence; fit with and without it and compare"
+                f"{term.name()} cannot be compared by evidence; fit with and without it, and compare the fits"
             )
         else:
             (shaped if free else fixed).append(k)
@@ -403,7 +405,7 @@ def sorted_terms(model: Model) -> tuple[tuple[int, ...], tuple[int, ...], tuple[
     few = 1 <= len(fixed) + len(ramps) + len(kinds) <= 6
     if len(shaped) > 2 or len(kinds) > 1 or len(ramps) > 1 or not few:
         raise AllanjaxError(
-            "the candidates may be at most six terms, one of them with a free time (or two of one kind) and "
-            "one a ramp; hold the others' times, e.g. Markov().hold(correlation_time=100.0)"
+            "at most six candidate terms, with at most one ramp and one term with a free time (or two of one "
+            "kind); hold the other times, e.g. Markov().hold(correlation_time=100.0)"
         )
     return tuple(fixed), tuple(shaped), tuple(ramps)

@@ -42,31 +42,32 @@ _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0
 
 
 def check_exact(model: Model | None, recording: Recording) -> None:
-    """Raise FitError for what the exact likelihood is not made for, with what to do instead."""
-    whittle = 'give objective="whittle"'
+    """Raise FitError where the exact likelihood cannot be used, with what to do instead."""
+    whittle = 'use objective="whittle"'
     if model is None:
         raise FitError(
-            'objective="exact" fits a given model and chooses no terms: give one, e.g. "N + K"; '
-            "allanjax.select_terms(recording) ranks them"
+            'objective="exact" needs a model, e.g. "N + K"; allanjax.select_terms(recording) ranks the terms'
         )
     if recording.n > MOST:
         raise FitError(
-            f"{recording.name or 'the recording'}: the exact likelihood is for up to {MOST:,} samples, not "
-            f"{recording.n:,}: {whittle}, which is as good for long records, or average the samples"
+            f"{recording.name or 'the recording'}: the exact likelihood takes at most {MOST:,} samples, not "
+            f"{recording.n:,}; {whittle}, which is as precise for long records, or average the samples"
         )
     for label, term in zip(model.term_labels, model.terms, strict=True):
         if term.deterministic:
-            raise FitError(f"the exact likelihood is for noise, and {label} is none: {whittle}")
+            raise FitError(f"{label} is not random, as the exact likelihood requires; {whittle}")
         if isinstance(term, PowerLaw) and any(term.is_free(p) for p in term.parameters()[1:]):
-            raise FitError(f"{label} has no state space that follows its exponent: hold it, or {whittle}")
+            raise FitError(
+                f"{label} has no state space with a free exponent; hold the exponent, or {whittle}"
+            )
 
 
 def fit_exact(
     recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"]
 ) -> tuple[AxisFit, bool]:
-    """Fit one axis of a recording by its exact likelihood, from the maximum of Whittle's; whether it was.
+    """Fit one axis by its exact likelihood, from the maximum of Whittle's; and whether that was possible.
 
-    Where the model does not follow the spectrum, the result is Whittle's, whose intervals say so.
+    Where the model does not fit the spectrum, the result is that of Whittle's likelihood.
     """
     start = fit_whittle(recording, k, template, active, {})
     missing = None if recording.missing is None else recording.missing[:, k]
@@ -75,7 +76,7 @@ def fit_exact(
     problem = _Problem.of(template, start, recording.values[:, k], recording.rate, missing)
     place, converged = problem.maximum()
     if not converged:
-        reason = "the exact likelihood has no maximum that was reached; try fewer terms"
+        reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
     solution, inference = problem.inferred(place)
     (found,) = coefficients_of(

@@ -41,7 +41,7 @@ from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
 from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
+from allanjax.estimate.selection import AxisSelection, TermSelection, percent, ranked
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
@@ -86,57 +86,56 @@ def fit(
 ) -> Fit:
     """Estimate the coefficients of a noise model from every axis of a recording.
 
-    First the recording is looked at (see `inspect`): where it was handled it is left out, on all axes, as the
-    fit's `warnings` and `stretch` say; if too little is left there is no result. A model with a step, a
-    warm-up or a telegraph, and regressors, say that the mean may move: that is no handling then.
+    The recording is inspected first (see `inspect`). Parts in which it was handled are left out on all axes;
+    `warnings` and `stretch` of the fit report them. If too little remains, there is no result. With a step, a
+    warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
 
-    `objective="allan"`: the overlapping Allan variances at four cluster times an octave are fitted by
-    generalized least squares, weighted with their full covariance at the fitted model itself (see `gls`).
-    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all that
-    the record knows of its spectrum: more efficient where terms are alike in the Allan curve, and for
-    lines by far. Ramps, lines and regressors are profiled out exactly.
-    `objective="wavelet"`: the wavelet variances (see `wavelet_variance`) of all levels are fitted as the
-    Allan variances are. With "haar" these are half the Allan variances at octaves.
-    `objective="exact"`: maximum of the Gaussian likelihood of the samples themselves, by a Kalman filter: for
-    a given model of noise terms and short records, up to 100,000 samples, in which the few lowest frequencies
-    matter; missing samples are left out, not drawn. Where the model does not follow the data, an axis has
-    Whittle's result.
+    `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
+    per octave, weighted with their full covariance under the fitted model (see `gls`).
+    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all spectral
+    information: more efficient where terms have similar Allan curves, and far more for lines. Ramps, lines
+    and regressors are profiled out exactly.
+    `objective="wavelet"`: generalized least squares of the wavelet variances of all levels (see
+    `wavelet_variance`). With "haar" these are half the Allan variances at octaves.
+    `objective="exact"`: maximum of the Gaussian likelihood of the samples, by a Kalman filter. For a given
+    model and records of up to 100,000 samples, in which the lowest frequencies matter; missing samples are
+    left out, not filled in. An axis that the model does not fit has the result of Whittle's likelihood.
 
-    Of a recording in stretches between gaps (`gaps="segments"`) coefficients are of all of them together, by
-    Whittle's likelihood, each less its own mean; `objective` is "whittle" then. Filters, resonances and lines
-    are searched for in the longest alone, and what needs one record is fitted to it; a note says so.
+    The segments of a recording with gaps (`gaps="segments"`) are fitted jointly by Whittle's likelihood, each
+    less its own mean; `objective` is then "whittle". Filters, resonances and lines are searched for in the
+    longest segment only, and whatever needs a single record is fitted to that segment; a note reports it.
 
     Args:
-        recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
-        model: the terms, added up with `+`, or written as on the command line, `"N + B + K"`; parameters
-            with a value start there, those held stay there. The time of a step and the time constant of a
-            warm-up must have a value and are held; such terms need "whittle".
-            Without one, the terms are those that `select_terms` chooses for each axis among the five basic
-            ones and a Markov process; for the basic terms not chosen there is an upper limit. Where no set
-            of terms follows the data, the spectrum is searched for a filter, resonances, lines and further
-            Markov processes, and what is found is fitted jointly (`AxisFit.own_template`, `plain`).
+        recording: a result of `read`; or samples [samples, axes], a data frame, or the path of a file.
+        model: sum of terms, or its text as on the command line, `"N + B + K"`. Parameters with a value start
+            there; held ones stay there. The time of a step and the time constant of a warm-up need a value
+            and are held; such terms need "whittle".
+            Without a model, `select_terms` chooses the terms for each axis among the five basic ones and a
+            Markov process; basic terms not chosen have an upper limit. Where no set of terms fits, the
+            spectrum is searched for a filter, resonances, lines and further Markov processes, which are
+            fitted jointly with the terms (`AxisFit.own_template`, `plain`).
         objective: "allan", "whittle", "wavelet" or "exact".
-        wavelet: an orthogonal wavelet by its name in PyWavelets, for "wavelet"; all but "haar" leave ramps
-            and lines undetermined.
-        regressors: names of auxiliary channels (temperature, say) whose multiples may be part of the rate;
+        wavelet: name of an orthogonal wavelet in PyWavelets, for "wavelet"; only "haar" determines ramps and
+            lines.
+        regressors: names of auxiliary channels, such as temperature, on which the rate may depend linearly;
             with "whittle" only.
-        as_is: whether to use all of the recording whatever it looks like; the warnings stay.
-        vibrating: whether the platform is meant to move or vibrate: motion is no reason for a warning then.
-        plain: whether to leave it at the terms where they do not suffice.
-        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
-            and a file may state their own.
-        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
+        as_is: whether to use the whole recording even where it was disturbed; the warnings stay.
+        vibrating: whether the platform is meant to move or vibrate; motion then raises no warning.
+        plain: whether to fit the noise terms only, even where they do not fit the data.
+        rate, gyro_unit, accel_unit, names: for an array, as in `Recording.from_array`; data frames and files
+            may state their own.
+        gaps: treatment of missing samples, as in `read`; in an array, of samples that are nan.
 
     Returns:
-        The fit. Axes that did not converge say so, and raise FitError when asked for coefficients.
+        The fit. The coefficients of an axis that did not converge raise FitError.
 
     Raises:
-        FitError: if the record is too short for the model; a step or warm-up without a time, or with "allan";
-            with "exact" a record that is too long, no model, or one with lines or ramps.
-        AllanjaxError: an unknown objective; a regressor that is no auxiliary channel, or is constant.
+        FitError: the record is too short for the model; a step or warm-up without a time, or with "allan";
+            "exact" with a record that is too long, without a model, or with lines or ramps.
+        AllanjaxError: an unknown objective; a regressor that is not an auxiliary channel, or is constant.
     """
     if model in get_args(Objective):
-        raise AllanjaxError(f'{model!r} is an objective, not a model: give objective="{model}"')
+        raise AllanjaxError(f'{model!r} is an objective, not a model; pass objective="{model}"')
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     seen = inspected(recording, model, regressors, as_is, vibrating)
     return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet, as_is)
@@ -249,7 +248,7 @@ def _exact(
         for (result, exact), factor in zip(found, by, strict=True)
     )
     names = [result.axis.name for result, exact in found if not exact]
-    note = f"{', '.join(names)}: by Whittle's likelihood, as the model does not follow the data"
+    note = f"{', '.join(names)}: fitted by Whittle's likelihood, as the model does not fit"
     return results, (note,) if names else ()
 
 
@@ -319,7 +318,7 @@ def _left(fact: Fact, found: Fit) -> Fact:
         return fact
     if any(term.narrow_band or isinstance(term, Sinusoid) for term in found[fact.axes[0]].model.terms):
         return fact
-    text = f"{fact.text}: no term of the model is for that, and the intervals allow for it"
+    text = f"{fact.text}: no term of the model describes it; the intervals are widened accordingly"
     return dataclasses.replace(fact, consequence="widened", text=text)
 
 
@@ -358,7 +357,7 @@ def _check_distinct(template: Model) -> None:
         shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
         if len(term.parameters()) == len(shape) + 1:
             if (key := (type(term), *shape, template.inside[k : k + 1])) in seen:
-                raise FitError(f"no data tell {term.name()} from {term.name()}: leave one of them out")
+                raise FitError(f"the model has {term.name()} twice; leave one of them out")
             seen.add(key)
 
 
@@ -369,13 +368,13 @@ def _with_known_transients(template: Model, objective: Objective) -> Model:
         if not isinstance(term, Transient):
             continue
         if objective != "whittle":
-            raise FitError(f'{term.name()} has no Allan variance of its own: give objective="whittle"')
+            raise FitError(f'{term.name()} has no Allan variance of its own; use objective="whittle"')
         shapes = [p.name for p in term.parameters()[1:]]
         for shape in shapes:
             if getattr(term, shape) is None:
                 raise FitError(
-                    f"a fit does not search for the {shape} of a {term.name()}: give it, e.g. "
-                    f'{type(term).__name__}({shape}=120.0).hold("{shape}"); the critique finds it'
+                    f"a fit does not estimate the {shape} of a {term.name()}; pass it, e.g. "
+                    f'{type(term).__name__}({shape}=120.0).hold("{shape}"); allanjax.critique estimates it'
                 )
         terms[k] = term.hold(*shapes)
     return dataclasses.replace(template, terms=tuple(terms))
@@ -387,7 +386,7 @@ def _regressors(
     """Auxiliary channels of these names, their means subtracted."""
     if names and objective != "whittle":
         raise AllanjaxError(
-            'regressors are profiled out of the spectrum only: give objective="whittle" (--objective whittle)'
+            'regressors need the likelihood of the spectrum; use objective="whittle" (--objective whittle)'
         )
     channels = {}
     for name in names:
@@ -400,16 +399,16 @@ def _regressors(
         channels[name] = channel - channel.mean()
         if not np.isfinite(channel).all() or not channels[name].any():
             raise AllanjaxError(
-                f"auxiliary channel {name!r} is constant or not finite: nothing to regress on"
+                f"auxiliary channel {name!r} is constant or not finite; leave it out of the regressors"
             )
     return channels
 
 
 def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
-    """Result that allows for the choice of terms.
+    """Result whose intervals include the uncertainty of the choice of terms.
 
-    Intervals of amplitudes cover those of all sets that the data do not distinguish from the best one. Terms
-    are detected only where the sets with them have nearly all the probability.
+    Intervals of amplitudes cover those of all sets that cannot be distinguished from the best one. A term is
+    detected only if the sets that have it have nearly all the probability.
     """
     if not result.converged:
         return result
@@ -426,11 +425,16 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
 
 
 def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
-    """Notes on terms that the data could not tell apart."""
-    notes = []
+    """Notes on terms that the data leave undecided: one note per term, with its axes and probabilities."""
+    found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
     for axis in selection.values() if selection else ():
-        if found := axis.ambiguities():
-            notes.append(f"{axis.axis.name}: the data do not tell {'; '.join(found[:3])}")
+        for question, words, one, other in axis.undecided():
+            found.setdefault((question, words), []).append((axis.axis.name, one, other))
+    notes = []
+    for (question, words), of in found.items():
+        names = [name for name, *_ in of]
+        probabilities = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
+        notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
     return tuple(notes)
 
 
@@ -441,9 +445,9 @@ class BulkFit(ByValue):
     Axes that did not converge have NaN for their coefficients and detect nothing.
 
     Attributes:
-        template: the model as asked for.
+        template: the model that was asked for.
         curve: the Allan deviations it was fitted to.
-        value: the estimates; zero for an amplitude that the data do not call for.
+        value: the estimates; zero for the amplitude of a term that improves nothing.
         std: their standard deviations.
         lower, upper: ends of the 95 % intervals; the lower one is zero where zero is not excluded.
         upper_limit: one-sided 95 % limits of amplitudes; NaN for other coefficients.
@@ -451,9 +455,8 @@ class BulkFit(ByValue):
         converged: whether the axis has a result.
         chi2, dof: misfit of the Allan variances to the model within their own scatter.
         discrepancy: as in `AxisFit`.
-        measured: whether the coefficients are a measurement: not where the fitted curve is far off (see
-            `AxisFit.misfit`), where they have no standard deviation, no interval and no limit, and nothing is
-            detected.
+        measured: whether the coefficients are a measurement. They are not where the fitted curve is far off
+            (see `AxisFit.misfit`): there is then no standard deviation, interval or limit.
     """
 
     template: Model
@@ -485,10 +488,10 @@ class BulkFit(ByValue):
         return len(self.value)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row an axis and coefficient, with the columns of `Fit.to_dataframe`.
+        """One row per axis and coefficient, with the columns of `Fit.to_dataframe`.
 
-        Numbers are in the usual units; where the curve is that of an array, whose sensor is not known, in the
-        array's own unit and seconds, with an empty `unit`.
+        Numbers are in the usual units; for the curve of an array, whose sensor is unknown, in the array's own
+        unit and seconds, with an empty `unit`.
         """
         import pandas as pd
 
@@ -536,21 +539,21 @@ class BulkFit(ByValue):
 def fit_many(
     data: AllanDeviation | Sequence[Recording], model: ModelLike, *, cluster_times: Spacing = "octave"
 ) -> BulkFit:
-    """Estimate the coefficients of one noise model from each of many axes, thousands a second.
+    """Estimate the coefficients of one noise model for each of many axes, thousands per second.
 
-    Every axis gets what `fit` with `objective="allan"` makes of the same Allan variances, by default at
-    octaves of the cluster time: some 5 % less precise in the middle of the curve than `fit` with its four an
-    octave, and twenty times faster.
+    The result for an axis is that of `fit` with `objective="allan"` for the same Allan variances, by default
+    at octaves of the cluster time: some 5 % less precise in the middle of the curve than `fit`, which has
+    four cluster times per octave, and twenty times faster.
 
     Args:
         data: a curve of any number of axes, e.g. `allan_deviation(x, rate)` of an array [samples, units]; or
             recordings of equal length and rate, whose axes are then named "recording/axis".
-        model: the terms; their starts and what is held as in `fit`.
+        model: the terms, with start values and held parameters as in `fit`.
         cluster_times: spacing of the cluster times of recordings, see `allan_deviation`; a curve has its own.
 
     Raises:
-        FitError: a line, a resonance or a transient, which need the record itself; too few cluster times.
-        AllanjaxError: recordings that differ in length or rate, or none; a modified or Hadamard curve.
+        FitError: a line, resonance or transient, which needs the record itself; too few cluster times.
+        AllanjaxError: no recordings, or of different lengths or rates; a modified or Hadamard curve.
     """
     curve = _curve_of(data, cluster_times)
     template = model_to_fit(model, curve.axes or ())
@@ -563,8 +566,8 @@ def _check_terms(template: Model) -> None:
     for term in template.terms:
         if needs_record(term):
             raise FitError(
-                f"{term.name()} is found in the record itself, not in Allan variances: "
-                "leave it out, or fit each recording with allanjax.fit"
+                f"{term.name()} is estimated from the record itself, not from Allan variances; leave it out, "
+                "or fit each recording with allanjax.fit"
             )
 
 
@@ -572,19 +575,19 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
     """The Allan deviations of all axes."""
     if isinstance(data, AllanDeviation):
         if data.kind != "allan":
-            raise AllanjaxError(f"a fit needs the Allan deviation, not a {data.kind} one: leave out kind")
+            raise AllanjaxError(f"a fit needs the Allan deviation, not a {data.kind} one; leave out kind")
         if not (isinstance(cluster_times, str) and cluster_times == "octave"):
-            raise AllanjaxError("a curve has its own cluster times: leave out cluster_times")
+            raise AllanjaxError("a curve has its own cluster times; leave out cluster_times")
         return data
     if isinstance(data, Recording) or not all(isinstance(r, Recording) for r in data) or not len(data):
-        raise AllanjaxError("give an AllanDeviation or a sequence of recordings, e.g. [recording]")
+        raise AllanjaxError("pass an AllanDeviation or a sequence of recordings, e.g. [recording]")
     names = [recording.name or str(k) for k, recording in enumerate(data)]
     first = data[0]
     for name, recording in zip(names, data, strict=True):
         if (recording.n, recording.rate) != (first.n, first.rate):
             raise AllanjaxError(
                 f"{name} has {recording.n} samples at {recording.rate:g} Hz, but {names[0]} {first.n} at "
-                f"{first.rate:g} Hz: cut them to one length with between(), or fit it on its own"
+                f"{first.rate:g} Hz; cut them to one length with between(), or fit it separately"
             )
     alone = (dataclasses.replace(recording, others=()) for recording in data)
     curves = [allan_deviation(recording, cluster_times=cluster_times) for recording in alone]

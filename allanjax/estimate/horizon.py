@@ -1,4 +1,4 @@
-"""How long a sensor coasts: what a filter may take its bias to be, and for how long that holds.
+"""How long a sensor coasts: the bias model that a filter may use, and for how long it holds.
 
 The filter has seen the sensor at rest for long, and has an estimate of the bias by a steady-state Kalman
 filter for samples z_k = b_k + v_k with b_{k+1} = φ b_k + w_k, variances R = N²·rate and Q. The bias is a
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
@@ -36,15 +36,16 @@ from allanjax.base.wording import finite_or_none, significant
 from allanjax.estimate.as_json import in_both_units
 from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
+from allanjax.estimate.tables import Column, Number, as_html, as_text, column, tables_of
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
 from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
+from allanjax.record.units import SENSORS, SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
-#: What the bias is to the filter.
+#: How the filter models the bias.
 Process = Literal["walk", "markov"]
 SCHEMA_VERSION = 1
 #: Exponents of time in the units of N and K, of the angle, and of the bias.
@@ -254,31 +255,29 @@ def memories(duration: float, rate: float, terms: Sequence[float] = (), count: i
 class AxisHorizon(ByValue):
     """White noise and process of the bias for the filter of one axis, up to a horizon.
 
-    The filter has estimated the bias from the sensor at rest, and integrates what it measures, less that
-    bias. Its `error` is that of the angle (of the velocity). See `estimate.horizon`. To the filter the bias
-    is a random walk, or a first-order Gauss–Markov process, which is a walk that returns to zero in the
-    correlation time: K is then the root of the density of the noise that drives it.
+    The filter has estimated the bias from the sensor at rest and integrates the samples less that bias. Its
+    `error` is that of the angle (or velocity). The filter models the bias as a random walk, or as a
+    first-order Gauss–Markov process; K² is then the density of the noise that drives it.
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         horizon: time between corrections [s].
-        probability: that of the bounds.
-        white, walk: the N and K whose predicted variance is the true one at the horizon, and closest to it
-            in the largest ratio at shorter times, from a hundredth of the horizon on.
-        correlation_time: of the Gauss–Markov process, one of those that are
-            compared, a factor of two apart or less; None for a walk.
-        mismatch: how many times larger or smaller the predicted standard deviation is there at most.
-        bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
-            true variance, at each with this probability; of all such pairs the one with the least mean
-            logarithm of the predicted variance.
+        probability: probability of the bounds.
+        white, walk: the N and K whose predicted variance equals the true one at the horizon and is closest to
+            it, in the largest ratio, at shorter times down to a hundredth of the horizon.
+        correlation_time: correlation time of the Gauss–Markov process, from a grid with steps of at most a
+            factor of two; None for a walk.
+        mismatch: largest ratio of the predicted standard deviation to the true one, either way.
+        bounding_white, bounding_walk: the N and K [SI] whose predicted variance is nowhere below the true
+            one, with this probability at each time; the pair with the least mean log variance.
         bounding_time: correlation time of the bounding process [s]; infinite for a walk.
-        raw_white, raw_walk: N and K of the fitted model, SI; zero if it has none.
+        raw_white, raw_walk: N and K of the fitted model [SI]; zero if it has none.
         time: times [s] since the last correction.
         error: standard deviation of the error [rad or m/s] with `white` and `walk`, all terms included.
-        raw_error, raw_prediction: the same with the raw N and K, as a walk, and what these predict.
+        raw_error, raw_prediction: the same with the raw N and K as a walk, and what these predict.
         bound: the standard deviation that the bounding pair predicts.
         shares: shares of the terms in the variance of the error at the horizon, the largest first.
-        sets: how many likely sets of terms were averaged over.
+        sets: number of likely sets of terms that were averaged over.
     """
 
     axis: Axis
@@ -312,7 +311,7 @@ class AxisHorizon(ByValue):
 
     @property
     def raw_factor(self) -> float:
-        """How many times the error at the horizon is what a filter with raw N and K predicts; inf without."""
+        """Ratio of the error at the horizon to what a filter with the raw N and K predicts; inf without."""
         predicted = float(self.raw_prediction[-1])
         return float(self.raw_error[-1]) / predicted if predicted > 0.0 else math.inf
 
@@ -324,50 +323,25 @@ class AxisHorizon(ByValue):
 
     @property
     def bounding_bias_std(self) -> float:
-        """The same of the bounding process."""
+        """The same for the bounding process."""
         return self.bounding_walk * math.sqrt(self.bounding_time / 2.0)
 
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
-        told = [f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in self.shares.items() if x >= _NAMED]
-        return ", ".join(told)
+        shares = [
+            f"{title_of(k, self.axis.sensor)} {100.0 * x:.0f} %"
+            for k, x in self.shares.items()
+            if x >= _NAMED
+        ]
+        return ", ".join(shares)
 
-    def _shown(self, name: str, value: float) -> str:
-        unit = default_coefficient_unit(self.axis.sensor, EXPONENTS[name])
-        return f"{significant(value / unit_scale(unit, self.axis.sensor))} {unit}"
-
-    def _times(self) -> str:
-        """The correlation time and its interval in words; both are of a grid."""
-        assert self.correlation_time is not None
-        low, high = map(length, self.correlation_time.interval)
-        return f"{length(self.correlation_time.value)} (95 %: {low} … {high})"
-
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, quantity, equal to the model's error, bound."""
-        name, cells = self.axis.name, []
-        bounds = {"white": self.bounding_white, "walk": self.bounding_walk}
-        raw = {"white": self.raw_white, "walk": self.raw_walk}
-        for key, symbol in (("white", "N"), ("walk", "K")):
-            factor = self.inflation[key]
-            own = self._shown(key, raw[key]) if raw[key] > 0.0 else "none"
-            times = f" × {significant(factor)}" if math.isfinite(factor) else ""
-            estimate = getattr(self, key).in_unit()
-            cells.append(
-                (name, f"{symbol}*: raw {own}{times}", estimate.describe(), self._shown(key, bounds[key]))
-            )
-        if self.correlation_time is not None:
-            cells.append((name, "T*: correlation time", self._times(), length(self.bounding_time)))
-            size, bound = (self._shown("bias", x) for x in (self.bias_std, self.bounding_bias_std))
-            cells.append((name, "1σ of the process, K*·√(T*/2)", size, bound))
-        error, bound = (self._shown("integral", float(x[-1])) for x in (self.error, self.bound))
-        kind = "velocity" if self.axis.sensor == "accel" else "angle"
-        cells.append((name, f"1σ of the {kind} after {length(self.horizon)}", error, bound))
-        sets = f", averaged over {self.sets} likely sets of terms" if self.sets > 1 else ""
-        told = "there are no raw N and K"
+    def describe(self) -> str:
+        """What a filter with the raw N and K gets wrong, and what the error is made of, in words."""
+        sets = f"; averaged over {self.sets} likely sets of terms" if self.sets > 1 else ""
+        raw = ""
         if math.isfinite(self.raw_factor):
-            told = f"with raw N and K it is {significant(self.raw_factor)} times what they predict"
-        cells.append((name, f"{told}; it is made of {self.causes()}{sets}", "", ""))
-        return cells
+            raw = f"with the raw N and K the error is ×{significant(self.raw_factor)} what they predict; "
+        return f"{self.axis.name}: {raw}error from {self.causes()}{sets}"
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
@@ -400,7 +374,7 @@ class AxisHorizon(ByValue):
         return f"<AxisHorizon {self.axis.name}, {length(self.horizon)}: N* {white}, K* {walk}{time}>"
 
     def to_dataframe(self):  # type: ignore[no-untyped-def]  # pandas is imported late
-        """Errors by time: of the matched pair, its prediction's bound, and with raw N and K, in SI."""
+        """Errors by time, SI: of the matched pair, its bound, and with the raw N and K."""
         import pandas as pd
 
         return pd.DataFrame({"axis": self.axis.name, **{name: getattr(self, name) for name in _SERIES}})
@@ -413,14 +387,13 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     Attributes:
         name: the recording's name.
         horizon: time between corrections [s].
-        process: what the bias is to the filters, "walk" or "markov".
-        probability: that of the bounds.
-        results: one an axis.
-        notes: of a data sheet, what was assumed and what it does not give.
+        process: how the filters model the bias, "walk" or "markov".
+        probability: probability of the bounds.
+        results: one per axis.
+        notes: for a data sheet, what was assumed and what it does not state.
     """
 
     CALLED: ClassVar[str] = "the horizon"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "for the filter", "equal ± 1σ", "bound")
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -433,7 +406,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     def to_dict(self) -> dict[str, Any]:
         """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
 
-        `allanjax schema horizon` says what each means.
+        `allanjax schema horizon` describes the keys.
         """
         return {
             "schema_version": SCHEMA_VERSION,
@@ -446,18 +419,50 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         }
 
     def __str__(self) -> str:
-        return "\n".join([super().__str__(), *(f"note: {note}" for note in self.notes)])
+        return as_text(self._title(), *self._printed())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title(), *self._printed())
 
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        return (
-            f"{name}corrections every {length(self.horizon)}{process}, bounds at {self.probability:.0%} "
-            "probability"
-        )
+        probability = f"{100.0 * self.probability:.0f} %"
+        return f"{name}corrections every {length(self.horizon)}{process}, bounds at {probability} probability"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        return [row for result in self.results for row in result.rows()]
+    def _printed(self) -> tuple[list[list[Column]], list[str]]:
+        """Tables with one row per axis, one per sensor, and the lines below them."""
+        tables = []
+        for sensor in SENSORS:
+            of = [r for r in self.results if r.axis.sensor == sensor]
+            error = f"{'velocity' if sensor == 'accel' else 'angle'} after {length(self.horizon)}"
+
+            def numbers(head: str, name: str, values: Iterable[float], sensor: Sensor = sensor) -> Column:
+                unit = default_coefficient_unit(sensor, EXPONENTS[name])
+                return column(head, unit, [Number(x / unit_scale(unit, sensor)) for x in values])
+
+            def estimates(head: str, values: Iterable[Estimate]) -> Column:
+                shown = [c.in_unit() for c in values]
+                return column(head, shown[0].unit, [Number(c.value, c.std) for c in shown])
+
+            if of:
+                times = [r.correlation_time for r in of if r.correlation_time is not None]
+                main = [estimates("N*", (r.white for r in of)), estimates("K*", (r.walk for r in of))]
+                if times:
+                    main.append(column("T*", "s", [Number(c.value) for c in times]))
+                    main.append(numbers("1σ of the bias", "bias", (r.bias_std for r in of)))
+                others = [
+                    numbers(error, "integral", (r.error[-1] for r in of)),
+                    numbers("bound N", "white", (r.bounding_white for r in of)),
+                    numbers("bound K", "walk", (r.bounding_walk for r in of)),
+                    *([column("bound T", "s", [Number(r.bounding_time) for r in of])] if times else []),
+                    numbers("bound error", "integral", (r.bound[-1] for r in of)),
+                ]
+                tables += tables_of([Column("axis", [r.axis.name for r in of])], main, others)
+        about = (
+            "N*, K*: with these the filter's predicted error is that of the model; bound: nowhere below it"
+        )
+        return tables, [about, *(r.describe() for r in self.results), *(f"note: {n}" for n in self.notes)]
 
 
 class _Noise(NamedTuple):
@@ -481,31 +486,31 @@ def horizon(
 ) -> Horizon:
     """White noise and walk with which a filter's predicted error is that of the whole model, up to a horizon.
 
-    A filter of two parameters estimates the bias from the sensor at rest and integrates its samples, less
-    the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, the lines
-    and those behind a response included. The pair `white` and `walk` predicts it as well as two numbers
-    can; the bounding pair is at no time below it, with this probability of the coefficients. Where the
-    data do not tell sets of terms apart, both are averaged over the likely ones.
+    A filter with two parameters estimates the bias from the sensor at rest and integrates its samples, less
+    the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, including
+    lines and terms behind a response. `white` and `walk` predict it as well as two numbers can; with the
+    given probability, the bounding pair is never below it. Where the data cannot distinguish sets of terms,
+    both are averaged over the likely sets.
 
     Args:
-        fit: what `fit` or `load` returned; or a data sheet, taken as exact, with the bias estimated over an
-            hour at rest, or over two horizons if these are longer.
+        fit: a result of `fit` or `load`; or a data sheet, taken as exact, with the bias estimated over one
+            hour at rest, or over two horizons if that is longer.
         seconds: time between corrections [s], at least two samples and at most half the record.
-        process: what the bias is to the filter: a random walk, or ("markov") a first-order Gauss–Markov
-            process, whose correlation time is then found with the pair, among filters whose true error at
-            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
-            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
-        rate: sample rate [Hz] of a data sheet, by default 100 Hz; a fit has its own.
-        axes: names of axes; by default all that have a measurement. Those of a data sheet are its sensors.
-        probability: that of the bounds.
-        seed: of the draws of the coefficients.
+        process: how the filter models the bias: as a random walk ("walk"), or as a first-order Gauss–Markov
+            process ("markov"). Its correlation time is then estimated with the pair, among filters whose true
+            error at the horizon is at most a tenth above the least. (A filter that soon forgets the bias may
+            predict as well, but leaves the drift in the error.)
+        rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
+        axes: names of axes; by default all with a measurement. The axes of a data sheet are its sensors.
+        probability: probability of the bounds.
+        seed: seed of the draws of the coefficients.
 
     Raises:
-        FitError: an axis without a measurement that was asked for, or no axis with one.
-        AllanjaxError: a horizon, a process or a probability out of range; a term that has no state space.
+        FitError: a requested axis has no measurement, or no axis has one.
+        AllanjaxError: the horizon, process or probability is out of range; a term has no state space.
     """
     if process not in get_args(Process):
-        raise AllanjaxError(f"process= (--process) must be walk or markov, not {process!r}")
+        raise AllanjaxError(f"process (--process) must be walk or markov, not {process!r}")
     if isinstance(fit, DataSheet):
         rate, record = rate or RATE, max(_AT_REST, 2.0 * seconds)
     elif rate is not None:
@@ -522,7 +527,7 @@ def horizon(
     asked = [axes] if isinstance(axes, str) else axes
     noises = _noises(fit, asked, seed)
     if not noises:
-        raise FitError("no axis has a measurement: the fit says why")
+        raise FitError("no axis has a measurement; print the fit to see why")
     found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)

@@ -21,8 +21,8 @@ from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import Bins, SegmentSpectra, SpectralStatistics
 
-_JOINT = "coefficients by Whittle's likelihood of {count} stretches together, {n} samples"
-_ALONE = "coefficients of the longest stretch alone: {why}"
+_JOINT = "joint fit of {count} segments, {n} samples, by Whittle's likelihood"
+_ALONE = "only the longest segment was fitted: {why}"
 
 
 def check_terms(model: Model) -> None:
@@ -30,8 +30,8 @@ def check_terms(model: Model) -> None:
     for term in model.terms:
         if needs_record(term):
             raise FitError(
-                f"{term.name()} can not be found in a stream's averaged spectrum, it needs the record: "
-                "leave it out, or read a stretch that fits into memory (start=, stop=) and fit that"
+                f"{term.name()} cannot be estimated from the averaged spectrum of a stream; leave it out, or "
+                "read a part that fits into memory (start=, stop=) and fit that"
             )
 
 
@@ -107,7 +107,7 @@ def fit_statistics(
 def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
     """Raise AllanjaxError if there are not as many axes as columns of samples."""
     if len(axes) != spectra.last.shape[1]:
-        raise AllanjaxError(f"{len(axes)} axes are named, but the samples have {spectra.last.shape[1]}")
+        raise AllanjaxError(f"{len(axes)} names of axes for samples of {spectra.last.shape[1]} axes")
 
 
 def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Recording:
@@ -120,8 +120,8 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     calm = [x for look, stretch in zip(looks, stretches, strict=True) for x in _calm(look, stretch)]
     notes = quiet.notes
     if touched := sum(bool(look.parts or look.refusal) for look in looks):
-        note = "without the parts in which the sensor was touched"
-        notes += (f"{touched} of {len(others) + 1} stretches used {note}",)
+        note = "parts in which the sensor was touched are left out"
+        notes += (f"{touched} of {len(others) + 1} segments: {note}",)
     return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
 
 
@@ -134,19 +134,19 @@ def _calm(look: Inspection, stretch: Recording) -> list[Float[np.ndarray, "n axe
 def joined(
     recording: Recording, model: ModelLike | None, objective: str, regressors: Sequence[str]
 ) -> Recording:
-    """The recording with all its stretches if they can be fitted together, else the longest; a note tells."""
+    """The recording with all segments if they can be fitted jointly, else the longest; a note reports it."""
     if not recording.others:
         return recording
     why = ""
     template = Model(()) if model is None else model_to_fit(model, recording.axes, with_response=True)
     if objective not in ("allan", "whittle"):
-        why = f'objective="{objective}" has one stretch'
+        why = f'objective="{objective}" takes a single segment'
     elif regressors:
-        why = "regressors are of one stretch"
+        why = "regressors need a single segment"
     elif template.response is not None:
-        why = "responses are fitted to one stretch"
+        why = "a response is fitted to a single segment"
     elif lines := [term.name() for term in template.terms if needs_record(term)]:
-        why = f"{lines[0]} is found in one stretch only"
+        why = f"{lines[0]} is fitted to a single segment"
     if why:
         note = _ALONE.format(why=why)
         return dataclasses.replace(recording, others=(), notes=(*recording.notes, note))

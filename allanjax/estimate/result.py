@@ -24,6 +24,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import duration, plain, significant
+from allanjax.estimate.tables import as_html, as_text, details, overview
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
@@ -81,8 +82,8 @@ _NEAR = 3.0
 _NAMED = 3
 #: What to do about a curve that is far off.
 NEXT = (
-    "look at the picture; allanjax critique FILE looks for the cause; "
-    "--start and --stop cut off what was not at rest, --terms takes other terms"
+    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
+    "at rest, --terms selects other terms"
 )
 # Least share of N that is white noise.
 _LITTLE = 1e-6
@@ -90,17 +91,17 @@ _LITTLE = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Misfit:
-    """The deviation of an axis's measured curve from the fitted one, where scatter does not explain it.
+    """The deviation of an axis's measured curve from the fitted one beyond its scatter.
 
     Attributes:
-        largest: measured over model less one at the place where the two differ most for certain; 0 if they
-            differ nowhere by more than single estimates scatter.
+        largest: measured/model − 1 at the place where the certain difference is largest; 0 if the two differ
+            nowhere by more than single estimates scatter.
         at: that place, a cluster time [s] or a frequency [Hz]; nan if there is none.
         unit: its unit: "s" of an Allan deviation, "Hz" of a root PSD.
-        rms: root mean square over all places of ln(measured/model) less scatter, as a relative deviation.
-        sustained: what the deviation certainly exceeds over some octave, of which each Allan deviation is an
-            average, and of a root PSD over most of one; as a relative deviation.
-        scatter: how far from the model an estimate at that place may be by chance, as a relative deviation.
+        rms: root mean square of ln(measured/model) over all places, less scatter, as a relative deviation.
+        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation is an
+            average over one), in a root PSD over most of one.
+        scatter: relative deviation that chance may cause at that place.
     """
 
     largest: float
@@ -112,27 +113,26 @@ class Misfit:
 
     @property
     def excessive(self) -> bool:
-        """Whether the curve is off by so much that its coefficients are not a measurement."""
+        """Whether the curve is so far off that its coefficients are not a measurement."""
         return self.rms > LIMIT or self.sustained > OCTAVE
 
     def beside(self, other: Misfit | None) -> Misfit | None:
-        """The misfit, if it is worth mentioning beside another curve's, or where that one suffices."""
+        """The misfit if it is worth mentioning beside that of another curve, else None."""
         return self if self.rms > (_CLEAR if other is None else _NOTABLE) else None
 
     @property
     def curve(self) -> str:
-        """Name of the curve that the misfit is of."""
+        """Name of the curve."""
         return "Allan deviation" if self.unit == "s" else "root PSD"
 
     def __str__(self) -> str:
         if self.largest == 0.0:
-            return f"its {self.curve} is off, nowhere by more than single estimates scatter"
+            return f"{self.curve} off, but nowhere by more than single estimates scatter"
         chance = ""
         if np.log1p(self.scatter) > _MUCH * abs(np.log1p(self.largest)):
-            chance = f" (by chance up to {deviation(self.scatter)} there)"
-        place = f"{plain(self.at, 3)} {self.unit}{chance}"
+            chance = f" (up to {deviation(self.scatter)} may be chance)"
         return (
-            f"its {self.curve} is off by up to {deviation(self.largest)} at {place}, "
+            f"{self.curve} off by {deviation(self.largest)} at {plain(self.at, 3)} {self.unit}{chance}, "
             f"{deviation(self.rms)} rms"
         )
 
@@ -211,18 +211,18 @@ def spectral_misfit(
 
 
 def deviation(relative: float) -> str:
-    """A relative deviation in words: "47 %", or of large ones the factor, whichever way: "a factor 18"."""
+    """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
         return f"{100.0 * abs(relative):.2g} %"
-    return f"a factor {factor:.2g}" if factor < 99.5 else f"a factor {factor:,.0f}"
+    return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
 class AxisEstimates:
     """Base of the fit and of the posterior of one axis: estimates by name, as a table, and in two lines.
 
     Attributes:
-        axis: whose the estimates are.
+        axis: the axis.
         coefficients: each by its label, detected or not.
     """
 
@@ -240,7 +240,7 @@ class AxisEstimates:
 
     @TextProperty
     def verdict(self) -> str:
-        """One line on how far the estimates can be trusted."""
+        """How far the estimates can be trusted, in one line."""
         raise NotImplementedError
 
     def __getitem__(self, name: str) -> Estimate:
@@ -253,7 +253,7 @@ class AxisEstimates:
         return self.coefficients[label]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a coefficient, in its usual unit."""
+        """One row per coefficient, in its usual unit."""
         import pandas as pd
 
         shown = [c.in_unit() for c in self.coefficients.values()]
@@ -264,8 +264,8 @@ class AxisEstimates:
         names: dict[bool, list[str]] = {True: [], False: []}
         for c in self.coefficients.values():
             names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
-        absent = f"; not detectable: {', '.join(names[False])}" if names[False] else ""
-        found = ", ".join(names[True]) or "nothing found"
+        absent = f"; not detected: {', '.join(names[False])}" if names[False] else ""
+        found = ", ".join(names[True]) or "nothing detected"
         return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
 
 
@@ -289,7 +289,7 @@ def correction_of(
         bandwidth: of the response, if there is one.
     """
     causes = _bandwidth(found, bandwidth)
-    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "line")
+    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "spectral line")
     if not causes:
         several = sum(isinstance(term, Markov) for term in template.terms) > 1
         causes = ["Markov processes of several correlation times" if several else "a Markov process"]
@@ -297,7 +297,7 @@ def correction_of(
     if before is None or not (after.value > 0.0 and before.value > 0.0):
         return text
     new, old = after.in_unit(), before.in_unit()
-    return f"{text}: {new.title} {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
+    return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
 
 def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
@@ -354,28 +354,28 @@ class AxisFit(ByValue, AxisEstimates):
     """The fit of one axis.
 
     Attributes:
-        axis: whose it is.
-        converged: whether it may be trusted; `reason` says why not.
-        chi2, dof, p_value: misfit of the spectrum's levels to the model within their own scatter (for "exact"
-            that of Whittle's maximum); where the curve alone is known, as in a stream, χ² of the Allan
-            variances, without a p-value, as their law at long cluster times is not that of χ².
+        axis: the axis.
+        converged: whether there is a result; otherwise `reason` gives the reason.
+        chi2, dof, p_value: χ² of the spectrum's levels about the model (for "exact", about the maximum of
+            Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; it
+            has no p-value, as it does not follow a χ² law at long cluster times.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
-            that brings χ² down to `dof`, or the rms deviation of `misfit` if that is larger; 0 if the model
-            suffices. Standard deviations and intervals include it.
-        misfit: how far the fitted curve is off and where; None if the model suffices or there is no result.
-            If it is excessive no coefficient is a measurement of the sensor (`measured`).
-        allan_misfit: of a fit of the spectrum, the same of its Allan deviations, if they are off, too.
+            that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
+            Standard deviations and intervals include it.
+        misfit: how far the fitted curve is off and where; None if the model fits or there is no result.
+            If it is excessive, no coefficient is a measurement of the sensor (`measured`).
+        allan_misfit: for a fit of the spectrum, the same for its Allan deviations, if they are off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
-        spectrum: with Whittle's likelihood, the statistics it was fitted to; no file has it: not compared.
-        mean, rms: of the samples [rad/s or m/s²], rms about the mean.
-        not_measured: kinds of the facts about the record (`Fit.facts`) for which the axis's coefficients are
-            not a measurement of the sensor, e.g. "at rest" or "saturation".
-        own_template: the model that was fitted, where that of the other axes did not follow this one: with
-            filter, resonances and lines; by Whittle's likelihood. N is the density at low frequencies, of
-            white noise with what resonances with Q < 4 and processes of less than 20 samples have there.
+        spectrum: with Whittle's likelihood, the statistics that were fitted; neither saved nor compared.
+        mean, rms: mean of the samples [rad/s or m/s²], and their rms about the mean.
+        not_measured: kinds of the facts (`Fit.facts`) because of which the coefficients are not a measurement
+            of the sensor, e.g. "at rest" or "saturation".
+        own_template: the model that was fitted by Whittle's likelihood, with filter, resonances and lines,
+            where that of the other axes does not fit this one. N is then the density at low frequencies,
+            including resonances with Q < 4 and processes of less than 20 samples.
         plain: the fit without these.
-        widening: factor by which standard deviations are larger than those of a complete record, see
-            `completion.widening`; that of `sample`, too.
+        widening: factor by which standard deviations exceed those of a complete record, see
+            `completion.widening`; `sample` applies it, too.
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -429,7 +429,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def measured(self) -> bool:
-        """Whether the coefficients are a measurement of the sensor: neither facts nor its curve forbid it."""
+        """Whether the coefficients are a measurement of the sensor, by the facts and the misfit."""
         return self.converged and not self.not_measured and not self.is_far_off
 
     @property
@@ -438,12 +438,22 @@ class AxisFit(ByValue, AxisEstimates):
         return "at rest" in self.not_measured
 
     @property
+    def misfits(self) -> str:
+        """How far and where the fitted curves are off, in words; "" if the model fits."""
+        return "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
+
+    @property
+    def incomplete(self) -> bool:
+        """Whether the model does not fit the data."""
+        return self.discrepancy > 0.0 or bool(self.misfits)
+
+    @property
     def is_far_off(self) -> bool:
         """Whether the fitted curve is too far from the measured one."""
         return self.misfit is not None and self.misfit.excessive
 
     def unmeasured(self, **why: Any) -> AxisFit:
-        """A copy without standard deviations, intervals and limits; `why` are fields that give the reason."""
+        """A copy without standard deviations, intervals and limits; `why` are fields with the reason."""
         coefficients = {label: c.unmeasured() for label, c in self.coefficients.items()}
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
@@ -459,11 +469,11 @@ class AxisFit(ByValue, AxisEstimates):
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
-        """A copy whose intervals allow for errors of the record.
+        """A copy with intervals widened for errors of the record.
 
         Args:
             share: relative error of the Allan deviation, and so of every amplitude.
-            foreign: density of the white noise [rad/√s or m/s/√s] that may be part of N but not the sensor's.
+            foreign: density of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
         """
 
         def factor(c: Estimate) -> float:
@@ -488,7 +498,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def coefficients(self) -> Mapping[str, Estimate]:
-        """Each coefficient by its label, detected or not. Raises FitError if the fit did not converge."""
+        """The coefficients by label, detected or not. Raises FitError if the fit did not converge."""
         self._checked()
         return self._coefficients
 
@@ -503,7 +513,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def model(self) -> Model:
-        """The fitted model, with the terms found. Raises FitError if the fit did not converge."""
+        """The fitted model. Raises FitError if the fit did not converge."""
         self._checked()
         return self._model
 
@@ -514,7 +524,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def correction(self) -> str:
-        """What the plain terms were corrected for and by how much, in words; "" if they suffice."""
+        """What the plain terms were corrected for, and by how much; "" without a correction."""
         if self.own_template is None or not self.converged:
             return ""
         before = self.plain["angle_random_walk"] if self.plain is not None and self.plain.converged else None
@@ -524,7 +534,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def term_labels(self) -> tuple[str, ...]:
-        """The labels that the terms of `model` have in the template: one of two like terms keeps its number.
+        """Labels of the terms of `model` in the template, where one of two equal terms keeps its number.
 
         Raises FitError if the fit did not converge.
         """
@@ -538,7 +548,9 @@ class AxisFit(ByValue, AxisEstimates):
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
         if self._fit is None:
-            raise self.ERROR(f"{self.axis.name}: this result is part of no fit, whose curve a picture needs")
+            raise self.ERROR(
+                f"{self.axis.name}: a figure needs the curve of the fit; use a result taken from a fit"
+            )
         return self._fit.plot(self.axis.name, path, ax=ax)
 
     def __repr__(self) -> str:
@@ -546,7 +558,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @TextProperty
     def level(self) -> str:
-        """Mean and rms of the samples in words, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if not known."""
+        """Mean and rms of the samples, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if unknown."""
         if not np.isfinite(self.mean):
             return ""
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
@@ -556,18 +568,25 @@ class AxisFit(ByValue, AxisEstimates):
 
     @TextProperty
     def verdict(self) -> str:
-        """One line on how well the model fits."""
+        """How well the model fits, in one line."""
         if not self.converged:
             return f"no result: {self.reason}"
         text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
         if np.isfinite(self.p_value):
-            text += f" (p = {self.p_value:.2g})" if self.p_value > 1e-300 else " (p < 1e-300)"
-        off = "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
+            text += f" (p = {significant(self.p_value, 2)})" if self.p_value > 1e-300 else " (p < 1e-300)"
         if self.is_far_off:
-            return f"not a measurement of this sensor: the model does not follow the data, {off}; {text}"
+            return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
             return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
-        return f"{text}; model incomplete: {off}" if off else text
+        if not self.incomplete:
+            return f"fits: {text}"
+        return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))
+
+    def details(self) -> str:
+        """All coefficients with their 95 % intervals and limits, and χ², as text."""
+        return details("", [self])
+
+    __str__ = details
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -576,19 +595,18 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     Attributes:
         name: the recording's name.
-        template: the model as asked for (or the five basic terms).
-        curve: the Allan deviations it was fitted to, with degrees of freedom under the fitted models.
-        results: one a recording axis.
-        notes: what the reader or the fit want the user to know.
+        template: the model that was asked for, or the five basic terms.
+        curve: the Allan deviations, with degrees of freedom under the fitted models.
+        results: one per axis.
+        notes: remarks of the reader and the fit.
         objective: "allan", "whittle", "wavelet" or "exact".
-        selection: the ranking of terms, if the fit chose them itself.
+        selection: the ranking of terms, if the fit chose them.
         dead: axes of the recording that have no noise to fit, and why.
-        facts: what was found in the recording before the fit, the gravest first.
-        parts: the parts of the recording that were used, in s from its first sample; none for all of it.
+        facts: what the inspection of the recording detected, the gravest first.
+        parts: the parts of the recording that were used, in s from its first sample; empty for all of it.
     """
 
     CALLED: ClassVar[str] = "the fit"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -604,9 +622,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user of the coefficients should know, the gravest first."""
+        """Warnings about the coefficients, the gravest first."""
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
-        far_off = f"{names}: not a measurement of this sensor, the model does not follow the data: {NEXT}"
+        far_off = f"{names}: not a measurement of this sensor, as the model does not fit: {NEXT}"
         return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
@@ -624,7 +642,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
             object.__setattr__(result, "_fit", self)
 
     def as_for(self, axis: str) -> Fit:
-        """The fit as it is for one axis, with the model and the objective of that where it has its own."""
+        """The fit for one axis: with the axis's own model and objective if it has them."""
         own, results = self[axis].own_template, tuple(map(copy.copy, self.results))
         if own is None:
             return self
@@ -641,7 +659,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     @property
     def chosen(self) -> bool:
-        """Whether the fit chose the terms itself."""
+        """Whether the fit chose the terms."""
         return self.selection is not None
 
     @property
@@ -688,29 +706,15 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """The fit as plain dictionaries, lists, numbers and strings, as `write_json` writes it."""
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, coefficient, value, 95 % interval."""
-        cells = []
-        for result in self.results:
-            if not result.converged:
-                told = any(result.reason in warning for warning in self.warnings)
-                why = "no result: see the warning above" if told else result.verdict
-                cells.append((result.axis.name, "", why, ""))
-                continue
-            for c in result.coefficients.values():
-                if c.term in result.further:
-                    continue
-                shown = c.in_unit()
-                known = c.detected and not c.held and np.isfinite(c.std)
-                interval = shown.describe_interval() if known else ""
-                cells.append((result.axis.name, c.title, shown.describe(), interval))
-            if level := result.level:
-                cells.append((result.axis.name, "", level, ""))
-            cells += [
-                (result.axis.name, "", text, "") for text in (result.correction, result.verdict) if text
-            ]
-        cells += [(dead.axis.name, "", f"no result: {dead.reason}", "") for dead in self.dead]
-        return cells
+    def details(self) -> str:
+        """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
+        return details(self._title(), self.results)
+
+    def __str__(self) -> str:
+        return as_text(self._title(), *overview(self))
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title(), *overview(self))
 
     def _title(self) -> str:
         length = duration(self.curve.n / self.curve.rate)

@@ -1,9 +1,8 @@
 """The choice of noise terms: the evidence of every subset of the candidates, ranked and averaged over.
 
-Where the data do not tell a random walk from flicker noise the coefficient of either may be zero, but what
-the sensor drifts by is known: each set that has a share in the probability says nearly the same. For the
-average, draws are taken of the sets by their probability, and of the logarithms of their powers from the
-normal law at the maximum of their likelihood.
+Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
+the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
+the logarithms of their powers from the normal law at the maximum of their likelihood.
 """
 
 from __future__ import annotations
@@ -20,10 +19,11 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
+from allanjax.estimate.tables import SYMBOLS, Column, Number, as_html, as_text, column, tables_of
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
@@ -32,7 +32,7 @@ from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.units import SENSORS, default_coefficient_unit, unit_scale
 from allanjax.spectrum.cosine import (
     Bins,
     SpectralStatistics,
@@ -48,15 +48,13 @@ if TYPE_CHECKING:
 # Draws of sets and powers, and the shortest cluster of the drift, in samples.
 _DRAWS = 2000
 _SHORTEST = 10
-# The drift is told at decades of the cluster time up to this power of ten [s].
-_LAST_DECADE = 7
+# The drift is printed at so many decades of the cluster time from 1 s on.
+_DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
 # Subsets that are less probable are not drawn from.
 _IMPROBABLE = 1e-4
 _QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
-# Headings of the columns of numbers in the printed table.
-_NUMBERS = ("probability", "nats behind")
 # Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: 20 is "strong").
 _ODDS = 20.0
 # A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
@@ -76,8 +74,8 @@ class Averaged(ByValue):
     """Coefficients and drift averaged over sets of noise terms.
 
     Attributes:
-        coefficients: each candidate's amplitude by its label: median and intervals over all sets, those
-            without the term included. It is detected if these leave less than 2.5 % to zero.
+        coefficients: the candidates' amplitudes by label: median and intervals over all sets, including those
+            without the term. A term is detected if zero has a probability below 2.5 %.
         cluster_time: cluster times [s], octaves from ten samples to a quarter of the record.
         deviation: median Allan deviation of the noise there [rad/s or m/s²].
         interval: its 95 % interval (m, 2).
@@ -88,18 +86,18 @@ class Averaged(ByValue):
     deviation: Float[np.ndarray, " m"]
     interval: Float[np.ndarray, "m 2"]
 
-    def told(self, axis: Axis) -> list[str]:
-        """The drift in words, at 1, 10, 100, … s."""
-        unit = default_coefficient_unit(axis.sensor, 0.0)
-        scale, found, log_time = unit_scale(unit, axis.sensor), [], np.log(self.cluster_time)
-        curves = np.log(np.column_stack([self.deviation, self.interval]) / scale)
-        for decade in range(int(np.ceil(np.log10(self.cluster_time[0]))), _LAST_DECADE):
-            if 10.0**decade > self.cluster_time[-1]:
-                break
-            middle, low, high = (np.exp(np.interp(decade * np.log(10.0), log_time, y)) for y in curves.T)
-            value = f"{plain(middle, 3)} {unit} ({plain(low, 3)} … {plain(high, 3)})"
-            found.append(f"averaged: Allan deviation {value} at {duration(10.0**decade)}")
-        return found
+    def at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Deviation and the ends of its interval at a cluster time [s]; nan where there is none."""
+        if not self.cluster_time[0] <= time <= self.cluster_time[-1]:
+            return np.full(3, np.nan)
+        curves, log_time = np.log([self.deviation, *self.interval.T]), np.log(self.cluster_time)
+        return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
+
+
+def percent(probabilities: Sequence[float]) -> str:
+    """Range of probabilities, e.g. "19 %" or "19–30 %"."""
+    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
+    return f"{'–'.join(ends)} %"
 
 
 def averaged(
@@ -110,7 +108,7 @@ def averaged(
     statistics: SpectralStatistics,
     share: Float[np.ndarray, " m"],
 ) -> Averaged:
-    """What the sets of one axis say together, each row with its probability."""
+    """Average over the sets of one axis, each row with its probability."""
     rng, bins = np.random.default_rng(0), candidates.bins
     octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
     time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
@@ -202,10 +200,10 @@ class TermSet:
     Attributes:
         terms: names of the terms.
         parameters: number of their free parameters.
-        log_evidence: logarithm of the marginal likelihood of the set over that of the best one [nats].
-        probability: posterior probability of the set, with equal prior probabilities of all sets.
-        intervals: 95 % interval [SI] of each amplitude by its label, for sets that the data do not
-            distinguish from the best one; but for a ramp's.
+        log_evidence: logarithm of the marginal likelihood relative to the best set [nats].
+        probability: posterior probability of the set, all sets having equal prior probabilities.
+        intervals: 95 % interval [SI] of each amplitude but a ramp's by label, for sets that cannot be
+            distinguished from the best one.
     """
 
     terms: tuple[str, ...]
@@ -228,10 +226,8 @@ class AxisSelection(ByValue):
     Attributes:
         axis: the axis.
         ranking: all sets, the most probable first.
-        discrepancy: relative error of the best set's root spectrum that its misfit calls for; 0 if it
-            suffices.
-        averaged: coefficients and drift averaged over all sets, for those to whom it does not matter which is
-            right.
+        discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
+        averaged: coefficients and drift averaged over all sets.
     """
 
     axis: Axis
@@ -246,14 +242,14 @@ class AxisSelection(ByValue):
 
     @property
     def indistinguishable(self) -> tuple[TermSet, ...]:
-        """Best set, and those that the data do not tell from it: Bayes factors below 20."""
+        """The best set and those that cannot be distinguished from it: Bayes factors below 20."""
         return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_ODDS))
 
     @property
     def chosen(self) -> TermSet:
-        """Set with the fewest parameters among those that are at most five times less probable than the best.
+        """The set with the fewest parameters among those at most five times less probable than the best.
 
-        Of two explanations that the data hardly tell apart, it is the one that claims less.
+        Of two explanations that are hard to distinguish, it is the simpler one.
         """
         close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
         return min(close, key=lambda s: (s.parameters, -s.log_evidence))
@@ -268,8 +264,7 @@ class AxisSelection(ByValue):
     def intervals(self) -> dict[str, tuple[float, float]]:
         """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets.
 
-        Sets with a free time count only if the chosen one has one, too: with a short time they say the same
-        as white noise.
+        Sets with a free time count only if the chosen one has one, too: a short time is like white noise.
         """
         found: dict[str, tuple[float, float]] = {}
         for label, (low, high) in (item for s in self._compared for item in s.intervals.items()):
@@ -286,9 +281,9 @@ class AxisSelection(ByValue):
     def doubtful(self) -> dict[str, tuple[str, ...]]:
         """The chosen terms whose posterior probability is below 95 %, and the terms that may replace each.
 
-        Sets with a free time compete only if the chosen one has one, too: with a long time they say the same
-        as a random walk. The rivals are of the sets that are not told from the best, the most probable
-        first, if these sets need them; none if the term may as well be missing altogether.
+        Sets with a free time compete only if the chosen one has one, too: a long time is like a random walk.
+        The rivals are terms that the sets indistinguishable from the best one need, the most probable first;
+        none if the term may just as well be missing.
         """
         compared = self._compared
         total, found = sum(s.probability for s in compared), {}
@@ -302,7 +297,7 @@ class AxisSelection(ByValue):
         return found
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a set; log-evidences are relative to the best set's [nats]."""
+        """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
 
         return pd.DataFrame(
@@ -319,26 +314,36 @@ class AxisSelection(ByValue):
 
     def __repr__(self) -> str:
         chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
-        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets"
-        return (
-            f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n"
-            f" the data do not tell {close} apart>"
-        )
+        close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
+        return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
     def ambiguities(self) -> tuple[str, ...]:
-        """Phrases about what the data leave open beside the chosen set, the most probable first."""
+        """What the data leave undecided, in words, the most probable first."""
+        return tuple(
+            f"{question} (probability {words.format(percent([one]), percent([other]))})"
+            for question, words, one, other in self.undecided()
+        )
+
+    def _title(self, term: str) -> str:
+        return title_of(term, self.axis.sensor).replace("markov", "Markov process")
+
+    def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
+        """At most three questions that the data leave undecided, the most probable first.
+
+        Each has its words, those for two probabilities, and these: of a term, without it and with it; of
+        "one or another", of the chosen one and of the other.
+        """
         found = []
         for other in self.indistinguishable:
-            sensor, chosen = self.axis.sensor, self.chosen.terms
-            extra = tuple(title_of(t, sensor) for t in other.terms if t not in chosen)
-            missing = tuple(title_of(t, sensor) for t in chosen if t not in other.terms)
-            odds = f"{100.0 * self.chosen.probability:.2g} % against {100.0 * other.probability:.2g} %"
-            if len(missing) <= 1 and len(extra) <= 1 and missing and extra:
-                found.append(f"{missing[0]} from {extra[0]} ({odds})")
+            chosen = self.chosen
+            extra = [self._title(t) for t in other.terms if t not in chosen.terms]
+            missing = [self._title(t) for t in chosen.terms if t not in other.terms]
+            pair = (other, chosen) if missing and not extra else (chosen, other)
+            odds = pair[0].probability, pair[1].probability
+            if len(missing) == len(extra) == 1:
+                found.append((f"{missing[0]} or {extra[0]}", "{} and {}", *odds))
             elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                found.append(
-                    f"whether there is {(missing or extra)[0]} ({odds} {'with' if extra else 'without'} it)"
-                )
+                found.append(((missing or extra)[0], "{} without it, {} with it", *odds))
         return tuple(found[:3])
 
 
@@ -349,12 +354,10 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     Attributes:
         name: name of the recording.
         results: rankings of the axes.
-        facts: what was found in the recording before, the gravest first.
+        facts: what the inspection of the recording detected, the gravest first.
     """
 
     CALLED: ClassVar[str] = "the selection"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "noise terms", *_NUMBERS)
-    RIGHT: ClassVar[tuple[str, ...]] = _NUMBERS
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -363,23 +366,47 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user of the ranking should know, the gravest first."""
+        """Warnings about the ranking, the gravest first."""
         return warnings_of(self.facts)
 
     def _title(self) -> str:
         return f"{self.name}: noise terms by evidence".lstrip(": ")
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
+    def _tables(self) -> list[list[Column]]:
+        """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
+        rows = []
         for axis in self.results:
-            for rank, s in enumerate(axis.ranking[: max(3, len(axis.indistinguishable))]):
-                behind = axis.best.log_evidence - s.log_evidence
-                mark = "" if rank == 0 else " (not told apart)" if s in axis.indistinguishable else ""
-                words = title_of(f"{s}{mark}", axis.axis.sensor)
-                rows.append((axis.axis.name, words, f"{100 * s.probability:.3g} %", f"{behind:.1f}"))
-            if axis.averaged is not None:
-                rows += [(axis.axis.name, words, "", "") for words in axis.averaged.told(axis.axis)]
-        return rows
+            for s in axis.ranking[: max(3, len(axis.indistinguishable))]:
+                verdict = "chosen" if s == axis.chosen else "undecided" if s in axis.indistinguishable else ""
+                terms = " + ".join(SYMBOLS.get(term, term) for term in s.terms)
+                behind = f"{axis.best.log_evidence - s.log_evidence:11.1f}"
+                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:9.1f} %", behind, verdict))
+        heads = ("axis", "noise terms", "probability", "nats behind", "verdict")
+        tables = [[Column(*pair) for pair in zip(heads, map(list, zip(*rows, strict=True)), strict=True)]]
+        for sensor in SENSORS:
+            drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
+            unit = default_coefficient_unit(sensor, 0.0)
+            columns = []
+            for time in 10.0 ** np.arange(_DECADES):
+                drift = [drift.at(time) / unit_scale(unit, sensor) for drift in drifts.values()]
+                if np.isfinite(drift).any():
+                    numbers = [Number(x, (high - low) / 2.0 / TWO_SIDED_95) for x, low, high in drift]
+                    columns.append(column(f"σ at {duration(time)}", unit, numbers))
+            tables += tables_of([Column("axis", list(drifts))], [], columns) if columns else []
+        return tables
+
+    def _lines(self) -> list[str]:
+        terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
+        sensor = self.results[0].axis.sensor
+        names = [f"{symbol}: {title_of(term, sensor)}" for term, symbol in SYMBOLS.items() if term in terms]
+        drift = "σ: Allan deviation averaged over all sets by their probabilities, ± 1σ"
+        return [", ".join(names), drift, *(f"warning: {warning}" for warning in self.warnings)]
+
+    def __str__(self) -> str:
+        return as_text(self._title(), self._tables(), self._lines())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._title(), self._tables(), self._lines())
 
 
 def select_terms(
@@ -395,30 +422,28 @@ def select_terms(
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
     The evidence (marginal likelihood) is Whittle's likelihood integrated over the coefficients by Laplace's
-    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no "number of
-    samples" to say how sharply a coefficient is known, which is ten for a rate random walk and all for an
-    angle random walk; unlike held-out likelihood it uses a drift's few low frequencies in full. All sets have
-    the same prior probability.
+    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no effective number
+    of samples per coefficient (about ten for a rate random walk, all for an angle random walk); unlike
+    held-out likelihood it uses the few low frequencies of a drift in full. All sets have the same prior
+    probability.
 
-    Where no set follows the spectrum within its scatter (p < 10⁻⁶), all are given a relative error that makes
-    the best one fit, which lowers all Bayes factors; sets with a free time are left out then: it would fit
-    whatever else the model lacks.
+    Where no set fits the spectrum (p < 10⁻⁶), all are given the relative error that makes the best one fit,
+    which lowers all Bayes factors; sets with a free time are then left out, as they would absorb the misfit.
 
-    Two Markov processes are compared, too, if the candidates have two (`"N + B + K + markov + markov"`),
-    beside the sets that one of them brings near the best. What all sets say together, coefficients and drift
-    averaged by their probabilities, is the `averaged` of each axis's result. Of a recording in stretches the
-    evidence is that of all together. What `inspect` finds unlike the rest is left out, as by `fit`.
+    If the candidates have two Markov processes (`"N + B + K + markov + markov"`), both together are compared,
+    too, beside the sets that come near the best with one of them. `averaged` of each result has coefficients
+    and drift averaged over all sets by their probabilities. The segments of a recording with gaps are
+    combined. Disturbed parts that `inspect` detects are left out, as by `fit`.
 
     Args:
-        recording: what `read` returns, or what else `fit` takes.
-        candidates: the terms to choose from, as `fit` takes a model; by default the five basic ones and a
-            Markov process.
+        recording: a result of `read`, or anything else that `fit` takes.
+        candidates: the terms to choose from, as in `fit`; by default the five basic ones and Markov.
         axes: names of the axes; by default all.
         rate, gyro_unit, accel_unit, names: for an array, see `fit`.
 
     Raises:
-        AllanjaxError: candidates that cannot be compared: lines, resonances and steps, a free shape that is
-            no time, more than one term with a free time (but for two of one kind), more than six terms.
+        AllanjaxError: candidates that cannot be compared: lines, resonances, steps, a free shape other than a
+            time, more than one term with a free time (except two of one kind), more than six terms.
         FitError: a record of fewer than 64 samples.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names)
@@ -436,7 +461,7 @@ def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSel
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
-            "record at least 64"
+            "record at least 64 samples"
         )
     if recording.others:
         joint = joint_statistics((recording.values, *recording.others), recording.rate)

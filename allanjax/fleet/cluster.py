@@ -27,7 +27,7 @@ def connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterato
 
     Args:
         scheduler: address of a running scheduler, e.g. `tcp://host:8786`.
-        workers: processes of the local cluster; by default one a core, but not more than there are tasks.
+        workers: processes of the local cluster; by default one per core, but no more than tasks.
         tasks: how many tasks there will be.
 
     Raises:
@@ -37,14 +37,14 @@ def connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterato
         from dask.system import CPU_COUNT
         from distributed import Client, LocalCluster
     except ImportError as error:
-        raise AllanjaxError('fleets need Dask: pip install "allanjax[fleet]"') from error
+        raise AllanjaxError('a fleet needs Dask: pip install "allanjax[fleet]"') from error
     if scheduler is not None:
         try:
             client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError) as error:
             raise AllanjaxError(
-                f"no Dask scheduler answers at {scheduler!r}: check scheduler= (--scheduler), e.g. "
-                "tcp://host:8786, and that it runs"
+                f"no Dask scheduler answers at {scheduler!r}; check that it runs, and the address in "
+                "scheduler= (--scheduler), e.g. tcp://host:8786"
             ) from error
         with client:
             yield client

@@ -15,7 +15,7 @@ from allanjax.record.io.formats import is_bag, name_of
 def matching_files(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], out: Path
 ) -> tuple[Path, ...]:
-    """Files that paths and patterns stand for, each once, without those below `out`, which are results."""
+    """The files that paths and patterns match, each once, without the results below `out`."""
     found: dict[Path, Path] = {}
     for pattern in [files] if isinstance(files, str | os.PathLike) else files:
         text = os.fspath(pattern)
@@ -32,19 +32,21 @@ def matching_files(
             bags = {path for path in matches if path.is_dir()}
             matches = [path for path in matches if path.parent not in bags]
         if not matches:
-            raise AllanjaxError(f"no file matches {text!r}: check the pattern, and the folder it starts from")
+            raise AllanjaxError(
+                f"no file matches {text!r}; check the pattern and the folder in which it starts"
+            )
         for path in matches:
             found.setdefault(path.resolve(), path)
     if not found:
-        raise AllanjaxError("no recordings: give files or patterns such as 'logs/*.parquet'")
+        raise AllanjaxError("no recordings given; pass files or patterns such as 'logs/*.parquet'")
     return tuple(found.values())
 
 
 def recording_names(paths: Sequence[Path]) -> list[str]:
     """Name of each recording: its file's without suffix, made unique.
 
-    The suffix is added where the same folder has another file of that name, and as many folders as it takes,
-    e.g. `unit_07_imu`.
+    The suffix is added if the folder has another file of that name, and as many folders as are needed to
+    make it unique, e.g. `unit_07_imu`.
     """
     stems = [name_of(path) for path in paths]
     # Some file systems do not tell case apart.

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, text_table
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.result import Fit
+from allanjax.estimate.tables import as_html, as_text
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
@@ -26,7 +26,7 @@ from allanjax.fleet.options import FitOptions
 from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
 from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import cells, cells_of_units, judged, left_out
+from allanjax.fleet.summary import judged, left_out, printed
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Progress = Callable[[int, int, int], None]
-"""Told how many recordings are done, how many of those failed, and how many there are."""
+"""Called with the numbers of recordings done, failed, and in total."""
 
 _RECORDINGS = "recordings"
 _SHORTEST_PIECE = 100_000
@@ -52,13 +52,12 @@ class FleetResult(ByValue):
     """The coefficients of a fleet.
 
     Attributes:
-        table: one row a recording, axis and coefficient, in the usual units; see `fleet_table.table_schema`.
-        errors: what has no result and why: `file`, and a `message` that names the axis unless it is all.
+        table: one row per recording, axis and coefficient, in usual units; see `fleet.table.table_schema`.
+        errors: files and axes without a result: `file`, and a `message` that names the axis and the reason.
         files: the recordings; `resumed` of them have results from an earlier run.
-        notes: what to know about the table: recordings of an earlier run that are left out; recordings with
-            warnings; axes that are not a measurement, whose model is incomplete, or that were corrected;
-            units whose structure is unlike that of most others; groups that the units fall into, or that are
-            too small for a judgement.
+        notes: remarks on the table: recordings of an earlier run that are left out; recordings with warnings;
+            axes that are not a measurement, that the model does not fit, or that were corrected; units that
+            differ from most others; groups that the units fall into, or that are too small to judge.
     """
 
     table: pd.DataFrame
@@ -69,7 +68,7 @@ class FleetResult(ByValue):
 
     @property
     def outlying(self) -> pd.DataFrame:
-        """The rows of values that are unlike those of the other units of the group."""
+        """The rows of outlying values, which differ from those of the other units of the group."""
         return self.table[self.table["outlying"]]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -84,20 +83,19 @@ class FleetResult(ByValue):
     def _title(self) -> str:
         failed = len({error["file"] for error in self.errors})
         return (
-            f"{len(self.files)} recordings: {len(self.files) - failed} without an error, {failed} with; "
-            f"{self.resumed} taken from an earlier run"
+            f"{len(self.files)} recordings: {len(self.files) - failed} without errors, {failed} with errors; "
+            f"{self.resumed} from an earlier run"
         )
 
     def __str__(self) -> str:
-        units = cells_of_units(self.table)
-        tables = [text_table("", *cells(self.table)), *([text_table("", *units)] if units[1] else [])]
-        return "\n".join([self._title(), *tables, *self.notes])
+        tables, lines = printed(self.table)
+        return as_text(self._title(), tables, [*lines, *self.notes])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        title = " ".join([self._title(), *self.notes])
-        return html_table(title, *cells(self.table)) + html_table("", *cells_of_units(self.table))
+        tables, lines = printed(self.table)
+        return as_html(self._title(), tables, [*lines, *self.notes])
 
 
 def characterize_fleet(
@@ -117,39 +115,39 @@ def characterize_fleet(
     progress: Progress | None = None,
     **reading: Any,
 ) -> FleetResult:
-    """Estimate the noise coefficients of many recordings on a Dask cluster, one task a recording.
+    """Estimate the noise coefficients of many recordings on a Dask cluster, with one task per recording.
 
-    A recording that is longer than `piece` is read in pieces of that many samples, side by side, and never
-    in memory as a whole: its coefficients are those of an `AllanAccumulator`.
+    A recording longer than `piece` is read in pieces of that many samples in parallel, so that it is never in
+    memory as a whole; its coefficients are those of an `AllanAccumulator`.
 
-    Writes `fleet.parquet` (the table), `fleet.png` (each coefficient's distribution over the fleet),
-    `errors.csv` (file, message) and `notes.txt` (what to know before reading the table, a line each) to
-    `out`, and each recording's fit to `out/recordings` as soon as it is done. A recording that fails does not
-    stop the others; neither does a worker that dies, whose recording another one takes.
+    Writes `fleet.parquet` (the table), `fleet.png` (distribution of each coefficient over the fleet),
+    `errors.csv` (file, message) and `notes.txt` (one remark on the table per line) to `out`, and the fit of
+    each recording to `out/recordings` as soon as it is done. If a recording fails or a worker dies, the
+    others go on; another worker takes the recording of a dead one.
 
-    A later run with the same `out` computes only what is not there yet: recordings whose file (path, size,
-    time of its last change), options or version of allanjax are others, and those that failed. The table is
-    of the files that are given; a note names recordings of an earlier run that are not among them.
+    A later run with the same `out` computes only recordings that failed, are new, or whose file (path, size,
+    time of the last change), options or version of allanjax changed. The table covers only the files given;
+    a note names recordings of an earlier run that are not among them.
 
-    The local cluster's workers are processes that import the calling script: in a script, call this below
+    The workers of a local cluster are processes that import the calling script; in a script, call this below
     `if __name__ == "__main__":`.
 
     Args:
-        files: paths and patterns such as `logs/**/*.parquet`; on a cluster of several machines, in a place
-            that all see under the same path. Files below `out` are left out.
+        files: paths and patterns such as `logs/**/*.parquet`; for a cluster of several machines, paths that
+            are valid on all of them. Files below `out` are left out.
         out: folder for the results.
-        model, objective, regressors, as_is, vibrating, plain: as for `fit`; a recording in pieces: plain.
-        group: which units are alike: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
+        model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
+        group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
             file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
-        workers: processes of a local cluster that lives as long as this call; one a core by default.
+        workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
-        piece: samples; longer recordings are divided.
-        progress: called with the numbers of recordings done, failed, and in all.
+        piece: number of samples beyond which a recording is divided.
+        progress: called with the numbers of recordings done, failed, and in total.
         **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, ...
 
     Returns:
-        The table, with units marked that are unlike the others of their group, or of their grade where a
-        group shows several (see `fleet.table.mark_outlying`), and the errors.
+        The table and the errors. Units that differ from the others of their group, or of their grade if a
+        group has several, are marked as outlying (see `fleet.table.mark_outlying`).
 
     Raises:
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
@@ -231,8 +229,8 @@ def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> 
         raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
     if workers is not None and scheduler is not None:
         raise AllanjaxError(
-            "workers= (--workers) are those of a local cluster, and the one at scheduler= (--scheduler) "
-            "has its own: leave out one of the two"
+            "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
+            "its own workers; leave out one of the two"
         )
 
 
@@ -301,11 +299,11 @@ def _reason(path: Path, error: Exception) -> str:
 
     if isinstance(error, KilledWorker):
         return (
-            "each worker that took it died, most likely for want of memory; use fewer workers= (--workers), "
-            "or a stretch of the recording by start= and stop= (--start, --stop)"
+            "all workers that tried it died, probably for lack of memory; use fewer workers= (--workers), or "
+            "part of the recording with start= and stop= (--start, --stop)"
         )
     if isinstance(error, CancelledError):
-        return "the scheduler was lost before it was done; start it, and run again: what is done is kept"
+        return "the scheduler was lost; restart it and run again: finished results are kept"
     # What a reader or a fit says begins with the file that the worker was given.
     text = str(error).removeprefix(f"{path.absolute()}: ")
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"

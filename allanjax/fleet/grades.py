@@ -1,4 +1,4 @@
-"""Groups of a fleet that its user has not named: grades, types or batches whose coefficients differ."""
+"""Grades, types or batches of a fleet that its user has not named, by their coefficients."""
 
 from __future__ import annotations
 

@@ -24,42 +24,40 @@ def group_names(group: Groups | None, recordings: Mapping[str, Path]) -> dict[st
     """Group of each recording.
 
     Args:
-        group: a regular expression that is searched in the path as given, the recording's name and the whole
-            path, e.g. `logs/(\\w+)/`: what its parentheses match is the group's name, or all that it
-            matches if it has none; or a CSV file with the columns file (or recording) and group; or a
-            mapping from files (or names) to groups; or a function of the path. None: no groups.
+        group: a regular expression that is searched in the given path, the recording's name and the whole
+            path, e.g. `logs/(\\w+)/`. The group's name is the match of its parentheses, or the whole match
+            without parentheses. Or a CSV file with the columns file (or recording) and group, a mapping from
+            files (or names) to groups, or a function of the path. None: no groups.
         recordings: the files by the recordings' names.
 
     Returns:
         Group by name; "" for all if there are no groups.
 
     Raises:
-        AllanjaxError: a pattern that is none; a CSV file without these columns; a recording without a group,
-            or with two.
+        AllanjaxError: an invalid pattern; a CSV file without these columns; a recording without a group, or
+            with two.
     """
     if group is None:
         return dict.fromkeys(recordings, "")
     if callable(group):
         found = {name: str(group(path)) for name, path in recordings.items()}
-        remedy = "the function of group= must return a name for each"
+        remedy = "the function in group= must return a name for each recording"
     elif isinstance(group, Mapping):
         found = _looked_up(list(group.items()), recordings, Path())
-        remedy = "add them to the mapping of group=, by path, file name or recording name"
+        remedy = "add them to the mapping in group= by path, file name or recording name"
     elif Path(group).is_file():
         found = _looked_up(_pairs_of(Path(group)), recordings, Path(group).parent)
-        remedy = f"add them to {group}, by path, file name or recording name"
+        remedy = f"add them to {group} by path, file name or recording name"
     elif _PLAIN_PATH.fullmatch(os.fspath(group)):
         raise AllanjaxError(f"group= (--group) {os.fspath(group)!r}: no such file; check the path")
     else:
         found = _matched(os.fspath(group), recordings)
-        remedy = (
-            f"the pattern {os.fspath(group)!r} matches neither its path nor its name: change group= (--group)"
-        )
+        remedy = f"the pattern {os.fspath(group)!r} matches neither path nor name; change group= (--group)"
     without = [path for name, path in recordings.items() if not found.get(name)]
     if without:
         named = ", ".join(map(str, without[:_NAMED])) + (" ..." if len(without) > _NAMED else "")
         raise AllanjaxError(
-            f"{len(without)} of {len(recordings)} recordings have no group, {named}: {remedy}"
+            f"{len(without)} of {len(recordings)} recordings have no group ({named}); {remedy}"
         )
     return found
 
@@ -70,8 +68,8 @@ def _matched(pattern: str, recordings: Mapping[str, Path]) -> dict[str, str]:
         expression = re.compile(pattern)
     except re.error as error:
         raise AllanjaxError(
-            f"group= (--group) {pattern!r} is no regular expression ({error}) and no file; write e.g. "
-            r"'logs/(\w+)/', where the parentheses hold the group's name"
+            f"group= (--group) {pattern!r} is neither a file nor a regular expression ({error}); use e.g. "
+            r"'logs/(\w+)/', with the group's name in parentheses"
         ) from error
     groups = {}
     for name, path in recordings.items():
@@ -89,12 +87,12 @@ def _pairs_of(path: Path) -> list[tuple[str, str]]:
             lines = list(csv.DictReader(stream, skipinitialspace=True))
             columns = [name.strip() for name in lines[0] if name] if lines else []
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise AllanjaxError(f"{path}: cannot be read as a CSV file of groups: {error}") from error
+        raise AllanjaxError(f"{path}: not a readable CSV file of groups: {error}") from error
     key = next((name for name in ("file", "recording") if name in columns), None)
     if key is None or "group" not in columns:
         raise AllanjaxError(
-            f"{path}: a file of groups has the columns file (or recording) and group, not "
-            f"{', '.join(columns) or 'nothing'}; put their names in its first line"
+            f"{path}: the first line must name the columns file (or recording) and group, not "
+            f"{', '.join(columns) or 'nothing'}"
         )
     texts = [{(name or "").strip(): value for name, value in line.items()} for line in lines]
     return [((line[key] or "").strip(), (line["group"] or "").strip()) for line in texts]
@@ -116,6 +114,6 @@ def _looked_up(pairs: list[tuple[str, str]], recordings: Mapping[str, Path], fol
             continue
         if groups.setdefault(found, str(group)) != str(group):
             raise AllanjaxError(
-                f"{recordings[found]}: has two groups, {groups[found]!r} and {str(group)!r}; leave one"
+                f"{recordings[found]}: two groups, {groups[found]!r} and {str(group)!r}; remove one"
             )
     return groups

@@ -1,4 +1,4 @@
-"""Options of reading and fitting, in one object that commands and fleets hand on as a whole."""
+"""Options of reading and fitting, in one object that commands and fleets pass on."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class FitOptions:
         return own | self.reading.given()
 
     def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
-        """Fit of a recording with these options; `seen` is how it looks (`inspect`), if that is known."""
+        """Fit of a recording with these options; `seen` is its inspection if that is known."""
         from allanjax.estimate.fit import fit_inspected
 
         seen = self.inspect(recording) if seen is None else seen
@@ -50,14 +50,14 @@ class FitOptions:
     def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.
 
-        It is of the recording, or of the stretch of it that `seen` says, which is how the whole of it looked.
+        It covers the recording, or the stretch of it that the inspection `seen` of the whole selects.
         """
         if seen is None or seen.stretch is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
         return accumulator.fit_inspected(seen, self.model, self.objective)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
-        """Inspection of a recording, or of what was accumulated of one, as its fit will see it."""
+        """Inspection of a recording, or of what was accumulated of one, as used by its fit."""
         from allanjax.estimate.fit import inspected
         from allanjax.fleet.stream import AllanAccumulator
 
@@ -66,7 +66,7 @@ class FitOptions:
         return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
 
     def to_dict(self) -> dict[str, Any]:
-        """The options in JSON's types, all that there are; equal if, and only if, the options are."""
+        """All options in JSON's types; equal if and only if the options are equal."""
         return {option.name: _plain(getattr(self, option.name)) for option in fields(self)}
 
 

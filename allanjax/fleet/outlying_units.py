@@ -1,4 +1,4 @@
-"""Outlying units: those of a fleet that are unlike the others."""
+"""Outlying units of a fleet: those that differ from the others."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.normal import TWO_SIDED_95
 
 FALSE_ALARMS = 0.01
-"""Probability that anything at all is marked in a fleet whose units are alike."""
+"""Probability that any unit is marked in a fleet of equal units."""
 
 FEWEST_UNITS = 3
-"""Units that it takes to say that one is unlike the others."""
+"""Least number of units among which one can be outlying."""
 
 # Prior of the scatter of like units [ln]: a Student's t folded at zero, of this scale and these degrees of
 # freedom. White noise comes from the electronics and is much the same in units of one make; what drifts is
@@ -23,7 +23,7 @@ _SCATTER = {"angle_random_walk": 0.12, "quantization": 0.12}
 _SCATTER_OF_OTHERS = 0.4
 _DEGREES = 8.0
 WIDTHS = np.concatenate([[0.0], np.geomspace(0.005, 5.0, 48)])
-"""Scatters of like units [ln] that are summed over."""
+"""Scatters of equal units [ln] that are summed over."""
 
 # Median of the distance from the centre, in standard deviations of a normal law.
 _MEDIAN_DISTANCE = 0.6745
@@ -115,38 +115,34 @@ def pooled(axes: list[Values]) -> Values:
 
 
 def outlying(axes: list[Values], probability: float, coefficient: str = "") -> Bool[np.ndarray, "units axes"]:
-    """Mark the units whose coefficient is unlike that of the others, on the axes where it is.
+    """Mark the units whose coefficient differs from that of the others, on the axes where it does.
 
-    Units are taken to scatter about a common centre, of each axis its own, by a log-normal law of unknown
-    width τ, and each estimate about its own unit's coefficient as its interval says: the variance of
-    ln(value) is τ² + s², with s from the end of the interval that faces the centre. A suspect is compared
-    with the other units: the probability of a value so far out is integrated over what they leave open, their
-    centre (flat prior) and τ. Its prior is a folded Student's t with 8 degrees of freedom and a scale of 12 %
-    (of angle random walk and quantization) or 40 % (of the others): of many units the data overrule it; of
-    three to ten it is what allows a judgement at all. Three units alone leave open that they agree by chance
-    and that a fourth at four times their median is no rarer than they are.
+    On each axis the units scatter about a centre by a log-normal law of unknown width τ, and the estimates
+    about their units' coefficients by their intervals: the variance of ln(value) is τ² + s², with s from the
+    end of the interval that faces the centre. The probability that a suspect is so far out is integrated over
+    the centre (flat prior) and τ, given the other units. τ has a folded Student's t with 8 degrees of freedom
+    as prior, with a scale of 12 % (angle random walk, quantization) or 40 % (others). Many units overrule it;
+    with three to ten it makes a judgement possible: three units alone may agree by chance.
 
-    Each axis is tested by itself, and all axes of a unit together by their mean, so that a unit that is high
-    on every axis is found where no single axis would do, and one bad axis where the mean would not. Suspects
-    are the units beyond 2.5 robust standard deviations of the median (by the median absolute deviation), a
-    third of the units at most. They are tested as in Rosner's generalized extreme Studentized deviate test
-    (Technometrics 25, 1983): from the least extreme on, a suspect is compared with the units that are no more
-    extreme; once one is unlike them, it is marked together with all more extreme ones, so that several odd
-    units do not hide each other.
+    Each axis is tested separately, and all axes of a unit together by their mean, which detects both a single
+    bad axis and a unit that is slightly high on every axis. Suspects are the units beyond 2.5 robust standard
+    deviations from the median, at most a third of all. They are tested as in Rosner's generalized extreme
+    Studentized deviate test (Technometrics 25, 1983): starting with the least extreme, each is compared with
+    the less extreme units; the first that differs is marked together with all more extreme ones, so that
+    several outlying units do not hide each other.
 
-    In a unit that is found, each axis is marked that would be so far out by chance in 2 % of all units.
+    In an outlying unit, each axis is marked that would be so far out by chance in less than 2 % of all units.
 
-    Units without a detected coefficient are never marked. High values are compared with the limits of such
-    units too, as if the coefficient were at its limit: it is lower, which makes a high value more unusual
-    still. For low values such units are left out.
+    Units without a detected coefficient are never marked. High values are also compared with their limits, as
+    if the coefficients were at these, which is cautious. For low values such units are left out.
 
     Args:
-        axes: values on like axes, the same units on each.
-        probability: probability that any unit is marked if all are alike.
+        axes: values on axes of one kind, with the same units on each.
+        probability: probability that any unit is marked if all are equal.
         coefficient: label of the coefficient, for the prior of τ.
 
     Returns:
-        Whether each unit is marked on each axis; none of fewer than three.
+        Whether each unit is marked on each axis; none is with fewer than three units.
     """
     log_prior = log_prior_of(coefficient)
     probability *= _SHARE

@@ -1,4 +1,4 @@
-"""What was corrected in a unit of a fleet, left out of it, or is wrong with it, in a few words an axis."""
+"""Remarks on the units of a fleet: what was corrected, left out or is wrong, in a few words per axis."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME = 0.1
 # What so few of the other units have, or so many, is unusual where a unit has it, or lacks it.
 _RARE, _USUAL = 0.25, 0.75
 
-NOT_MEASURED, INCOMPLETE = "not a measurement", "incomplete"
+NOT_MEASURED, INCOMPLETE = "not a measurement", "misfit"
 
 
 class Remark(NamedTuple):
@@ -80,7 +80,7 @@ def terms_of(axis: Mapping[str, Any]) -> list[str]:
 
 def why_not_measured(axis: Mapping[str, Any]) -> str:
     """Why an axis's coefficients are not a measurement of the sensor, in words, by the axis's JSON."""
-    return why_no_measurement(axis["not_measured"]) or "the model does not follow the data"
+    return why_no_measurement(axis["not_measured"]) or "the model does not fit"
 
 
 def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[Remark]:
@@ -118,10 +118,10 @@ def _of_fact(fact: Mapping[str, Any]) -> Remark | None:
 
 
 def unlike_mates(units: Mapping[str, Sequence[AxisStructure]]) -> dict[str, str]:
-    """What a unit's model has and few others have, or lacks and most have, by the unit's name.
+    """What a unit's model has that few others have, or lacks that most have, by the unit's name.
 
-    A term counts where most axes of a sensor have it, or none, as chance may choose it on one; a remark
-    counts on any axis.
+    A term counts if most axes of a sensor have it, or none, as it may be chosen by chance on one axis; a
+    remark counts on any axis.
     """
     found: dict[str, dict[str, list[str]]] = {}
     for sensor in dict.fromkeys(axis.sensor for unit in units.values() for axis in unit):

@@ -34,10 +34,10 @@ def key_of(path: Path, options: FitOptions) -> Key | None:
 def earlier(
     folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]
 ) -> tuple[list[str], list[Path]]:
-    """Names of those of these recordings that a folder has a fit of, and files of others that it has one of.
+    """Names of the recordings whose fits a folder has, and files of other recordings whose fits it has.
 
-    Names are unique within a run only. A stored fit that had another name in an earlier run gets its new one;
-    one that is left out and has a name that is needed is renamed.
+    Names are unique within one run only: stored fits are renamed to their new names, and those of other
+    recordings make way for them.
     """
     paths = {name: str(path.resolve()) for name, path in recordings.items()}
     found = {path.stem: document["key"] for path in folder.glob("*.json") if (document := _document(path))}

@@ -42,16 +42,16 @@ if TYPE_CHECKING:
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
 _FORMAT = 3
-_TOO_FINE = "the Allan variances did not determine the fit; it is that of the averaged spectra (whittle)"
+_TOO_FINE = "the Allan variances did not determine the fit; the averaged spectra were fitted (whittle)"
 
 _T = TypeVar("_T")
 
 
 class AllanAccumulator:
-    """Allan deviation and spectrum of samples that come piece by piece, in constant memory.
+    """Allan deviation and spectrum of samples that arrive in pieces, in constant memory.
 
-    `update` takes samples in chunks of any sizes, `merge` joins the accumulators of adjacent pieces, and
-    `result` and `fit` say what all of them show: the same, to rounding, however the samples were divided.
+    `update` takes samples in chunks of any size, `merge` joins the accumulators of adjacent pieces, and
+    `result` and `fit` evaluate all samples; up to rounding, the result does not depend on the chunks.
     `snapshot` and `restore` carry an accumulator over a restart.
 
         accumulator = AllanAccumulator(1000.0, ["gyro_x", "gyro_y", "gyro_z"])
@@ -68,18 +68,18 @@ class AllanAccumulator:
 
         Args:
             rate: sample rate [Hz].
-            axes: of the samples, in order: names such as `gyro_x` or `accel`, or those of a recording.
-            start: number of the first sample, for a piece that is merged later: how many there are before it.
-            name: for display.
+            axes: axes of the samples, in order: names such as `gyro_x` or `accel`, or axes of a recording.
+            start: number of samples before the first one, for a piece that is merged later.
+            name: name for display.
 
         Raises:
-            AllanjaxError: a rate that is not positive, a negative start.
-            RecordingError: no axes, or a name of no axis.
+            AllanjaxError: a rate that is not positive, or a negative start.
+            RecordingError: no axes, or an unknown name.
         """
         if not 0.0 < rate < np.inf:
             raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
         if start < 0:
-            raise AllanjaxError(f"the number of the first sample must not be negative: start is {start}")
+            raise AllanjaxError(f"start must not be negative, not {start}")
         self.rate, self.start, self.name = float(rate), start, name
         self.axes = _axes(axes)
         empty = np.zeros((0, len(self.axes)))
@@ -97,19 +97,19 @@ class AllanAccumulator:
         return self._pyramid.n + sum(map(len, self._gathered))
 
     def update(self, samples: Float[np.ndarray, "n axes"] | Float[np.ndarray, " n"]) -> None:
-        """Add the samples that follow those so far, rates in SI: rad/s or m/s².
+        """Add the next samples, in SI: rad/s or m/s².
 
-        An axis that has never had a number may go on without, as nan: it is dead, and has no result.
+        An axis that has only had nan so far may go on with nan; it is dead and has no result.
 
         Raises:
-            AllanjaxError: another number of axes, or other values that are not finite; none is added then.
+            AllanjaxError: another number of axes, or values that are not finite; no sample is added then.
         """
         # A copy: a rig fills the same buffer again.
         values = np.array(samples, float)
         values = values[:, None] if values.ndim == 1 else values
         if values.ndim != 2 or values.shape[1] != len(self.axes):
             raise AllanjaxError(
-                f"samples of {len(self.axes)} axes have the shape [n, {len(self.axes)}], not {values.shape}"
+                f"samples of {len(self.axes)} axes need the shape [n, {len(self.axes)}], not {values.shape}"
             )
         silent = self._silent & np.isnan(values).all(axis=0)
         bad = ~np.isfinite(values)
@@ -121,8 +121,8 @@ class AllanAccumulator:
         if bad.any():
             row, axis = np.argwhere(bad)[0]
             raise AllanjaxError(
-                f"sample {self.start + self.n + row} of {self.axes[axis].name} is not finite, or those "
-                "before it are not: every sample is needed; end the piece before it and begin another"
+                f"sample {self.start + self.n + row} of {self.axes[axis].name} or an earlier one is "
+                "not finite; end the piece before it, and begin a new one after it"
             )
         if len(values):
             self._silent = silent
@@ -132,20 +132,20 @@ class AllanAccumulator:
             self._flush()
 
     def merge(self, right: AllanAccumulator) -> AllanAccumulator:
-        """Accumulator of this one's samples and those of the piece after it; both stay as they are.
+        """Accumulator of this piece and the next one; both stay unchanged.
 
         Raises:
             AllanjaxError: `right` does not begin where this one ends, or has another rate or other axes.
         """
         if (self.rate, self.axes) != (right.rate, right.axes):
             raise AllanjaxError(
-                f"{_described(self)} and {_described(right)} are not of one recording: they cannot be merged"
+                f"{_described(self)} cannot be merged with {_described(right)}: not one recording"
             )
         if self.n and right.n and (self._silent != right._silent).any():
             name = self.axes[int(np.argmax(self._silent != right._silent))].name
             raise AllanjaxError(
-                f"{name} has no number in one of the pieces and has in the other: they cannot be merged; "
-                "leave the axis out, or take a stretch in which it has numbers"
+                f"{name} has values in only one of the pieces, so they cannot be merged; leave the axis out, "
+                "or select a part in which it has values"
             )
         for piece in (self, right):
             piece._flush()
@@ -159,7 +159,7 @@ class AllanAccumulator:
 
     @property
     def dead(self) -> tuple[DeadAxis, ...]:
-        """The axes that have no result: constant so far, or without a single number."""
+        """Axes without a result: constant so far, or without any value."""
         self._flush()
         if self.n < 2:
             return ()
@@ -190,10 +190,10 @@ class AllanAccumulator:
         return living
 
     def result(self) -> AllanDeviation:
-        """Allan deviations of all samples so far, at octaves: those of `estimator="pyramid"`.
+        """Allan deviations of all samples so far at octaves, as with `estimator="pyramid"`.
 
         Raises:
-            AllanjaxError: fewer than two samples, or no axis that is not dead.
+            AllanjaxError: fewer than two samples, or only dead axes.
         """
         living = self._living()
         return AllanDeviation.of_pyramid(living._pyramid, self.rate, living.axes)
@@ -201,14 +201,14 @@ class AllanAccumulator:
     def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
         """Inspection of the samples so far, as `allanjax.inspect` does for a recording.
 
-        Its `stretch` is the one that an accumulator without the disturbed samples would have. Spikes, lines
-        and interpolated samples need the samples themselves: a fact says that these are not looked for.
+        Its `stretch` is the undisturbed part. Single outlying samples, lines and interpolated samples cannot
+        be detected without the samples themselves, which a fact reports.
 
         Raises:
             AllanjaxError: there are no samples yet.
         """
         if not self.n:
-            raise AllanjaxError(f"{self.name or 'the stream'} has no samples yet: give it some by update()")
+            raise AllanjaxError(f"{self.name or 'the stream'} has no samples yet; add some with update()")
         living = self._living()
         return look(
             living._windows,
@@ -231,24 +231,24 @@ class AllanAccumulator:
     ) -> Fit:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
 
-        Without a model its terms are chosen by their evidence in the averaged spectra. "allan" fits the
-        pyramid's Allan variances with their own covariance, or the spectra where that does not converge (of
-        10⁹ samples with a strong random walk the covariance of 28 octaves loses its digits; a note says so);
-        "whittle" the averaged spectra.
+        Without a model, the terms are chosen by their evidence in the averaged spectra. "allan" fits the
+        Allan variances of the pyramid with their covariance, or the spectra if that does not converge (with
+        10⁹ samples and a strong random walk the covariance of 28 octaves is too inaccurate; a note reports
+        it); "whittle" fits the averaged spectra.
 
-        What was handled cannot be taken out again: there is no result then, unless `as_is`, and the reason
-        names the stretch to read (`start=`, `stop=` of `read_chunks`). `vibrating` as in `fit`.
+        Disturbed parts cannot be removed afterwards. There is then no result unless `as_is`; the reason gives
+        the part to read (`start=`, `stop=` of `read_chunks`). `vibrating` as in `fit`.
 
         Raises:
-            FitError: too few samples; no axis that is not dead; a line, a resonance or a transient, which
-                need the record itself.
+            FitError: too few samples; only dead axes; a line, resonance or transient, which needs the record
+                itself.
         """
         return self.fit_inspected(self.inspect(as_is=as_is, vibrating=vibrating).uncut(), model, objective)
 
     def fit_inspected(self, seen: Inspection, model: ModelLike | None, objective: Objective) -> Fit:
         """Fit of these samples, of which `seen` is the inspection; see `fit`."""
         if objective in ("wavelet", "exact"):
-            raise FitError(f'objective="{objective}" needs the samples themselves: give "allan" or "whittle"')
+            raise FitError(f'objective="{objective}" needs the samples themselves; use "allan" or "whittle"')
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
         choose = model is None and not seen.refusal
@@ -271,10 +271,10 @@ class AllanAccumulator:
         return with_what_was_seen(found, seen)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:
-        """Write the state to a file, whole or not at all; `restore` goes on from there.
+        """Write the state to a file, completely or not at all; `restore` continues from it.
 
         Raises:
-            OSError: the file can not be written.
+            OSError: the file cannot be written.
         """
         self._flush()
         header = {
@@ -304,15 +304,15 @@ class AllanAccumulator:
         """Accumulator of a snapshot.
 
         Raises:
-            RecordingError: the file is no snapshot, is damaged, or is of a later version.
+            RecordingError: the file is not a snapshot, is damaged, or has another version.
         """
         try:
             with np.load(path, allow_pickle=False) as arrays:
                 header = json.loads(str(arrays["header"]))
                 if header["format"] != _FORMAT:
                     raise RecordingError(
-                        f"{path}: a snapshot of format {header['format']}, this version reads {_FORMAT}; "
-                        "restore it with the allanjax that wrote it"
+                        f"{path}: a snapshot of format {header['format']}, but this version reads {_FORMAT}; "
+                        "restore it with the version of allanjax that wrote it"
                     )
                 axes = [Axis(**axis) for axis in header["axes"]]
                 found = cls(header["rate"], axes, start=header["start"], name=header["name"])
@@ -349,7 +349,7 @@ class AllanAccumulator:
 
     def __repr__(self) -> str:
         title = f" {self.name!r}" if self.name else ""
-        start = f" from sample {self.start} on" if self.start else ""
+        start = f" from sample {self.start}" if self.start else ""
         return f"<AllanAccumulator{title}: {_described(self)}; {self.n} samples{start}>"
 
 
@@ -365,12 +365,12 @@ def accumulate(
     """Read a recording chunk by chunk into an accumulator.
 
     Args:
-        recording: what `read_chunks` returns.
+        recording: a result of `read_chunks`.
         start: number of its first sample, for a piece that is merged later.
-        progress: called with the samples done and, if known, the samples in all.
+        progress: called with the number of samples read and, if known, in total.
 
     Raises:
-        RecordingError: the file has bad values, gaps or damaged rows; the message says where.
+        RecordingError: the file has bad values, gaps or damaged rows; the message gives the place.
     """
     accumulator = AllanAccumulator(recording.rate, recording.axes, start=start, name=recording.name)
     for samples in recording:

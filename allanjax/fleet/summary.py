@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.base.wording import format_interval, format_with_error, significant
+from allanjax.base.wording import significant
+from allanjax.estimate.tables import MAIN, SYMBOLS, Column, Number, column, tables_of
 from allanjax.fleet.grades import Split, found_split, pooled_values
 from allanjax.fleet.outlying_units import FEWEST_UNITS
 from allanjax.fleet.remarks import (
@@ -26,8 +27,10 @@ if TYPE_CHECKING:
 
 # Names that a note lists at most.
 _NAMED = 5
-# Rows of the printed table of units at most.
-_ROWS = 40
+# Units with remarks that are printed at most, and characters of the names in a cell.
+_ROWS, _SHORT = 40, 28
+# Columns that say which coefficient of which units a row is of.
+_PLACE = ("axis", "group", "coefficient")
 # Numbers in words.
 _COUNTS = ("no", "one", "two", "three", "four", "five", "six")
 
@@ -78,8 +81,8 @@ def _told(split: Split, names: Sequence[str], group: str) -> str:
     count = _COUNTS[split.groups] if split.groups < len(_COUNTS) else str(split.groups)
     return (
         f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''} falls into {count} groups, "
-        f"{apart} times apart: {', '.join(parts)}. Units are compared within these; say which belong "
-        "together by group= (--group)"
+        f"{apart} times apart: {', '.join(parts)}. Units are compared within these; pass groups of your own "
+        "with group= (--group)"
     )
 
 
@@ -93,19 +96,19 @@ def _warned(table: pd.DataFrame) -> list[str]:
     if not found:
         return []
     count = int((of["warnings"] != "").sum())
-    more = f"; {len(found) - _NAMED} more of them are in the column warnings" if len(found) > _NAMED else ""
-    heading = f"{count} recording{'s' * (count > 1)} with warnings{more}"
+    more = f" ({len(found) - _NAMED} more in the column warnings)" if len(found) > _NAMED else ""
+    heading = f"{count} recording{'s have' if count > 1 else ' has'} warnings{more}"
     most = sorted(found.items(), key=lambda pair: -len(pair[1]))[:_NAMED]
     return [heading, *(f"  {listed(names)}: {warning}" for warning, names in most)]
 
 
 def _remarked(units: Mapping[str, Sequence[AxisStructure]]) -> Iterator[str]:
     """Notes on axes that are not a measurement, whose model is incomplete, or that were corrected."""
-    wrong = "are not a measurement of the sensor: they are not in the statistics, nor compared"
+    wrong = "not a measurement of the sensor; left out of the statistics and the comparison"
     sentences: Mapping[str, Callable[[Remark], bool]] = {
         wrong: lambda remark: remark.kind == NOT_MEASURED,
-        "are of an incomplete model: their intervals allow for it": lambda remark: remark.kind == INCOMPLETE,
-        "are corrected for lines, resonances or filters": lambda remark: remark.corrected,
+        "the model does not fit; the intervals are widened accordingly": lambda r: r.kind == INCOMPLETE,
+        "corrected for spectral lines, resonances or filters": lambda remark: remark.corrected,
     }
     for sentence, concerns in sentences.items():
         named = []
@@ -113,7 +116,7 @@ def _remarked(units: Mapping[str, Sequence[AxisStructure]]) -> Iterator[str]:
             axes = [axis.axis for axis in unit if any(map(concerns, axis.remarks))]
             named += [f"{name} ({', '.join(axes)})"] if axes else []
         if named:
-            yield f"the coefficients of {listed(named)} {sentence}"
+            yield f"{listed(named)}: {sentence}"
 
 
 def _unlike(table: pd.DataFrame, units: Mapping[str, Sequence[AxisStructure]]) -> list[str]:
@@ -122,8 +125,8 @@ def _unlike(table: pd.DataFrame, units: Mapping[str, Sequence[AxisStructure]]) -
     for _, of in table.groupby("group", sort=False):
         found |= unlike_mates({name: units[name] for name in of["recording"].unique()})
     named = [f"{name} ({words})" for name, words in found.items()]
-    whose = "units have" if len(named) > 1 else "unit has"
-    return [f"{len(named)} {whose} a structure unlike that of most others: {listed(named)}"] if named else []
+    differ = "units differ" if len(named) > 1 else "unit differs"
+    return [f"{len(named)} {differ} from most others: {listed(named)}"] if named else []
 
 
 def _alike(table: pd.DataFrame) -> list[str]:
@@ -136,7 +139,7 @@ def _alike(table: pd.DataFrame) -> list[str]:
             title = title_of(family.coefficient, family.sensor)
             notes.append(
                 f"{len(units)} of {len(family.recordings)} units are outlying in {family.sensor} {title}: if "
-                "they are of another grade than the others, say so by group= (--group)"
+                "they are of another grade, make them a group of their own with group= (--group)"
             )
     return notes
 
@@ -152,16 +155,16 @@ def _too_few(table: pd.DataFrame) -> list[str]:
         whose = f"{count} unit{'s' * (count > 1)}"
     else:
         whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()])}"
-    return [f"{whose}: too few to say whether one is unlike the others, which takes {FEWEST_UNITS}"]
+    return [f"{whose}: too few to detect outlying units, which takes {FEWEST_UNITS}"]
 
 
 def left_out(files: Sequence[Path], folder: Path) -> str:
     """Note on recordings that an earlier run had, and this one does not name."""
-    recordings, be = ("recordings", "are") if len(files) > 1 else ("recording", "is")
+    recordings = "recordings" if len(files) > 1 else "recording"
     return (
-        f"{len(files)} {recordings} of an earlier run {be} not among these files and {be} left out of "
-        f"fleet.parquet: {listed([str(path) for path in files])}. What was computed stays in {folder}: name "
-        "the files too, and they are in the table again"
+        f"{len(files)} {recordings} of an earlier run left out of fleet.parquet, as not among these files: "
+        f"{listed([str(path) for path in files])}. Their results stay in {folder}; to include them, pass "
+        "these files too"
     )
 
 
@@ -171,57 +174,82 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def cells(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings of the printed table, and a row for each group, axis and coefficient.
+def printed(table: pd.DataFrame) -> tuple[list[list[Column]], list[str]]:
+    """Tables with one row per axis and group, one per sensor; and a line below them per unit with remarks.
 
-    Median, scatter and quantiles are those of estimates with an interval, without outlying units; counts are
-    of axes that are a measurement of the sensor.
+    Median and scatter are those of estimates with an interval, without outlying units; counts are of axes
+    that are a measurement of the sensor.
     """
-    grouped = bool((table["group"] != "").any())
-    headings = ("axis", "coefficient", *(["group"] if grouped else []))
-    rows = []
-    # Axes and coefficients in the order in which they first occur.
-    order = [table[name].factorize(sort=name == "group")[0] for name in ("axis", "coefficient", "group")]
-    for _, of in table.groupby(order, sort=True):
-        first, odd = of.iloc[0], of[of["outlying"]]
-        of = of[of["measured"]]
-        found = of[of["detected"] & np.isfinite(of["value"])]
-        usual = found.loc[~found["outlying"], "value"]
-        spread = _spread(usual.to_numpy(), found["std"].to_numpy(), first["unit"])
-        ratios = zip(odd["recording"], odd["value"] / usual.median(), strict=True)
+    tables: list[list[Column]] = []
+    for _, of in table.groupby("sensor", sort=False):
+        axes = list(dict.fromkeys(of["axis"]))
+        rows = sorted(set(zip(of["axis"], of["group"], strict=True)), key=lambda r: (axes.index(r[0]), r[1]))
+        parts: dict[Any, pd.DataFrame] = dict(list(of.groupby(list(_PLACE))))
+        labels = sorted(set(of["coefficient"]), key=lambda name: [*SYMBOLS, name].index(name))
+        columns = {}
+        for label in labels:
+            one = of[of["coefficient"] == label].iloc[0]
+            numbers = [_median(parts[(*row, label)]) if (*row, label) in parts else None for row in rows]
+            name = SYMBOLS.get(label, title_of(label, one["sensor"]))
+            columns[label] = column(name, one["unit"], numbers)
+        first = [Column("axis", [axis for axis, _ in rows])]
+        if any(group for _, group in rows):
+            first.append(Column("group", [group for _, group in rows]))
+        of_rows = [of[(of["axis"] == axis) & (of["group"] == group)] for axis, group in rows]
+        last = [
+            Column("detected", list(map(_detected, of_rows))),
+            Column("outlying", list(map(_odd, of_rows))),
+        ]
+        main = [c for label, c in columns.items() if label in MAIN]
+        tables += tables_of(first, main, [c for label, c in columns.items() if label not in MAIN], last)
+    return tables, _lines(table)
+
+
+def _found(of: pd.DataFrame) -> pd.DataFrame:
+    """The rows with a coefficient that was detected and is a measurement."""
+    return of[of["measured"] & of["detected"] & np.isfinite(of["value"])]
+
+
+def _median(of: pd.DataFrame) -> Number | None:
+    """Median of one coefficient with its scatter among units, of a single unit with its own error."""
+    found = _found(of)
+    usual = found[~found["outlying"]]
+    if len(usual) < 2:
+        return Number(usual["value"].iloc[0], usual["std"].iloc[0]) if len(usual) else None
+    return Number(float(usual["value"].median()), float(usual["value"].std()))
+
+
+def _detected(of: pd.DataFrame) -> str:
+    """How many units have each coefficient, e.g. "6 of 6" or "N 6, B 1 of 6"."""
+    names = dict.fromkeys(of["coefficient"])
+    counts = {SYMBOLS.get(name, name): len(_found(of[of["coefficient"] == name])) for name in names}
+    total = of.loc[of["measured"], "recording"].nunique()
+    same = len(set(counts.values())) == 1
+    each = ", ".join(f"{name} {count}" for name, count in counts.items() if count)
+    return f"{next(iter(counts.values())) if same else each} of {total}"
+
+
+def _odd(of: pd.DataFrame) -> str:
+    """Outlying units by name, or how many there are."""
+    names = list(dict.fromkeys(of.loc[of["outlying"], "recording"]))
+    text = ", ".join(names)
+    return text if len(text) < _SHORT else f"{len(names)} units"
+
+
+def _lines(table: pd.DataFrame) -> list[str]:
+    """A line per unit: in what it is outlying, and what was corrected, left out or is wrong on its axes."""
+    lines: dict[str, list[str]] = {}
+    for row in table[table["outlying"]].to_dict("records"):
+        same = (table[list(_PLACE)] == [row[name] for name in _PLACE]).all(axis=1)
+        usual = _median(table[same])
         # Where all others have limits there is no median.
-        units = [f"{name} ({significant(ratio, 2)})" if ratio == ratio else name for name, ratio in ratios]
-        title = title_of(first["coefficient"], first["sensor"])
-        row = (first["axis"], title, first["group"]) if grouped else (first["axis"], title)
-        rows.append((*row, f"{len(found)} of {len(of)}", *spread, listed(units)))
-    return (
-        *headings,
-        "detected",
-        "median ± scatter",
-        "5 … 95 %",
-        "outlying, left out of both (× median)",
-    ), rows
-
-
-def cells_of_units(table: pd.DataFrame) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Headings of the printed table of units with remarks, and a row for each unit and remark on its axes."""
-    rows: list[tuple[str, ...]] = []
-    axes = table.loc[table["remarks"] != ""].drop_duplicates(["recording", "axis"])
-    for (name, remarks), of in axes.groupby(["recording", "remarks"], sort=False):
-        rows.append((str(name), ", ".join(of["axis"]), str(remarks)))
-    if len(rows) > _ROWS:
-        more = f"{len(rows) - _ROWS} more rows: see the column remarks"
-        rows = [*rows[:_ROWS], ("…", "", more)]
-    return ("unit", "axes", "corrected, left out or wrong"), rows
-
-
-def _spread(values: np.ndarray, stds: np.ndarray, unit: str) -> tuple[str, str]:
-    """Median with the scatter among units (of a single unit its own error), and 5 and 95 % quantiles."""
-    if not len(values):
-        return "", ""
-    named = "" if unit == "1" else f" {unit}"
-    if len(values) == 1:
-        return f"{format_with_error(values[0], stds[0])}{named}", ""
-    low, median, high = map(float, np.quantile(values, (0.05, 0.5, 0.95)))
-    scatter = float(np.std(values, ddof=1))
-    return f"{format_with_error(median, scatter)}{named}", format_interval(low, high, median, scatter)
+        size = f" (×{significant(row['value'] / usual.value, 2)} the median)" if usual else ""
+        what = f"outlying in {row['axis']} {SYMBOLS.get(row['coefficient'], row['coefficient'])}{size}"
+        lines.setdefault(row["recording"], []).append(what)
+    for unit, of in table.drop_duplicates(["recording", "axis"]).groupby("recording", sort=False):
+        for remarks, part in of[of["remarks"] != ""].groupby("remarks", sort=False):
+            axes = "all axes" if len(part) == len(of) > 1 else ", ".join(part["axis"])
+            lines.setdefault(str(unit), []).append(f"{axes}: {remarks}")
+    told = [f"{unit}: {'; '.join(words)}" for unit, words in lines.items()]
+    more = len(told) - _ROWS
+    return told[:_ROWS] + ([f"{more} more units with remarks: see the column remarks"] if more > 0 else [])

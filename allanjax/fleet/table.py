@@ -61,8 +61,8 @@ def table_schema() -> pa.Schema:
 def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
     """Rows of one recording, from its fit as `as_json.to_dict` gives it.
 
-    Axes without result have no rows, and neither have filters, resonances and lines for which an axis was
-    corrected; these are among its remarks. Outlying units are marked later.
+    Axes without a result have no rows, nor have the filters, resonances and lines for which an axis was
+    corrected, which are among its remarks. Outlying units are marked later.
     """
     about = {axis.axis: axis for axis in structures(fit)}
     start, stop = fit["stretch_s"] or (None, None)
@@ -137,10 +137,10 @@ def families(table: pd.DataFrame) -> Iterator[Family]:
 
 
 def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
-    """Copy whose column `outlying` says which values are unlike those of the other units of the group.
+    """Copy whose column `outlying` marks values that differ from those of the other units of the group.
 
-    `outlying_units.outlying` judges a coefficient by all axes of a sensor. The probability that anything is
-    marked in a fleet of like units is 1 % for the whole table (Bonferroni: every coefficient has its share).
+    `outlying_units.outlying` judges a coefficient by all axes of a sensor. In a fleet of equal units, the
+    probability of any mark is 1 % (Bonferroni: every coefficient has its share).
     """
     judged = [family for family in families(table) if testable(family.axes)]
     marked = np.zeros(len(table) + 1, bool)

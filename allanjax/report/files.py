@@ -41,10 +41,10 @@ def with_check(fit: Fit, check: Check | None) -> dict[str, Any]:
 
 
 def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write the Allan deviations with their 68 % intervals and the model's, one row a cluster time.
+    """Write the Allan deviations with 68 % intervals and those of the model, one row per cluster time.
 
-    Each axis is in its recording's unit, which the header states; where that is one of increments, in rad/s
-    or m/s². The model's column is empty for an axis without result.
+    The header states the unit of each axis: that of the recording, or rad/s or m/s² for increments. The
+    model's column is empty for an axis without a result.
     """
     curve = fit.curve
     columns = {"cluster_time [s]": curve.cluster_time}
@@ -62,10 +62,9 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 
 
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write one row a coefficient, in its usual unit; an axis without result has one row with the reason.
+    """Write one row per coefficient in its usual unit, and one row with the reason per axis without a result.
 
-    A coefficient that is not a measurement (see `AxisFit.measured`) has no error and no interval, but a
-    reason.
+    A coefficient that is not a measurement (see `AxisFit.measured`) has a reason but no error or interval.
     """
     rows: list[dict[Any, Any]] = []
     for result in fit.results:
@@ -97,7 +96,7 @@ def write_results(
 ) -> tuple[Path, ...]:
     """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths.
 
-    Without a spectrum, as of a recording that was read in chunks, there is no NAME_psd.png.
+    Without a spectrum, as for a recording read in chunks, there is no NAME_psd.png.
     """
     from allanjax.report.spectrum_figure import plot_psd
 
@@ -155,12 +154,12 @@ def to_c_header(space: StateSpace, prefix: str = "noise") -> str:
     """Text of a C header: constants `NOISE_STATES` and `NOISE_RATE`, arrays `noise_A` to `noise_P0`.
 
     Raises:
-        AllanjaxError: the prefix is no name in C, or the model has no states: C knows no empty arrays.
+        AllanjaxError: the prefix is not a C identifier, or the model has no states, as C has no empty arrays.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", prefix):
-        raise AllanjaxError(f"the prefix of a C header must be a name, e.g. noise, not {prefix!r}")
+        raise AllanjaxError(f"the prefix of a C header must be a C identifier such as noise, not {prefix!r}")
     if not space.size:
-        raise AllanjaxError(f"{space.model} has no states, only white noise R: it needs no header")
+        raise AllanjaxError(f"{space.model} has no states, only white noise R, so it needs no header")
     own = prefix.upper()
     lines = [f"/* {_LAW}", f"   {space.model} */", f"#ifndef {own}_H", f"#define {own}_H", ""]
     lines += [f"#define {own}_STATES {space.size}", f"#define {own}_RATE {space.rate!r} /* Hz */", ""]

@@ -261,7 +261,9 @@ def judged(fit: aj.Fit | None, name: str, truth: float) -> tuple[str, float]:
         fact.kind != "length" and name in fact.axes and fact.text in fit.warnings for fact in fit.facts
     )
     far = abs(off) > 5.0 and abs(found.value / truth - 1.0) > 0.05
-    return ("silently off" if far and not warned and "incomplete" not in fit[name].verdict else "missed"), off
+    return (
+        "silently off" if far and not warned and "does not fit" not in fit[name].verdict else "missed"
+    ), off
 
 
 def run(*, scenes: int = 300, block: int = 25, seed: int = 1_000_000, scene: int = -1) -> Iterator[str]:

@@ -97,7 +97,7 @@ def incomplete(axis: Any) -> float:
     """Whether the fit of an axis is called so, or no measurement; NaN where there is no result."""
     if axis is None:
         return np.nan
-    return float(axis.discrepancy > 0.0 or not axis.measured or "incomplete" in str(axis.verdict))
+    return float(axis.discrepancy > 0.0 or not axis.measured or "does not fit" in str(axis.verdict))
 
 
 def case_of(kind: str, n: int, rng: np.random.Generator, factors: tuple[float, float]) -> Case:

@@ -167,6 +167,20 @@ def test_what_differs_in_one_number_is_not_equal(what):
     assert len({one, other, copy.deepcopy(one)}) == 2
 
 
+def test_a_fit_prints_a_row_per_axis_and_all_coefficients_in_details():
+    lines = str(fit()).splitlines()
+    assert max(map(len, lines)) <= 100
+    for name, result in fit().items():
+        (row,) = (line for line in lines if line.startswith(name) and "p = " in line)
+        basic = [c.in_unit() for c in result.coefficients.values() if c.symbol in "NBK"]
+        assert row.count("±") == sum(c.detected for c in basic)
+        assert row.count("<") == sum(not c.detected for c in basic)
+        rows = str(result).splitlines()
+        assert all(
+            any(c.title in line and c.describe() in line for line in rows) for c in basic if c.detected
+        )
+
+
 def test_the_frame_of_a_fit_is_that_of_its_axes_and_a_finding_is_an_estimate():
     whole = pd.concat([result.to_dataframe() for result in fit().results], ignore_index=True)
     pd.testing.assert_frame_equal(whole, fit().to_dataframe())

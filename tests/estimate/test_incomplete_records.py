@@ -43,7 +43,7 @@ def test_coefficients_are_those_of_the_likelihood_of_all_stretches(whole, fitted
     assert whole.n == 3000
     assert [len(other) for other in whole.others] == [2048, 300, 1500]
     assert fitted.objective == "whittle"
-    assert any("4 stretches together, 6848 samples" in note for note in fitted.notes)
+    assert any("4 segments, 6848 samples" in note for note in fitted.notes)
     for k, result in enumerate(fitted.values()):
         stretches = [x[:, k] for x in (whole.values, *whole.others)]
         squares = np.concatenate([dst(np.diff(x), type=1, norm="ortho") ** 2 for x in stretches])
@@ -92,7 +92,7 @@ ALONE = {
 def test_what_needs_one_record_is_of_the_longest(whole, why):
     model, objective = ALONE[why]
     fit = aj.fit(whole["gyro_x"], model, objective, as_is=True)
-    assert any("longest stretch alone" in note and why in note for note in fit.notes)
+    assert any("longest segment" in note and why in note for note in fit.notes)
     alone = aj.fit(whole.between(0.0, whole.duration)["gyro_x"], model, objective, as_is=True)
     assert fit["gyro_x"]["N"] == alone["gyro_x"]["N"]
 
@@ -102,7 +102,7 @@ def test_a_stretch_is_used_without_what_happened_in_it(every, touched):
     x = record(42, axes=1)
     x[500:600:every] += 0.5 * np.random.default_rng(1).standard_normal((100, 1))[::every]
     fit = aj.fit(made(x), "N + K")
-    assert any("1 of 4 stretches" in note for note in fit.notes) == touched
+    assert any("1 of 4 segments" in note for note in fit.notes) == touched
     assert fit["gyro_x"]["N"].value == pytest.approx(N, rel=0.05)
     assert aj.fit(made(x), "N", as_is=True)["gyro_x"]["N"].value > 2.0 * N
 

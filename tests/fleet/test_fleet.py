@@ -49,7 +49,7 @@ def test_the_table_holds_what_fits_find(characterized, logs):
     (error,) = result.errors
     assert (error["file"], "Parquet" in error["message"]) == (str(logs / "corrupt.parquet"), True)
     assert pd.read_csv(out / "errors.csv").to_dict("records") == [error]
-    assert "6 recordings: 5 without an error, 1 with; 0 taken" in str(result)
+    assert "6 recordings: 5 without errors, 1 with errors; 0 from" in str(result)
     assert (out / "notes.txt").read_text(encoding="utf-8").splitlines() == list(result.notes)
     assert (out / "fleet.png").exists()
     assert result.files == tuple(sorted(logs.iterdir()))
@@ -128,7 +128,7 @@ def test_each_option_is_part_of_a_results_key(three, cluster, name):
     three.store("a", ONE)
     assert three.run(three.files[:1], **{name: value}).resumed == 1
     outcome = run("fleet", three.files[0], "--out", three.out, *words)
-    assert (outcome.exit_code, "1 taken from an earlier run" in outcome.stdout) == (0, True)
+    assert (outcome.exit_code, "1 from an earlier run" in outcome.stdout) == (0, True)
 
 
 # Held, free, started elsewhere; of the first and the second order; with an amplitude held and free; chosen.
@@ -185,7 +185,7 @@ def test_rows_of_a_stored_fit(three):
         table = result.table
         found = table["coefficient"].tolist(), {*table["terms"]}, {*table["remarks"]}
         assert found == (labels, {f"{ARW} + {last}"}, {remark})
-        assert any("b (gyro_x) are corrected" in note for note in result.notes) == bool(remark)
+        assert any("b (gyro_x): corrected" in note for note in result.notes) == bool(remark)
 
 
 @pytest.mark.usefixtures("no_windows")
@@ -202,7 +202,7 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     found = told.table.groupby(["recording", "axis"])["remarks"].unique().map(", ".join).to_dict()
     used = sum(stop - start for start, stop in aj.inspect(aj.read(tmp_path / "knock.parquet")).parts)
     expected = dict.fromkeys(found, "length 20 s")
-    expected["line", "gyro_y"] = "incomplete, line 7.3 Hz, length 20 s"
+    expected["line", "gyro_y"] = "misfit, line 7.3 Hz, length 20 s"
     # 5e-4 is half a standard deviation, above which 31 % are.
     expected["clips", "gyro_x"] = "not a measurement, saturation 31 %, length 20 s"
     expected |= {("knock", f"gyro_{k}"): f"cut {20.48 - used:.2g} s, length {used:.2g} s" for k in "xy"}
@@ -210,14 +210,8 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     (error,) = told.errors
     assert error["file"] == str(tmp_path / "clips.parquet")
     assert error["message"] == "gyro_x: not a measurement of this sensor: its range was exceeded"
-    text, odd = str(told), "3 units have a structure unlike that of most others: "
-    for words in (
-        "4 of 4",
-        "clips (gyro_x) are not a measurement",
-        "line (gyro_y) are of an incomplete model",
-        odd,
-    ):
-        assert words in text
+    wrong = ("clips (gyro_x): not a measurement", "line (gyro_y): the model does not fit")
+    assert all(words in str(told) for words in ("of 4", *wrong, "3 units differ from most others: "))
     # One unit's crosses, and hollow circles of all units, which are short.
     (panel, *_) = told.plot().axes
     assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "x") == 1
@@ -344,26 +338,26 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs):
     words = ["--terms", "N + K", "--plain", "--workers", 1, "--out", "out"]
     outcome = run("fleet", logs / "unit_0.parquet", "missing.csv", *words)
     assert (outcome.exit_code, "missing.csv" in outcome.stderr) == (1, True)
-    assert "2 recordings: 1 without an error, 1 with; 0 taken" in outcome.stdout
+    assert "2 recordings: 1 without errors, 1 with errors; 0 from" in outcome.stdout
     expected = characterized[1].table.query("recording == 'unit_0'")["value"]
     np.testing.assert_allclose(pd.read_parquet("out/fleet.parquet")["value"], expected, rtol=1e-8)
     nothing = run("fleet", "*.parquet")
     assert (nothing.exit_code, "*.parquet" in nothing.stderr) == (1, True)
 
 
-def test_the_printed_table_has_median_scatter_and_quantiles(fleet):
+def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
     values = np.array([[1.0], [1.06], [0.94], [1.03], [0.97], [9.0]])
     limits = np.array([[np.nan], *5 * [[20_000.0]]])
     few = ("gyro", "bias_instability", 12_347.0 * np.ones((6, 1)), 0.05)
-    told = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()
-    # Their standard deviation is 0.0474; quantiles are 0.946 and 1.054; and 9 is nine times the median.
-    walk = ("6 of 6", "1.000 ± 0.047 deg/√h", "0.946 … 1.054", "unit_5 (9.0)")
-    for title, words in (("angle random walk", walk), ("bias instab", ("1 of 6", "12,350 ± 620 deg/√h"))):
-        assert any(all(word in line for word in (title, *words)) for line in told)
+    _, head, _, row, unit = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()[:5]
+    assert all(word in head for word in ("N (deg/√h)", "B (deg/√h)", "detected", "outlying"))
+    # Their standard deviation is 0.0474, and 9 is nine times the median.
+    cells = ("gyro_x", "1.000 ± 0.047", "12,350 ± 620", "N 6, B 1 of 6", "unit_5")
+    assert all(cell in row for cell in cells)
+    assert unit == "unit_5: outlying in gyro_x N (×9.0 the median)"
     # Where the others have limits alone, there is no median.
-    (line,) = (line for line in str(fleet.judged((*few, limits / 1e4))).splitlines() if "bias inst" in line)
-    assert "unit_0" in line
-    assert "nan" not in line
+    *_, row, unit = str(fleet.judged((*few, limits / 1e4))).splitlines()[:5]
+    assert (row.split()[-1], unit) == ("unit_0", "unit_0: outlying in gyro_x B")
 
 
 @pytest.mark.usefixtures("no_windows")
