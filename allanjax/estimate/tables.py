@@ -232,7 +232,7 @@ def _remarks(fit: Fit) -> Iterator[str]:
 
 def details(title: str, results: Sequence[AxisFit]) -> str:
     """Table of all coefficients of these axes with intervals and limits, and a line below per axis."""
-    headings = ("axis", "coefficient", "estimate ± 1σ", "95 % interval", "remark")
+    headings = ("axis", "coefficient", "estimate ± 1σ", "95 % interval")
     rows = [
         row for r in results if r.converged for row in map(_detail, [r] * len(r.coefficients), r.coefficients)
     ]
@@ -241,23 +241,21 @@ def details(title: str, results: Sequence[AxisFit]) -> str:
     return as_text(title, [table] if rows else [], lines)
 
 
-def _detail(result: AxisFit, label: str) -> tuple[str, str, str, str, str]:
-    """Row of a coefficient in the table of details."""
+def _detail(result: AxisFit, label: str) -> tuple[str, str, str, str]:
+    """Row of a coefficient in the table of details; without an interval, the reason in its place."""
     c = result.coefficients[label].in_unit()
-    number, interval, remark = _number(c), "", c.remark
-    if number is None:
-        text = ""
-    elif number.error > 0.0:
-        text, interval = format_with_error(*number[:2]), c.describe_interval()
-    else:
-        text = f"{number.before}{significant(number.value) if number.before else plain(number.value)}"
-        text += number.after
+    number, reason = _number(c), ""
     if c.held:
-        text, remark = plain(c.value), "held"
+        text, reason = plain(c.value), "held"
     elif number is None:
-        remark = "not determined"
-    elif not c.detected and c.measured:
-        rivals = " or ".join(SYMBOLS.get(term, term) for term in c.rivals)
-        remark = f"may be {rivals}" if rivals else "not detected"
+        text, reason = "", "not determined"
+    elif number.error > 0.0:
+        text, reason = format_with_error(*number[:2]), c.describe_interval()
+    else:
+        text = f"{number.before}{significant(number.value)}{number.after}"
+        if not c.detected and c.measured:
+            reason = "not detected"
+            if c.rivals:
+                reason = f"may be {' or '.join(SYMBOLS.get(term, term) for term in c.rivals)}"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
-    return c.axis.name, c.title, text + unit, interval, remark
+    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))
