@@ -1,21 +1,21 @@
-"""How long a sensor coasts: what a filter may take its bias to be, and for how long that holds.
+"""How long a sensor coasts: which model of the bias a filter may use, and for how long that model holds.
 
-The filter has seen the sensor at rest for long, and has an estimate of the bias by a steady-state Kalman
+The filter has observed the sensor at rest for long, and has estimated the bias by a steady-state Kalman
 filter for samples z_k = b_k + v_k with b_{k+1} = φ b_k + w_k, variances R = N²·rate and Q. The bias is a
 random walk, φ = 1 and Q = K²/rate, or a first-order Gauss–Markov process of correlation time T driven by
 noise of density K², φ = e^{−1/(T·rate)} and Q = K²T/2·(1 − φ²):
 
     P = φ²PR/(P + R) + Q,    g = P/(P + R),    b̂_k = φ b̂_{k−1} + g(z_k − φ b̂_{k−1}).
 
-Then it integrates for n samples of h seconds, less φ^j b̂. It predicts for the integral the variance
+Then it integrates n samples of h seconds, less φ^j b̂. The variance that it predicts for the integral is
 
     h²[s_n² PR/(P + R) + Q Σ_{k≤n} (s_k/φ)² + nR],    s_k = φ + … + φ^k,
 
-which is right if the noise is as it believes. What it is for any other noise follows from the states of the
+which is right if the noise is as the filter assumes. For any other noise it follows from the states of the
 noise and b̂ together (Gelb, Applied Optimal Estimation, 1974, 7.2: the suboptimal filter's true covariance).
 
-A Gauss–Markov process returns to zero. To its filter the bias is counted from its mean over the record of
-length D, which is known; about it a random walk has the variance K²D/6.
+A Gauss–Markov process returns to zero. Its filter counts the bias from the known mean over the record of
+length D; about that mean a random walk has the variance K²D/6.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import finite_or_none, significant
 from allanjax.estimate.as_json import in_both_units
@@ -44,7 +44,7 @@ from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
-#: What the bias is to the filter.
+#: How the filter models the bias.
 Process = Literal["walk", "markov"]
 SCHEMA_VERSION = 1
 #: Exponents of time in the units of N and K, of the angle, and of the bias.
@@ -57,7 +57,7 @@ _DRAWS = 400
 _AT_REST = 3600.0
 # Memories and correlation times of the Gauss–Markov filters that are compared.
 _MEMORIES, _TIMES = 25, 11
-# Those whose true error is larger than the least by more than this factor are no filters to take.
+# Filters whose true error is larger than the least by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _LABELS = {
@@ -195,7 +195,7 @@ def _of_block(
     """Variance of the integral's error for noise of these states."""
     space = StateSpace.of(block, filters.rate, "gyro", "")
     sums = [space.sum_covariance(int(n)) for n in steps]
-    seen = np.stack([transition[-1, :-1] for transition, _ in sums])
+    observed = np.stack([transition[-1, :-1] for transition, _ in sums])
     added = np.array([noise[-1, -1] for _, noise in sums])
     A, n, found = block.transition, block.size, []
     # About its mean over the record a walk has the variance of a process that is forgotten in a third of it;
@@ -213,8 +213,8 @@ def _of_block(
         states = A @ P[:n, :n] @ A.T + block.noise
         shared = A @ P[:n, n]
         found.append(
-            np.einsum("ti,ij,tj->t", seen, states, seen)
-            - 2.0 * share * (seen @ shared)
+            np.einsum("ti,ij,tj->t", observed, states, observed)
+            - 2.0 * share * (observed @ shared)
             + share**2 * P[n, n]
             + added
         )
@@ -254,20 +254,20 @@ def memories(duration: float, rate: float, terms: Sequence[float] = (), count: i
 class AxisHorizon(ByValue):
     """White noise and process of the bias for the filter of one axis, up to a horizon.
 
-    The filter has estimated the bias from the sensor at rest, and integrates what it measures, less that
-    bias. Its `error` is that of the angle (of the velocity). See `estimate.horizon`. To the filter the bias
-    is a random walk, or a first-order Gauss–Markov process, which is a walk that returns to zero in the
+    The filter has estimated the bias from the sensor at rest, and integrates the samples less that bias. Its
+    `error` is that of the angle (of the velocity); see `estimate.horizon`. It models the bias as a random
+    walk, or as a first-order Gauss–Markov process, which is a walk that returns to zero within the
     correlation time: K is then the root of the density of the noise that drives it.
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         horizon: time between corrections [s].
-        probability: that of the bounds.
-        white, walk: the N and K whose predicted variance is the true one at the horizon, and closest to it
-            in the largest ratio at shorter times, from a hundredth of the horizon on.
-        correlation_time: of the Gauss–Markov process, one of those that are
-            compared, a factor of two apart or less; None for a walk.
-        mismatch: how many times larger or smaller the predicted standard deviation is there at most.
+        probability: probability of the bounds.
+        white, walk: the N and K whose predicted variance is the true one at the horizon, and whose largest
+            ratio to it at shorter times, from a hundredth of the horizon on, is closest to one.
+        correlation_time: correlation time of the Gauss–Markov process, from a grid of values that are a
+            factor of two apart or less; None for a walk.
+        mismatch: largest factor between the predicted and the true standard deviation at these times.
         bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
             true variance, at each with this probability; of all such pairs the one with the least mean
             logarithm of the predicted variance.
@@ -312,7 +312,7 @@ class AxisHorizon(ByValue):
 
     @property
     def raw_factor(self) -> float:
-        """How many times the error at the horizon is what a filter with raw N and K predicts; inf without."""
+        """Error at the horizon over the one that a filter with raw N and K predicts; infinite without."""
         predicted = float(self.raw_prediction[-1])
         return float(self.raw_error[-1]) / predicted if predicted > 0.0 else math.inf
 
@@ -324,50 +324,40 @@ class AxisHorizon(ByValue):
 
     @property
     def bounding_bias_std(self) -> float:
-        """The same of the bounding process."""
+        """Standard deviation of the bounding process, SI; infinite for a walk."""
         return self.bounding_walk * math.sqrt(self.bounding_time / 2.0)
 
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
-        told = [f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in self.shares.items() if x >= _NAMED]
-        return ", ".join(told)
+        named = {k: x for k, x in self.shares.items() if x >= _NAMED}
+        return ", ".join(f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in named.items())
 
-    def _shown(self, name: str, value: float) -> str:
-        unit = default_coefficient_unit(self.axis.sensor, EXPONENTS[name])
-        return f"{significant(value / unit_scale(unit, self.axis.sensor))} {unit}"
+    def rows(self) -> list[tuple[str, ...]]:
+        """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
 
-    def _times(self) -> str:
-        """The correlation time and its interval in words; both are of a grid."""
-        assert self.correlation_time is not None
-        low, high = map(length, self.correlation_time.interval)
-        return f"{length(self.correlation_time.value)} (95 %: {low} … {high})"
+        def shown(name: str, value: float) -> str:
+            unit = default_coefficient_unit(self.axis.sensor, EXPONENTS[name])
+            return significant(value / unit_scale(unit, self.axis.sensor)) if 0.0 < value < math.inf else ""
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, quantity, equal to the model's error, bound."""
-        name, cells = self.axis.name, []
-        bounds = {"white": self.bounding_white, "walk": self.bounding_walk}
-        raw = {"white": self.raw_white, "walk": self.raw_walk}
-        for key, symbol in (("white", "N"), ("walk", "K")):
-            factor = self.inflation[key]
-            own = self._shown(key, raw[key]) if raw[key] > 0.0 else "none"
-            times = f" × {significant(factor)}" if math.isfinite(factor) else ""
-            estimate = getattr(self, key).in_unit()
-            cells.append(
-                (name, f"{symbol}*: raw {own}{times}", estimate.describe(), self._shown(key, bounds[key]))
-            )
-        if self.correlation_time is not None:
-            cells.append((name, "T*: correlation time", self._times(), length(self.bounding_time)))
-            size, bound = (self._shown("bias", x) for x in (self.bias_std, self.bounding_bias_std))
-            cells.append((name, "1σ of the process, K*·√(T*/2)", size, bound))
-        error, bound = (self._shown("integral", float(x[-1])) for x in (self.error, self.bound))
-        kind = "velocity" if self.axis.sensor == "accel" else "angle"
-        cells.append((name, f"1σ of the {kind} after {length(self.horizon)}", error, bound))
-        sets = f", averaged over {self.sets} likely sets of terms" if self.sets > 1 else ""
-        told = "there are no raw N and K"
-        if math.isfinite(self.raw_factor):
-            told = f"with raw N and K it is {significant(self.raw_factor)} times what they predict"
-        cells.append((name, f"{told}; it is made of {self.causes()}{sets}", "", ""))
-        return cells
+        def interval(name: str, e: Estimate) -> str:
+            low, high = e.interval
+            return f"{shown(name, low)} … {shown(name, high)}" if low < high else ""
+
+        time = "" if self.correlation_time is None else significant(self.correlation_time.value)
+        bound = "" if math.isinf(self.bounding_time) else significant(self.bounding_time)
+        errors = (self.error, self.error, self.bound, self.raw_prediction, self.raw_error)
+        own, true, limit, raw, raw_true = (shown("integral", float(x[-1])) for x in errors)
+        N, K = self.bounding_white, self.bounding_walk
+        # For want of width, N has no interval beside a correlation time.
+        white, walk = "" if time else interval("white", self.white), interval("walk", self.walk)
+        equal = (shown("white", self.white.value), white, shown("walk", self.walk.value), walk)
+        bounding = (shown("white", N), "", shown("walk", K), "")
+        fitted = (shown("white", self.raw_white), "", shown("walk", self.raw_walk), "")
+        return [
+            (self.axis.name, "equal", *equal, time, shown("bias", self.bias_std), own, true),
+            (self.axis.name, "bound", *bounding, bound, shown("bias", self.bounding_bias_std), limit, ""),
+            (self.axis.name, "fitted", *fitted, "", "", raw, raw_true),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
@@ -400,7 +390,7 @@ class AxisHorizon(ByValue):
         return f"<AxisHorizon {self.axis.name}, {length(self.horizon)}: N* {white}, K* {walk}{time}>"
 
     def to_dataframe(self):  # type: ignore[no-untyped-def]  # pandas is imported late
-        """Errors by time: of the matched pair, its prediction's bound, and with raw N and K, in SI."""
+        """Errors over time in SI: of the matched pair, of the bound, and with raw N and K."""
         import pandas as pd
 
         return pd.DataFrame({"axis": self.axis.name, **{name: getattr(self, name) for name in _SERIES}})
@@ -413,14 +403,17 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     Attributes:
         name: the recording's name.
         horizon: time between corrections [s].
-        process: what the bias is to the filters, "walk" or "markov".
-        probability: that of the bounds.
-        results: one an axis.
-        notes: of a data sheet, what was assumed and what it does not give.
+        process: how the filters model the bias, "walk" or "markov".
+        probability: probability of the bounds.
+        results: one per axis.
+        notes: for a data sheet, what was assumed and what it does not give.
     """
 
     CALLED: ClassVar[str] = "the horizon"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "for the filter", "equal ± 1σ", "bound")
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "pair", "N", "95 %", "K", "95 %", "T", "bias\n1σ", "predicted\nerror", "true\nerror"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -433,7 +426,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     def to_dict(self) -> dict[str, Any]:
         """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
 
-        `allanjax schema horizon` says what each means.
+        `allanjax schema horizon` describes each of them.
         """
         return {
             "schema_version": SCHEMA_VERSION,
@@ -445,19 +438,33 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
             "notes": list(self.notes),
         }
 
-    def __str__(self) -> str:
-        return "\n".join([super().__str__(), *(f"note: {note}" for note in self.notes)])
-
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        return (
-            f"{name}corrections every {length(self.horizon)}{process}, bounds at {self.probability:.0%} "
-            "probability"
-        )
+        return f"{name}N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        return [row for result in self.results for row in result.rows()]
+    def _cells(self) -> list[tuple[str, ...]]:
+        def units(sensor: Sensor) -> tuple[str, ...]:
+            names = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
+            own = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()} | {"time": "s"}
+            return ("", *(own[name] for name in names))
+
+        return by_sensor(self.results, units)
+
+    def _notes(self) -> list[str]:
+        kinds = {"gyro": "angle", "accel": "velocity"}
+        errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
+        explained = (
+            f"error: 1σ of the {errors} after {length(self.horizon)}, as the filter predicts it, and true. "
+            f"equal: the prediction is right. bound: the true error is below it with {self.probability:.0%} "
+            "probability. fitted: N and K of the fit without its other terms"
+        )
+        causes = [
+            f"{r.axis.name}: error from {r.causes()}"
+            + (f"; average over {r.sets} likely sets of terms" if r.sets > 1 else "")
+            for r in self.results
+        ]
+        return [explained, *causes, *(f"note: {note}" for note in self.notes)]
 
 
 class _Noise(NamedTuple):
@@ -479,29 +486,29 @@ def horizon(
     probability: float = 0.95,
     seed: int = 0,
 ) -> Horizon:
-    """White noise and walk with which a filter's predicted error is that of the whole model, up to a horizon.
+    """White noise and walk with which a filter predicts the error of the whole model, up to a horizon.
 
-    A filter of two parameters estimates the bias from the sensor at rest and integrates its samples, less
-    the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, the lines
-    and those behind a response included. The pair `white` and `walk` predicts it as well as two numbers
-    can; the bounding pair is at no time below it, with this probability of the coefficients. Where the
-    data do not tell sets of terms apart, both are averaged over the likely ones.
+    A filter with two parameters estimates the bias from the sensor at rest and integrates the samples, less
+    the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, including
+    lines and terms behind a response. The pair `white` and `walk` predicts it as well as two numbers can;
+    the bounding pair is at no time below it, with the given probability of the coefficients. If the data do
+    not distinguish sets of terms, both are averaged over the likely ones.
 
     Args:
         fit: what `fit` or `load` returned; or a data sheet, taken as exact, with the bias estimated over an
             hour at rest, or over two horizons if these are longer.
         seconds: time between corrections [s], at least two samples and at most half the record.
-        process: what the bias is to the filter: a random walk, or ("markov") a first-order Gauss–Markov
-            process, whose correlation time is then found with the pair, among filters whose true error at
+        process: how the filter models the bias: as a random walk, or ("markov") as a first-order Gauss–Markov
+            process, whose correlation time is then chosen with the pair, among filters whose true error at
             the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
             well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
-        rate: sample rate [Hz] of a data sheet, by default 100 Hz; a fit has its own.
-        axes: names of axes; by default all that have a measurement. Those of a data sheet are its sensors.
-        probability: that of the bounds.
-        seed: of the draws of the coefficients.
+        rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
+        axes: names of axes, by default of all with a measurement. The axes of a data sheet are its sensors.
+        probability: probability of the bounds.
+        seed: seed of the draws of the coefficients.
 
     Raises:
-        FitError: an axis without a measurement that was asked for, or no axis with one.
+        FitError: a requested axis has no measurement, or no axis has one.
         AllanjaxError: a horizon, a process or a probability out of range; a term that has no state space.
     """
     if process not in get_args(Process):
@@ -509,20 +516,20 @@ def horizon(
     if isinstance(fit, DataSheet):
         rate, record = rate or RATE, max(_AT_REST, 2.0 * seconds)
     elif rate is not None:
-        raise AllanjaxError("a fit has its own rate: leave out rate")
+        raise AllanjaxError("a fit has its own sample rate: leave out rate")
     else:
         rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
     if not 2.0 / rate <= seconds <= record / 2.0:
         raise AllanjaxError(
-            f"the horizon must be from two samples, {2.0 / rate:g} s, to half the record, "
-            f"{record / 2.0:g} s; got {seconds}"
+            f"the horizon must be from {2.0 / rate:g} s (two samples) to {record / 2.0:g} s (half the "
+            f"record); got {seconds} s"
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"the probability of a bound must be from 0.5 to below 1, got {probability}")
     asked = [axes] if isinstance(axes, str) else axes
     noises = _noises(fit, asked, seed)
     if not noises:
-        raise FitError("no axis has a measurement: the fit says why")
+        raise FitError("no axis has a measurement; the fit gives the reasons")
     found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
@@ -646,8 +653,8 @@ def _shares(sets: Sequence[Likely], each: Sequence[np.ndarray], best: int) -> di
         for label, part in zip(likely.labels[:count], parts, strict=False):
             total[label] = total.get(label, 0.0) + float(part)
     ordered = sorted(total.items(), key=lambda item: -item[1])
-    whole = sum(total.values())
-    return {label: part / whole for label, part in ordered}
+    overall = sum(total.values())
+    return {label: part / overall for label, part in ordered}
 
 
 def _estimate(axis: Axis, name: str, value: float, drawn: Float[np.ndarray, " draws"]) -> Estimate:
