@@ -283,10 +283,10 @@ def errors_of(
     determined = found.determined.reshape(size)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
         given = "; ".join(position.label for position in positions)
-        besides = ", and its second order" if setting.second_order else ""
+        besides = " together with its second order" if setting.second_order else ""
         raise RecordingError(
-            f"the positions ({given}) do not determine bias and scale factor{besides} of any "
-            f"{setting.sensor} axis: {_remedy(setting, axes[0])}"
+            f"the positions ({given}) do not determine bias and scale factor of any "
+            f"{setting.sensor} axis{besides}: {_remedy(setting, axes[0])}"
         )
     wider, quantiles = _by_scatter(found) if setting.lacks_drift else (1.0, _QUANTILES)
     variance = wider**2 * found.covariance.diagonal().reshape(size)

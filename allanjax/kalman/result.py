@@ -238,15 +238,8 @@ class FilteredAxis(BiasTrack):
         """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
         size, lost = self.nis, int(self.missing.sum())
         tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
-        return [
-            (
-                self.axis.name,
-                self._last_bias(),
-                *tests,
-                f"{self.log_likelihood:,.2f}",
-                f"{lost:,}" if lost else "",
-            )
-        ]
+        others = (f"{self.log_likelihood:,.2f}", f"{lost:,}" if lost else "")
+        return [(self.axis.name, self._last_bias(), *tests, *others)]
 
     def to_dict(self) -> dict[str, Any]:
         """Bias in the last sample and tests as plain dictionaries, in SI; None for undefined numbers."""

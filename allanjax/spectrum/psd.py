@@ -453,7 +453,7 @@ class PowerSpectrum(ByValue, OfAxes):
         inside = (low <= self.frequency) & (self.frequency <= high)
         if not inside.any():
             raise AllanjaxError(
-                f"{axis}: the spectrum has no frequency from {low:g} Hz to {high:g} Hz; give a band (low, high) "
+                f"{axis}: the spectrum has no frequency from {low:g} Hz to {high:g} Hz; give (low, high) "
                 f"between {self.frequency[0]:.3g} Hz and {self.frequency[-1]:.3g} Hz"
             )
         count = self.count[inside]
