@@ -45,10 +45,10 @@ class AllanDeviation(ByValue, OfAxes):
         kind: "allan", "modified" or "hadamard".
         overlapping: whether the clusters overlap.
         estimator: "exact" if every start of a cluster counts, "pyramid" if every m/8-th does; see `Pyramid`.
-        n: rate samples per axis, of the longest stretch where there are several.
+        n: rate samples per axis, in the longest segment.
         rate: sample rate [Hz].
         axes: the recording's axes, or None for an array.
-        others: rate samples of each other stretch whose differences were averaged, too.
+        others: rate samples of each other segment whose differences are averaged, too.
     """
 
     PER_AXIS: ClassVar[tuple[str, ...]] = ("deviation", "edf")
@@ -98,16 +98,16 @@ class AllanDeviation(ByValue, OfAxes):
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
 
-    def others_told(self) -> str:
-        """Other stretches in words, after those of the longest; "" if there are none."""
+    def describe_others(self) -> str:
+        """The other segments in words, to follow those of the longest; "" if there are none."""
         if not self.others:
             return ""
-        stretches = "another stretch" if len(self.others) == 1 else f"{len(self.others)} other stretches"
-        return f" and {sum(self.others):,} in {stretches}"
+        segments = "another segment" if len(self.others) == 1 else f"{len(self.others)} other segments"
+        return f" and {sum(self.others):,} in {segments}"
 
     @property
     def gain(self) -> Float[np.ndarray, " m"]:
-        """Factor by which other stretches make the degrees of freedom more, under white noise, [m]."""
+        """Factor by which other segments raise the degrees of freedom, under white noise, [m]."""
         if not self.others:
             return np.ones(len(self.cluster_size))
         total, scatter = np.zeros((2, len(self.cluster_size)))
@@ -157,9 +157,9 @@ class AllanDeviation(ByValue, OfAxes):
         return self.deviation * np.sqrt(lower), self.deviation * np.sqrt(upper)
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Table with one row a cluster time: each axis's deviation, 68 % interval and degrees of freedom.
+        """Table with one row per cluster time: each axis's deviation, 68 % interval and degrees of freedom.
 
-        Headings state the units, deg/h or µg; deviations of an array without units are in its own.
+        Headings state the units, deg/h or µg; an array without units keeps its own.
         """
         import pandas as pd
 
@@ -211,21 +211,21 @@ def allan_deviation(
         kind: "allan", "modified" (always overlapping) or "hadamard".
         overlapping: average over every start of a cluster, or only over every m-th.
         cluster_times: spacing of the cluster times, or these times [s]; see `cluster_sizes`.
-        estimator: "exact", or "pyramid" for long records: several times faster, and for all noise but strong
+        estimator: "exact", or "pyramid" for long records: several times faster, and except for strong
             quantization less than 1 % less precise. Overlapping Allan variances of rates at octaves only.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
-            deviations are in the array's own, whatever that is.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`; without a
+            unit the deviations are in the array's own unit.
 
     The degrees of freedom are those under white noise, which dominates most curves at short cluster times.
-    Of a recording in which missing samples were drawn (`gaps="fill"`) all clusters are used, and the degrees
-    of freedom are fewer: ν/(1/(1 − f) + f) for a share f. Means over what is there of a cluster would have
-    more white noise than its length says. Of one in stretches (`gaps="segments"`) the differences whose
-    clusters are complete, all in one stretch, are averaged, M_s of the stretch s, and the degrees of freedom
-    are M²/Σ(M_s²/ν_s) with M = ΣM_s, as for independent stretches; the longest has the cluster times.
+    If missing samples were filled in (`gaps="fill"`), all clusters are used, and the degrees of freedom are
+    fewer: ν/(1/(1 − f) + f) for a missing share f. Means over incomplete clusters would have more white noise
+    than complete ones. If a recording has segments (`gaps="segments"`), the differences of complete clusters
+    within one segment are averaged, M_s of segment s, and the degrees of freedom are M²/Σ(M_s²/ν_s) with
+    M = ΣM_s, as for independent segments; the longest one determines the cluster times.
 
     Raises:
-        AllanjaxError: no rate or not a positive one, samples that are not finite, too few of them, an unknown
-            option, one that the pyramid does not have, or a cluster time that the data do not allow.
+        AllanjaxError: no positive rate, samples that are not finite, too few samples, an unknown option, one
+            that the pyramid does not support, or a cluster time that the data do not allow.
     """
     check_member(kind, Kind, "kind")
     check_member(data_type, DataType, "data_type")
@@ -241,8 +241,8 @@ def allan_deviation(
         plain = (kind, data_type, overlapping) == ("allan", "rate", True)
         if not (plain and isinstance(cluster_times, str) and cluster_times == "octave"):
             raise AllanjaxError(
-                "the pyramid has overlapping Allan variances of rates at octaves only: leave out kind, "
-                'data_type, overlapping and cluster_times, or take estimator="exact"'
+                "the pyramid supports only overlapping Allan variances of rates at octaves: leave out kind, "
+                'data_type, overlapping and cluster_times, or use estimator="exact"'
             )
         found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
         return _of_all_stretches(replace(found, edf=found.edf / _lost(data)), data)
@@ -271,7 +271,7 @@ def allan_deviation(
 
 
 def _of_all_stretches(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
-    """Curve of a recording's longest stretch with the differences of its other stretches."""
+    """Curve of a recording's longest segment with the differences of its other segments."""
     if not isinstance(data, Recording) or not data.others:
         return curve
     squares, total = curve.variance * curve.count[:, None], curve.count.copy()

@@ -236,10 +236,7 @@ class Pyramid:
                 f"the right one starts at sample {right.start}"
             )
         if right.sums.shape[1] != axes:
-            raise AllanjaxError(
-                f"a piece of {axes} axes and one of {right.sums.shape[1]} cannot be merged: "
-                "they must be of the same recording"
-            )
+            raise AllanjaxError(f"pieces with {axes} and {right.sums.shape[1]} axes are not of one recording")
         merged = _empty(self.start, self.n + right.n, axes)
         for piece in (self, right):
             merged.sums[: len(piece.sums)] += piece.sums

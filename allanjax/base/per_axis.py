@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import html
-import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.tables import WIDTH, html_table, printable, text_table
+from allanjax.base.tables import Tabled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,7 +26,7 @@ class AxisResult(Protocol):
 _T = TypeVar("_T", bound=AxisResult)
 
 
-class PerAxis(Mapping[str, _T]):
+class PerAxis(Tabled, Mapping[str, _T]):
     """A mapping from the names of axes to their results, in the recording's order.
 
     `for name in fit`, `fit["gyro_x"]`, `fit.values()` and `fit.items()` are those of a dictionary. A subclass
@@ -40,18 +38,10 @@ class PerAxis(Mapping[str, _T]):
 
     #: What messages call such a result, with its article.
     CALLED: ClassVar[str] = "the result"
-    #: Headings of the printed table, and those of its columns that end at the right.
-    HEADINGS: ClassVar[tuple[str, ...]] = ()
-    RIGHT: ClassVar[tuple[str, ...]] = ()
     #: What is raised for an axis that there is not.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     results: tuple[_T, ...]
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a user should know before reading the numbers, in words."""
-        return ()
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -85,23 +75,16 @@ class PerAxis(Mapping[str, _T]):
 
         return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
 
-    def _title(self) -> str:
-        """Title of the printed table."""
-        raise NotImplementedError
 
-    def _cells(self) -> Sequence[Sequence[str]]:
-        """The rows of the printed table."""
-        raise NotImplementedError
+def by_sensor(results: Sequence[Any], units: Callable[[Any], Sequence[str]]) -> list[tuple[str, ...]]:
+    """Rows of a table of axes: for each sensor the units of its columns, then the rows of its axes.
 
-    def __str__(self) -> str:
-        # Broken here, for they stand outside of the table.
-        told = [textwrap.fill(f"warning: {w}", WIDTH, subsequent_indent="  ") for w in self.warnings]
-        table = text_table(self._title(), self.HEADINGS, self._cells(), right=self.RIGHT)
-        return "\n".join([*map(printable, told), table])
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        told = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
-        return told + html_table(self._title(), self.HEADINGS, self._cells())
+    `units` are those of the columns after the first, which stand only above a value.
+    """
+    cells: list[tuple[str, ...]] = []
+    for sensor in dict.fromkeys(r.axis.sensor for r in results):
+        rows = [row for r in results if r.axis.sensor == sensor for row in r.rows()]
+        filled = (any(column) for column in zip(*rows, strict=True))
+        shown = zip(filled, ("", *units(sensor)), strict=True)
+        cells += [tuple(unit if has else "" for has, unit in shown), *rows]
+    return cells

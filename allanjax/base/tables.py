@@ -10,9 +10,10 @@ import html
 import io
 import re
 import sys
+import textwrap
 import unicodedata
 from collections.abc import Sequence
-from typing import TextIO
+from typing import ClassVar, TextIO
 
 ERRORS = "allanjax"
 """Name of the error handler that writes these replacements, for `str.encode` and for streams."""
@@ -93,9 +94,7 @@ def text_table(
     from rich.table import Table
 
     headings, rows = _filled(headings, rows)
-    table = Table(
-        title=printable(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False, show_edge=False
-    )
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False)
     for heading in headings:
         table.add_column(printable(heading), justify="right" if heading in right else "left")
     previous = None
@@ -108,7 +107,14 @@ def text_table(
     )
     with console.capture() as capture:
         console.print(table)
-    return "\n".join(line.rstrip() for line in capture.get().rstrip("\n").splitlines())
+    return "\n".join([wrapped(title), *(line.rstrip() for line in capture.get().rstrip("\n").splitlines())])
+
+
+def wrapped(line: str) -> str:
+    """The line broken at the width of printed tables, later lines indented."""
+    kept = line.replace(" %", "\xa0%")
+    text = textwrap.fill(kept, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+    return printable(text.replace("\xa0", " "))
 
 
 def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -120,6 +126,44 @@ def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
         for row in rows
     )
     return f"<p>{html.escape(title)}</p><table><tr>{head}</tr>{body}</table>"
+
+
+class Tabled:
+    """A result that prints as a table, with warnings above and notes below."""
+
+    #: Headings of the printed table, and those of its right-aligned columns.
+    HEADINGS: ClassVar[tuple[str, ...]] = ()
+    RIGHT: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know before reading the numbers, in words."""
+        return ()
+
+    def _title(self) -> str:
+        """Title of the printed table."""
+        raise NotImplementedError
+
+    def _cells(self) -> Sequence[Sequence[str]]:
+        """The rows of the printed table."""
+        raise NotImplementedError
+
+    def _notes(self) -> Sequence[str]:
+        """Lines below the printed table."""
+        return ()
+
+    def __str__(self) -> str:
+        above = [wrapped(f"warning: {w}") for w in self.warnings]
+        table = text_table(self._title(), self.HEADINGS, self._cells(), right=self.RIGHT)
+        return "\n".join([*above, table, *map(wrapped, self._notes())])
+
+    def __repr__(self) -> str:
+        return str(self)
+
+    def _repr_html_(self) -> str:
+        above = "".join(f"<p><b>warning: {html.escape(w)}</b></p>" for w in self.warnings)
+        below = "".join(f"<p>{html.escape(note)}</p>" for note in self._notes())
+        return above + html_table(self._title(), self.HEADINGS, self._cells()) + below
 
 
 def _filled(

@@ -1,4 +1,4 @@
-"""Generalized least squares of means on the parameters of a calibration, and what these means determine."""
+"""Generalized least squares of means on the parameters of a calibration, and which ones they determine."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class Solution(NamedTuple):
     """Parameters with their covariance.
 
     Attributes:
-        values: the parameters; of no meaning where not determined.
-        covariance: theirs.
+        values: the parameters; meaningless where not determined.
+        covariance: covariance of the parameters.
         determined: which of them the observations determine.
-        residuals: observations less what was fitted.
-        residual_covariance: theirs.
+        residuals: observations less fitted values.
+        residual_covariance: covariance of the residuals.
         weight: Q with residuals'·Q·residuals = χ².
-        dof: observations less directions determined.
+        dof: observations less determined directions.
     """
 
     values: Float[np.ndarray, " p"]
@@ -74,7 +74,7 @@ def least_squares(
         X: the design.
         y: observations.
         C: their covariance; may be singular along the columns of biases.
-        unit: factor of each column of X that makes them alike.
+        unit: size of each column of X, by which it is divided.
         bias: which parameters are biases: their columns may be added to C without a change of the estimate.
         tolerance: see `determined_directions`.
 
@@ -88,7 +88,7 @@ def least_squares(
         inverse = np.linalg.inv(np.linalg.cholesky(C + C.diagonal().max() * level @ level.T))
     except np.linalg.LinAlgError as error:
         raise FitError(
-            "the noise model leaves no noise in some combination of the means: give it white noise (N)"
+            "some combination of the means has no noise under the noise model: add white noise (N) to it"
         ) from error
     P = inverse.T @ inverse
     estimator = np.linalg.solve(Z.T @ P @ Z, Z.T @ P)
@@ -135,8 +135,8 @@ def by_norm(
 ) -> Solution:
     """Errors of three axes from positions of unknown orientation: the norm of the inputs is g.
 
-    The axes of reference are those of the sensor: the first is that of x, and that of y is in their plane. So
-    of the misalignments those of x towards y and z and that of y towards z are zero.
+    The axes of reference are those of the sensor: the first is the sensor's x, and the sensor's y is in the
+    plane of the first two. So the misalignments of x towards y and z and of y towards z are zero.
 
     Args:
         readings: means of the three axes in each position [m/s²].
@@ -174,8 +174,8 @@ def by_norm(
         values[:] = np.nan
     if not np.isfinite(values).all():
         raise FitError(
-            "the orientations could not be estimated: give them, and check the unit; each position must be a "
-            "different one, at rest"
+            "the orientations could not be estimated: check the unit and that each position is different and "
+            "at rest, or give the orientations"
         )
     covariance, determined = np.zeros((3 * p, 3 * p)), np.ones(3 * p, bool)
     covariance[np.ix_(free.ravel(), free.ravel())] = found.covariance

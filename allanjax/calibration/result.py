@@ -1,4 +1,4 @@
-"""What a calibration found: errors of each axis, and the recording without them."""
+"""Results of a calibration: errors of each axis, and the recording without them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
-from allanjax.base.wording import finite_or_none, significant
+from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.wording import finite_or_none, format_with_error, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _AXES = "xyz"
-# An axis and where it points, as in `x up` or `imu_x-down_2`; bare `up` and `down` are those of z.
+# An axis and its direction, as in `x up` or `imu_x-down_2`; `up` and `down` alone refer to z.
 _UP = re.compile(r"(?<![a-z])(?:([xyz])[\s_-]*)?(up|down)(?![a-z])")
 _NORTH = re.compile(r"(?<![a-z])([xyz])[\s_-]*(north|south|east|west)(?![a-z])")
 _SIGNED = re.compile(r"([+-])([xyz])|([xyz])([+-])")
@@ -42,9 +41,9 @@ class Orientation(ByValue):
     """Orientation of a sensor's frame.
 
     Attributes:
-        name: for display, e.g. "x up".
-        up: unit vector that points up, by its components along the sensor's axes.
-        north: unit vector that points north, alike; None where the heading is not known.
+        name: name for display, e.g. "x up".
+        up: components along the sensor's axes of the unit vector that points up.
+        north: components of the unit vector that points north; None if the heading is not known.
     """
 
     name: str
@@ -57,7 +56,7 @@ OrientationLike: TypeAlias = Orientation | str | ArrayLike | Sequence
 
 
 def as_orientation(given: OrientationLike) -> Orientation:
-    """Orientation from what a user gives.
+    """Orientation from a name, a direction or a matrix.
 
     Args:
         given: a name, "x up", "z down", "+x" or "x-" (the axis that points up or down), perhaps with a
@@ -65,18 +64,18 @@ def as_orientation(given: OrientationLike) -> Orientation:
             axes; or the matrix [3, 3] that turns such components into those along east, north and up.
 
     Raises:
-        AllanjaxError: none of these.
+        AllanjaxError: `given` is none of these.
     """
     if isinstance(given, Orientation):
         return given
     if isinstance(given, str):
-        found = orientation_in(given) or _signed(given)
-        if found is None:
+        named = orientation_in(given) or _signed(given)
+        if named is None:
             raise AllanjaxError(
-                f"{given!r} names no orientation: write 'x up', 'z down', '+x' or, with a heading, "
+                f"{given!r} is not an orientation: write 'x up', 'z down', '+x' or, with a heading, "
                 "'x up, y north'; or give a direction or a matrix"
             )
-        return found
+        return named
     try:
         values = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
@@ -87,16 +86,16 @@ def as_orientation(given: OrientationLike) -> Orientation:
     if values.shape == (3, 3) and _is_rotation(values):
         return Orientation(f"up {_written(values[2])}, north {_written(values[1])}", values[2], values[1])
     raise AllanjaxError(
-        "an orientation is a name such as 'x up', a unit vector (the components of up along x, y, z), or a "
-        "rotation matrix [3, 3] from the sensor's frame to east, north, up"
+        "an orientation must be a name such as 'x up', a unit vector (the components of up along x, y, z), "
+        "or a rotation matrix [3, 3] from the sensor's frame to east, north, up"
     )
 
 
 def orientation_in(text: str) -> Orientation | None:
-    """Orientation that a text such as "x up, y north" or "imu_x_up" names; None if it names none.
+    """Orientation in a text such as "x up, y north" or "imu_x_up"; None if there is none.
 
     Raises:
-        AllanjaxError: an axis that points in two directions.
+        AllanjaxError: an axis points in two directions.
     """
     words = text.lower()
     found = _UP.search(words)
@@ -108,7 +107,7 @@ def orientation_in(text: str) -> Orientation | None:
     heading = _NORTH.search(words)
     if heading is not None:
         if heading[1] == letter:
-            raise AllanjaxError(f"{text!r}: {letter} points {way}, and cannot point {heading[2]}, too")
+            raise AllanjaxError(f"{text!r}: {letter} cannot point {way} and {heading[2]}")
         pointing, where = _unit(heading[1]), heading[2]
         # North is up × east.
         north = np.cross(up, pointing) if where in ("east", "west") else pointing
@@ -118,7 +117,7 @@ def orientation_in(text: str) -> Orientation | None:
 
 
 def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
-    """Orientations with an axis up or down; with a heading, each with another axis north, south, too."""
+    """Orientations with an axis up or down; with a heading, also with another axis north or south."""
     if not with_heading:
         return tuple(as_orientation(f"{a} {way}") for a, way in itertools.product(_AXES, ("up", "down")))
     every = itertools.product(itertools.permutations(_AXES, 2), ("up", "down"), ("north", "south"))
@@ -146,7 +145,14 @@ def _written(vector: Float[np.ndarray, 3]) -> str:
 
 
 SCHEMA_VERSION = 1
-#: Scale factors and misalignments with a larger standard deviation are not used: sensors out of the box are
+#: Labels of the parameters of an axis, in the order of the printed table.
+PARAMETERS = ("bias", "scale_factor", *(f"misalignment_{letter}" for letter in _AXES), "second_order")
+#: Usual units of these parameters.
+UNITS: dict[Sensor, dict[str, str]] = {
+    "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
+    "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
+}
+#: Scale factors and misalignments with a larger standard deviation are not used: uncalibrated sensors are
 #: better than that.
 USEFUL = 0.01
 
@@ -156,10 +162,10 @@ class Position(ByValue):
     """A recording at rest in one orientation.
 
     Attributes:
-        name: that of the recording.
-        orientation: None where it is unknown.
-        start: its start [s from that of the first].
-        duration: its length [s].
+        name: name of the recording.
+        orientation: the orientation; None if it is unknown.
+        start: start of the recording [s after that of the first].
+        duration: length of the recording [s].
     """
 
     name: str
@@ -173,7 +179,7 @@ class Position(ByValue):
         return self.name if self.orientation is None else self.orientation.name
 
     def to_dict(self) -> dict[str, Any]:
-        """The position as a plain dictionary; directions that are not known are None."""
+        """The position as a plain dictionary; None for unknown directions."""
         up, north = (getattr(self.orientation, name, None) for name in ("up", "north"))
         return {
             "name": self.name,
@@ -189,11 +195,12 @@ class AxisCalibration(ByValue, AxisEstimates):
     """Errors of one axis: I = f + b + S·f + N·f + S2·f² + e (2.22, 2.23).
 
     Attributes:
-        axis: whose they are.
-        coefficients: "bias" [mg or deg/h], "scale_factor" [ppm, of gyros %], "misalignment_y" and its like,
-            the response to what acts along another axis [µrad, of gyros mrad], and "second_order" [µg/g²], if
-            asked for. A value that the positions do not determine is nan, and its remark says what it takes.
-        widening: standard deviation of each over what white noise alone would give; nan without white noise.
+        axis: the axis.
+        coefficients: "bias" [mg or deg/h], "scale_factor" [ppm, for gyros %], "misalignment_x" to "_z", the
+            response to inputs along another axis [µrad, for gyros mrad], and, if requested, "second_order"
+            [µg/g²]. A value that the positions do not determine is nan; its remark names the positions that
+            would determine it.
+        widening: standard deviation of each over the one for white noise alone; nan without white noise.
     """
 
     axis: Axis
@@ -202,24 +209,18 @@ class AxisCalibration(ByValue, AxisEstimates):
 
     @TextProperty
     def verdict(self) -> str:
-        """How much wider intervals are than those of white noise alone."""
-        known = [x for x in self.widening.values() if np.isfinite(x)]
-        return f"up to {significant(max(known))} times as wide as by white noise alone" if known else ""
+        """How much wider intervals are than those for white noise alone; "" if they are not."""
+        wider = significant(max((x for x in self.widening.values() if np.isfinite(x)), default=1.0))
+        return "" if wider == "1.00" else f"intervals up to {wider} times as wide as for white noise alone"
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Rows of the printed table."""
-        return [
-            (
-                self.axis.name,
-                c.title,
-                "not determined" if c.remark else c.in_unit().describe(),
-                f"× {significant(wider)}" if wider > 0.0 else "",
-            )
-            for c, wider in zip(self.coefficients.values(), self.widening.values(), strict=True)
-        ]
+        """The row of the printed table: the parameters of the axis ± 1σ."""
+        shown = {label: c.in_unit() for label, c in self.coefficients.items()}
+        cells = {k: "–" if c.remark else format_with_error(c.value, c.std) for k, c in shown.items()}
+        return [(self.axis.name, *(cells.get(label, "") for label in PARAMETERS))]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a parameter, in its usual unit."""
+        """One row per parameter, in its usual unit."""
         import pandas as pd
 
         rows = [
@@ -241,16 +242,16 @@ class AxisCalibration(ByValue, AxisEstimates):
 
 @dataclass(frozen=True, eq=False)
 class Misfit(ByValue):
-    """How well the means of a sensor fit within the noise model.
+    """How well the means of a sensor agree with the noise model.
 
     Attributes:
-        names: axes; a single norm where orientations were not known.
-        residuals: mean in each position less what was fitted [rad/s or m/s²]; nan where it was not used.
-        residual_std: standard deviation that the noise gives them.
-        chi2, dof, p_value: weighted squares of the residuals, means less parameters, and the probability of
-            a larger χ²; nan without degrees of freedom, where any means would fit.
-        suspects: positions that fit worst, where p is below 0.1 %; several where they are not told apart.
-        wider: how many times the intervals were widened because the means scatter.
+        names: axes; a single norm if the orientations were not known.
+        residuals: mean in each position less the fitted one [rad/s or m/s²]; nan for unused means.
+        residual_std: standard deviation of the residuals under the noise model.
+        chi2, dof, p_value: weighted squares of the residuals, degrees of freedom (means less parameters), and
+            the probability of a larger χ²; nan without degrees of freedom.
+        suspects: positions that fit worst, if p is below 0.1 %; several if they cannot be distinguished.
+        wider: factor by which the intervals were widened for the scatter of the means.
     """
 
     names: tuple[str, ...]
@@ -264,33 +265,35 @@ class Misfit(ByValue):
 
     def __str__(self) -> str:
         if not self.dof:
-            return "as many parameters as means, which so are no check: add positions"
+            return "as many parameters as means, so the fit cannot be checked: add positions"
         text = f"χ² = {significant(self.chi2)} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
         if not self.suspects:
             return text
         return (
-            f"{text}: the means do not fit. Worst is {' or '.join(self.suspects)}: its orientation may not "
-            "be as told to within the noise (see orientation error), or the noise model lacks a drift"
+            f"{text}: the means do not fit, worst at {' or '.join(self.suspects)}. Its orientation may be "
+            "wrong by more than the noise (see orientation error), or the noise model may lack a drift"
         )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(ByValue, PerAxis[AxisCalibration]):
-    """Calibration of gyros and accelerometers by positions at rest.
+    """Calibration of gyros and accelerometers from positions at rest.
 
     Attributes:
-        results: one an axis.
-        positions: the recordings, in the order of time.
+        results: one per axis.
+        positions: the recordings, in time order.
         misfit: how well the means fit, by sensor.
         gravity, gravity_std: gravity [m/s²] and its standard deviation, part of the scale factors' intervals.
         latitude: latitude [deg]; None if not given.
-        noise: where the noise model comes from.
+        noise: source of the noise model.
         notes: what was assumed, and what could not be done.
     """
 
     CALLED: ClassVar[str] = "the calibration"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "parameter", "estimate ± 1σ", "σ over white noise's")
-    RIGHT: ClassVar[tuple[str, ...]] = ("σ over white noise's",)
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "bias", "scale\nfactor", *(f"misalignment\n{x}" for x in _AXES), "second\norder"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     results: tuple[AxisCalibration, ...]
     positions: tuple[Position, ...]
@@ -304,7 +307,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def errors(self, sensor: Sensor) -> Triad:
         """Matrix M, biases b and second-order coefficients q, SI, of I = M·f + b + q·f², for `apply`.
 
-        What is not determined, or known to no better than 1 %, is zero, as of a perfect sensor.
+        Parameters that are not determined, or not known to 1 %, are those of a perfect sensor.
         """
         M, b, q = np.eye(3), np.zeros(3), np.zeros(3)
         for result in self.results:
@@ -324,11 +327,11 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def apply(self, recording: Recording) -> Recording:
         """The recording without these errors: its readings I become the inputs f.
 
-        Axes that were not calibrated stay as they are.
+        Axes that were not calibrated are unchanged.
 
         Raises:
-            RecordingError: the recording has none of the axes, or not all of a sensor's, which it takes to
-                undo a misalignment.
+            RecordingError: the recording has none of the axes, or not all axes of a sensor, which are needed
+                to correct a misalignment.
         """
         values, done = recording.values.copy(), []
         for sensor in self.misfit:
@@ -338,7 +341,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                 continue
             missing = ", ".join(axis.name for axis in axes if axis.name not in there)
             if missing:
-                raise RecordingError(f"{recording.name or 'recording'}: no {missing}, but {', '.join(there)}")
+                have = ", ".join(there)
+                raise RecordingError(f"{recording.name or 'recording'} lacks {missing}; it has only {have}")
             columns = [recording.names.index(axis.name) for axis in axes]
             places = [place_of(axis) for axis in axes]
             M, b, q = self.errors(sensor)
@@ -347,7 +351,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
             done += there
         if not done:
             raise RecordingError(
-                f"{recording.name or 'recording'} has none of the axes calibrated, {', '.join(self.axes)}"
+                f"{recording.name or 'recording'} has none of the calibrated axes, {', '.join(self.axes)}"
             )
         note = f"calibrated: {', '.join(done)}"
         return replace(recording, values=values, others=(), notes=(*recording.notes, note))
@@ -383,28 +387,33 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def plot(
         self, axes: Sequence[str] | str | None = None, path: str | os.PathLike[str] | None = None
     ) -> Figure:
-        """Draw the residuals of each position with the scatter that the noise model gives them."""
+        """Draw the residuals of each position with their scatter under the noise model."""
         raise NotImplementedError
 
     def _remedies(self) -> dict[str, list[str]]:
-        """What it takes to determine the parameters that are not, with the axes."""
-        found: dict[str, list[str]] = {}
+        """The positions that would determine the missing parameters, and the axes that lack them."""
+        lacking: dict[str, list[str]] = {}
         for result in self.results:
             for remark in dict.fromkeys(c.remark for c in result.coefficients.values() if c.remark):
-                found.setdefault(remark, []).append(result.axis.name)
-        return found
+                lacking.setdefault(remark, []).append(result.axis.name)
+        return lacking
 
     def _title(self) -> str:
-        return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s²"
+        return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
 
     def _cells(self) -> list[tuple[str, ...]]:
-        return [row for result in self.results for row in result.rows()]
+        return by_sensor(self.results, lambda sensor: [unit_of(sensor, label) for label in PARAMETERS])
 
-    def __str__(self) -> str:
+    def _notes(self) -> list[str]:
         lines = [f"{sensor}: {misfit}" for sensor, misfit in self.misfit.items()]
-        lines += [f"not determined of {', '.join(axes)}: {what}" for what, axes in self._remedies().items()]
-        lines += [f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
-        return "\n".join([super().__str__(), *map(printable, lines)])
+        lines += [f"{r.axis.name}: {r.verdict}" for r in self.results if r.verdict]
+        lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in self._remedies().items()]
+        return [*lines, f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
+
+
+def unit_of(sensor: Sensor, label: str) -> str:
+    """Usual unit of a parameter; "" if this sensor has no such parameter."""
+    return UNITS[sensor].get(label.partition("_")[0] if label.startswith("mis") else label, "")
 
 
 def place_of(axis: Axis) -> int:

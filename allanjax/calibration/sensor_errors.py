@@ -29,6 +29,7 @@ from allanjax.calibration.result import (
     Position,
     place_of,
     six_positions,
+    unit_of,
 )
 from allanjax.estimate.likely_models import likely_models
 from allanjax.estimate.result import Fit
@@ -40,14 +41,14 @@ from allanjax.noise.terms.transient import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, si_unit
 
-# Covariance of the means of stretches of a record, from the phase covariance G(t) of its noise.
+# Covariance of the means of segments of a record, from the phase covariance G(t) of its noise.
 #
-# The mean over a stretch is the difference of the phase at its ends, over its length. So the covariance of
+# The mean over a segment is the difference of the phase at its ends, over its length. So the covariance of
 # two means is a second difference of G, however far apart they are.
 #
-# Noise that has a mean has it at zero: a bias is the level about which it scatters. Noise without one
-# (flicker noise, random walks, ramps) takes the bias with it: then the bias is the level averaged over the
-# whole calibration, and what counts is how far each mean is from that average.
+# Stationary noise has the mean zero: a bias is the level about which it scatters. Other noise (flicker noise,
+# random walks, ramps) moves the bias: then the bias is the level averaged over the entire calibration, and
+# the deviations of the means from that average count.
 
 _DRAWS = 400
 # Of a stationary process the PSD is level at low frequencies, but grows fourfold in two octaves for flicker
@@ -73,17 +74,17 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     """The terms of a model at a sample rate [Hz].
 
     Raises:
-        AllanjaxError: a parameter without a value; a step or a warm-up, which are no noise.
+        AllanjaxError: a parameter without a value; a step or a warm-up, which are not noise.
     """
     model.check_complete()
     for term in model.terms:
         if isinstance(term, Transient):
-            raise AllanjaxError(f"{term.name()} is no noise: cut it off, and leave it out of the model")
-    return tuple(Part(1.0, process) for process in model.sampled(rate).seen)
+            raise AllanjaxError(f"{term.name()} is not noise: cut it off, and leave it out of the model")
+    return tuple(Part(1.0, process) for process in model.sampled(rate).processes)
 
 
 def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
-    """The terms of an axis's fit, with their mean powers over its intervals and its likely sets of terms.
+    """The terms of an axis's fit, with their powers averaged over intervals and likely sets of terms.
 
     Raises:
         AllanjaxError: the axis is not in the fit; a step or a warm-up.
@@ -102,12 +103,12 @@ def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
 def covariance_of_means(
     parts: Sequence[Part], start: Float[np.ndarray, " k"], length: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Covariance [rate²] of the noise of means over stretches with these starts and lengths [s].
+    """Covariance [rate²] of the noise of means over segments with these starts and lengths [s].
 
-    Of processes that are not stationary it is that of the deviations from the mean over all of the time.
+    For processes that are not stationary it is that of the deviations from the mean over the entire time.
     """
     begin, end = start.min(), (start + length).max()
-    # The last stretch is all of the time.
+    # The last segment is the entire time.
     edges = np.stack([np.append(start, begin), np.append(start + length, end)])
     size = edges[1] - edges[0]
     total = np.zeros((len(start), len(start)))
@@ -140,20 +141,16 @@ def _is_stationary(process: Process, duration: float) -> bool:
 
 
 _QUANTILES = (TWO_SIDED_95, TWO_SIDED_68)
-# Below this p-value positions are named that do not fit.
+# Below this p-value the positions that fit worst are named.
 _DOUBT = 1e-3
-# Positions whose omission lowers χ² by the same to within this share are not told apart.
+# Positions whose omission lowers χ² equally, to within this share, cannot be distinguished.
 _TIE = 0.02
 # An axis is vertical if the cosine of its tilt is one to within this.
 _VERTICAL = 1e-6
-_UNITS: dict[Sensor, dict[str, str]] = {
-    "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
-    "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
-}
 
 
 class World(NamedTuple):
-    """What acts on a sensor at rest: gravity [m/s²] with its standard deviation, and latitude [deg]."""
+    """Inputs of a sensor at rest: gravity [m/s²] with its standard deviation, and latitude [deg]."""
 
     gravity: float
     gravity_std: float
@@ -164,7 +161,7 @@ class World(NamedTuple):
         return self.gravity if sensor == "accel" else EARTH_RATE
 
     def input(self, sensor: Sensor, orientation: Orientation) -> Float[np.ndarray, 3]:
-        """Input along the sensor's axes; nan where it depends on a heading that is not known.
+        """Input along the sensor's axes; nan if it depends on an unknown heading.
 
         An axis that points up reads +g, and the Earth's rate times the sine of the latitude (2.34).
         """
@@ -182,11 +179,11 @@ class Setting(NamedTuple):
 
     Attributes:
         axes: axes of one sensor.
-        positions: when and in which orientation; all orientations unknown for three accelerometers only.
-        world: what acts on the sensor.
-        second_order: whether readings have a part in proportion to the square of the input.
-        orientation_error: standard deviation of the orientations about each axis across [rad].
-        lacks_drift: whether the noise model is of a record too short to show the drift between positions.
+        positions: times and orientations; all orientations unknown for three accelerometers only.
+        world: inputs of the sensor.
+        second_order: whether readings have a part proportional to the square of the input.
+        orientation_error: standard deviation of the orientations about each perpendicular axis [rad].
+        lacks_drift: whether the record of the noise model is too short to show the drift between positions.
     """
 
     axes: tuple[Axis, ...]
@@ -215,29 +212,29 @@ class Setting(NamedTuple):
     def design(self, axis: Axis, orientations: Sequence[Orientation]) -> Float[np.ndarray, "k p"]:
         """Design of an axis: ones, inputs along x, y and z and, perhaps, the square of its own.
 
-        Inputs that depend on a heading not known are left out as zero; rows of such an own one are nan.
+        Inputs that depend on an unknown heading are zero; rows in which the axis's own input does are nan.
         """
         f = np.stack([self.world.input(self.sensor, o) for o in orientations])
         own = f[:, [place_of(axis)]]
         X = np.concatenate([np.ones((len(f), 1)), np.nan_to_num(f), own**2], axis=1)
         return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
 
-    def seen(self, axis: Axis) -> Float[np.ndarray, "k p"]:
-        """Design of an axis in the positions, of a gyro as if aligned where only so they tell its errors.
+    def fitted_design(self, axis: Axis) -> Float[np.ndarray, "k p"]:
+        """Design of an axis in the positions; of a gyro as if aligned if only that determines its errors.
 
-        A constant part of the Earth's rate along another axis is not told from the bias.
+        A constant part of the Earth's rate along another axis cannot be distinguished from the bias.
         """
         X = self.design(axis, self.known)
         aligned = X.copy()
         aligned[:, [1 + j for j in range(3) if j != place_of(axis)]] *= 0.0
-        tells = self.tells(axis, aligned) and not self.tells(axis, X)
-        return aligned if self.sensor == "gyro" and tells else X
+        needed = self.determines(axis, aligned) and not self.determines(axis, X)
+        return aligned if self.sensor == "gyro" and needed else X
 
-    def tells(self, axis: Axis, X: Float[np.ndarray, "k p"]) -> bool:
+    def determines(self, axis: Axis, X: Float[np.ndarray, "k p"]) -> bool:
         """Whether a design determines bias and scale factor of an axis."""
         used = X[np.isfinite(X[:, 0])] / self.units
-        found = is_determined(determined_directions(used, KNOWN))
-        return bool(found[0] and found[1 + place_of(axis)])
+        determined = is_determined(determined_directions(used, KNOWN))
+        return bool(determined[0] and determined[1 + place_of(axis)])
 
 
 class Covariances(NamedTuple):
@@ -262,8 +259,8 @@ def errors_of(
     """Errors of a sensor's axes from their means [rad/s or m/s²] in each position, and how well they fit.
 
     Raises:
-        RecordingError: the positions determine bias and scale factor of no axis; an accelerometer that
-            points down where it is told to point up.
+        RecordingError: the positions determine bias and scale factor of no axis; an accelerometer points
+            down in a position that is given as up.
         FitError: a model without noise; orientations that could not be estimated.
     """
     axes, positions = setting.axes, setting.positions
@@ -271,7 +268,7 @@ def errors_of(
     names, rows = tuple(axis.name for axis in axes), np.ones((len(positions), len(axes)), bool)
     alone: Solution | None = None
     if setting.known:
-        X = np.stack([setting.seen(axis) for axis in axes], axis=1)
+        X = np.stack([setting.fitted_design(axis) for axis in axes], axis=1)
         rows = np.isfinite(X[:, :, 0])
         found = _linear(setting, X, means, full, setting.orientation_error)
         if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
@@ -285,10 +282,11 @@ def errors_of(
     size = (len(axes), len(setting.units))
     determined = found.determined.reshape(size)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
-        told = "; ".join(position.label for position in positions)
+        given = "; ".join(position.label for position in positions)
+        besides = " together with its second order" if setting.second_order else ""
         raise RecordingError(
-            f"the positions do not span: from {told} follow bias and scale factor of no {setting.sensor} "
-            f"axis{' beside its second order' if setting.second_order else ''}; {_remedy(setting, axes[0])}"
+            f"the positions ({given}) do not determine bias and scale factor of any "
+            f"{setting.sensor} axis{besides}: {_remedy(setting, axes[0])}"
         )
     wider, quantiles = _by_scatter(found) if setting.lacks_drift else (1.0, _QUANTILES)
     variance = wider**2 * found.covariance.diagonal().reshape(size)
@@ -302,7 +300,7 @@ def errors_of(
         estimates, widening = {}, {}
         for label, j in labels.items():
             known = bool(determined[k, j])
-            # What is not known of gravity is not known of the scale.
+            # The uncertainty of gravity is also one of the scale.
             common = setting.world.gravity_std / setting.world.gravity if label == "scale_factor" else 0.0
             common = common if setting.sensor == "accel" else 0.0
             std = math.hypot(math.sqrt(max(variance[k, j], 0.0)), common)
@@ -321,14 +319,14 @@ def _linear(
     noise: Float[np.ndarray, "axes k k"],
     error: float,
 ) -> Solution:
-    """Errors of all axes together, since an orientation that is off moves the input between them."""
+    """Errors of all axes together, since a wrong orientation moves the input between them."""
     k, count, p = X.shape
-    whole, C = np.zeros((k, count, count, p)), np.zeros((k, count, k, count))
+    design, C = np.zeros((k, count, count, p)), np.zeros((k, count, k, count))
     f = X[:, :, 1:4]
     place = [place_of(axis) for axis in setting.axes]
     y = means - np.stack([f[:, a, i] for a, i in enumerate(place)], axis=1)
     for a in range(count):
-        whole[:, a, a, :] = X[:, a]
+        design[:, a, a, :] = X[:, a]
         C[:, a, :, a] = noise[a]
     for n, orientation in enumerate(setting.known):
         vector = np.nan_to_num(setting.world.input(setting.sensor, orientation))
@@ -337,7 +335,7 @@ def _linear(
     used = np.isfinite(X[:, :, 0]).ravel()
     bias = np.arange(count * p) % p == 0
     return least_squares(
-        whole.reshape(k * count, count * p)[used],
+        design.reshape(k * count, count * p)[used],
         y.ravel()[used],
         C.reshape(k * count, k * count)[np.ix_(used, used)],
         np.tile(setting.units, count),
@@ -353,7 +351,7 @@ def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
 
 
 def _by_scatter(found: Solution) -> tuple[float, tuple[float, float]]:
-    """How many times wider errors are where the means scatter more than the noise model says, and quantiles.
+    """Factor by which errors are wider if the means scatter more than under the noise model, and quantiles.
 
     The ratio of Birge (1932, Phys. Rev. 40:207) and Student's law of its degrees of freedom.
     """
@@ -366,9 +364,8 @@ def _by_scatter(found: Solution) -> tuple[float, tuple[float, float]]:
 def _estimate(
     axis: Axis, label: str, value: float, std: float, remark: str, quantiles: tuple[float, float]
 ) -> Estimate:
-    """A parameter that is nan if it is not determined; then the remark says what to do."""
-    units = _UNITS[axis.sensor]
-    unit = units.get(label, units["misalignment"])
+    """A parameter; nan with a remark on what to do if it is not determined."""
+    unit = unit_of(axis.sensor, label)
     ends = [(value - z * std, value + z * std) for z in quantiles]
     return Estimate(
         axis=axis,
@@ -390,16 +387,16 @@ def _check_direction(scale: Estimate) -> None:
     """Raise an error where up and down are exchanged."""
     if scale.axis.sensor == "accel" and scale.value < -0.5:
         raise RecordingError(
-            f"{scale.axis.name} reads {1.0 + scale.value:.3g} times what it should: an axis that points up "
-            "reads +g. Exchange up and down if the sensor puts out gravity, or correct its unit"
+            f"{scale.axis.name} reads {1.0 + scale.value:.3g} times the expected value (an axis that points "
+            "up reads +g): exchange up and down if the sensor outputs gravity, or correct its unit"
         )
 
 
 def _remedy(setting: Setting, axis: Axis) -> str:
-    """Which positions to add so that all parameters of an axis are determined, in words."""
+    """Positions to add so that all parameters of an axis are determined, in words."""
     if not setting.known:
         count = 12 if setting.second_order else 9
-        return f"it takes {count} orientations or more, well spread, some between the axes; or given ones"
+        return f"add positions ({count} or more, well spread, some between the axes), or give orientations"
     X = setting.design(axis, setting.known) / setting.units
     X = X[np.isfinite(X[:, 0])]
     added: list[str] = []
@@ -410,7 +407,7 @@ def _remedy(setting: Setting, axis: Axis) -> str:
         more = np.concatenate([X, setting.design(axis, [candidate]) / setting.units])
         if len(determined_directions(more, KNOWN)) > len(before):
             X, added = more, [*added, candidate.name]
-    return f"it takes, e.g., {' and '.join(map(repr, added))} as well"
+    return f"add positions, e.g. {' and '.join(map(repr, added))}"
 
 
 def _misfit(

@@ -61,39 +61,39 @@ def calibrate(
     """Biases, scale factors and misalignments from recordings at rest, as in a six-position test.
 
     The means of the positions are fitted to I = f + b + S·f + N·f + e (2.22, 2.23) by generalized least
-    squares. The covariance of the means follows from the phase covariance of the noise, for drift also
-    between positions, and so do the intervals; `AxisCalibration.widening` says how much wider they are than
-    white noise alone would make them. Two positions give the thesis's (2.32), (2.33), (2.36) and (2.37),
-    where its "up" reads −g: here an axis that points up reads +g.
+    squares. The covariance of the means and the intervals follow from the phase covariance of the noise,
+    including drift between positions; `AxisCalibration.widening` is the factor by which they are wider than
+    for white noise alone. Two positions give the thesis's (2.32), (2.33), (2.36) and (2.37), where its "up"
+    reads −g: here an axis that points up reads +g.
 
     A bias is the level about which stationary noise scatters, averaged over the calibration if there is also
-    noise without a mean. Axes are taken to be independent of each other.
+    noise without a mean. Axes are taken as independent.
 
     Args:
         positions: recordings by orientation, {"x up": recording, "x down": …}; or recordings (arrays, files).
-        orientations: of recordings in a sequence, see `as_orientation`. Without them, by the names of the
-            recordings ("imu_x_up", "down"); if no name tells any, they are free and estimated, which three
-            accelerometers can be from nine positions or more: the norm of the specific force is gravity. The
+        orientations: orientations of recordings in a sequence, see `as_orientation`; by default those in the
+            names of the recordings ("imu_x_up", "down"). If no name has any, they are estimated, which takes
+            three accelerometers and nine positions or more: the norm of the specific force is gravity. The
             axes of reference are then the sensor's: x is that of accel_x, and accel_y is in the x-y plane.
-        latitude: latitude [deg], for normal gravity and, needed for gyros, for the Earth's rate.
+        latitude: latitude [deg], for normal gravity and the Earth's rate; gyros need it.
         height: height [m], for normal gravity.
-        gravity: local gravity [m/s²], if it is known; else normal gravity, whose anomaly of 35 mGal (1 σ) is
-            part of the scale factors' intervals.
-        model: noise model with values, or one for each axis or sensor by name.
-        fit: fit of a long recording of the same sensor, which knows the drift best. Without either, the
-            longest of the positions is fitted, and where the means scatter more than it says, the intervals
-            are as much wider.
-        starts: when each recording starts [s]; without, each follows the one before it at once.
-        second_order: whether accelerometers have a part S2·f², too (in (2.23) the square is missing).
-        orientation_error: standard deviation [rad] of the orientations given, about each horizontal axis.
-        as_is: whether to use all of a recording, also where it was handled.
-        rate, gyro_unit, accel_unit, names: of arrays and files, as `fit` takes them.
+        gravity: local gravity [m/s²] if it is known; by default normal gravity, whose anomaly of 35 mGal
+            (1σ) is part of the scale factors' intervals.
+        model: noise model with values, or models by the names of axes or sensors.
+        fit: fit of a long recording of the same sensor, which describes its drift best. Without model and
+            fit, the longest of the positions is fitted, and the intervals are widened if the means scatter
+            more than under that model.
+        starts: start of each recording [s]; by default each follows the previous one at once.
+        second_order: whether accelerometers also have a part S2·f² (in (2.23) the square is missing).
+        orientation_error: standard deviation [rad] of the given orientations, about each horizontal axis.
+        as_is: whether to use all of a recording, even if it was handled.
+        rate, gyro_unit, accel_unit, names: rate, units and names of arrays and files, as for `fit`.
 
     Raises:
-        RecordingError: a recording that cannot be read or was not at rest; recordings without a common axis;
-            positions that do not span; up and down exchanged.
+        RecordingError: a recording cannot be read or was not at rest; recordings without a common axis;
+            positions that do not determine the errors; up and down exchanged.
         FitError: no noise model from the recordings; orientations that could not be estimated.
-        AllanjaxError: an orientation that is none; neither latitude nor gravity; starts that overlap.
+        AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap.
     """
     if isinstance(positions, Mapping):
         orientations = list(positions) if orientations is None else orientations
@@ -115,8 +115,8 @@ def calibrate(
             setting = Setting(own, places, world, square, orientation_error, unknown)
             means = np.stack([r.select(*(a.name for a in own)).values.mean(axis=0) for r in recordings])
             noise = Covariances.of(places, [parts[axis.name] for axis in own])
-            found, misfit[sensor] = errors_of(setting, means, noise)
-            results += found
+            own_results, misfit[sensor] = errors_of(setting, means, noise)
+            results += own_results
             notes += _scatter(sensor, misfit[sensor])
     notes += _remarks(results, world)
     return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))
@@ -133,14 +133,14 @@ def _places(
     places, kept = [], []
     for k, recording in enumerate(recordings):
         name = recording.name or f"position {k + 1}"
-        seen = inspect(recording, as_is=as_is)
-        if seen.refusal:
-            raise RecordingError(f"{name}: {seen.refusal}")
+        look = inspect(recording, as_is=as_is)
+        if look.refusal:
+            raise RecordingError(f"{name}: {look.refusal}")
         first = 0.0
-        if seen.stretch is not None:
-            first, last = seen.stretch
-            notes.append(f"{name}: {seen.said}; {first:g} to {last:g} s used")
-        kept.append(seen.quiet(recording))
+        if look.stretch is not None:
+            first, last = look.stretch
+            notes.append(f"{name}: {look.said}; {first:g} to {last:g} s used")
+        kept.append(look.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
     return tuple(places), kept, notes
 
@@ -148,36 +148,38 @@ def _places(
 def _orientations(
     recordings: Sequence[Recording], given: Sequence[OrientationLike] | None
 ) -> list[Orientation | None]:
-    """Orientation of each recording; None for all if nothing tells any."""
+    """Orientation of each recording; None for all if no name has any."""
     if given is not None:
         if len(given) != len(recordings):
-            raise AllanjaxError(f"{len(given)} orientations for {len(recordings)} recordings: give one each")
+            raise AllanjaxError(
+                f"{len(given)} orientations for {len(recordings)} recordings: give one for each"
+            )
         return [as_orientation(o) for o in given]
-    found = [orientation_in(r.name) for r in recordings]
-    silent = [r.name or f"position {k + 1}" for k, r in enumerate(recordings) if found[k] is None]
-    if silent and len(silent) < len(found):
+    named = [orientation_in(r.name) for r in recordings]
+    silent = [r.name or f"position {k + 1}" for k, r in enumerate(recordings) if named[k] is None]
+    if silent and len(silent) < len(named):
         raise AllanjaxError(
             f"no orientation in the name of {', '.join(silent)}: give orientations=, or --position x+=FILE, "
             "or names such as imu_x_up"
         )
-    return found
+    return named
 
 
 def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> tuple[np.ndarray, list[str]]:
     """Start of each recording [s], and what was assumed."""
     length = np.array([r.duration for r in recordings])
     if starts is None:
-        note = "positions taken to follow each other at once, in the order given (starts=, --starts)"
+        note = "positions are assumed to follow each other at once, as given (else pass starts=, --starts)"
         return np.concatenate([[0.0], np.cumsum(length)[:-1]]), [note] if len(length) > 1 else []
     begin = np.array(starts, dtype=float)
     if begin.shape != length.shape or not np.isfinite(begin).all():
-        raise AllanjaxError(f"{len(begin)} starts for {len(length)} recordings: give one each, in s")
+        raise AllanjaxError(f"{len(begin)} starts for {len(length)} recordings: give one per recording, in s")
     order = np.argsort(begin)
     late = (begin + length)[order][:-1] - begin[order][1:]
     if (late > 1e-6).any():
         k = int(order[int(late.argmax()) + 1])
         raise AllanjaxError(
-            f"the recording that starts at {begin[k]:g} s does so before the former ends: correct starts"
+            f"the recording that starts at {begin[k]:g} s overlaps the previous one: correct starts"
         )
     return begin - begin.min(), []
 
@@ -186,12 +188,12 @@ def _world(latitude: float | None, height: float, gravity: float | None) -> Worl
     """Gravity with its standard deviation, and latitude."""
     if gravity is not None:
         if not 9.0 < gravity < 10.0:
-            raise AllanjaxError(f"gravity must be the local one in m/s², about 9.8, not {gravity}")
+            raise AllanjaxError(f"gravity must be the local gravity in m/s², about 9.8, not {gravity}")
         return World(gravity, 0.0, latitude)
     if latitude is None:
         raise AllanjaxError(
-            "calibration needs gravity: give the latitude in deg, latitude= (--latitude), and height, or the "
-            "local gravity in m/s², gravity= (--gravity)"
+            "calibration needs gravity: pass latitude= (--latitude) in deg and height, or the local gravity= "
+            "(--gravity) in m/s²"
         )
     return World(normal_gravity(latitude, height), GRAVITY_ANOMALY, latitude)
 
@@ -206,21 +208,23 @@ def _axes(
     every = dict.fromkeys(axis.name for r in recordings for axis in r.axes)
     common = [axis for axis in recordings[0].axes if all(axis.name in r.names for r in recordings)]
     names = [axis.name for axis in common]
-    notes += [f"{name} left out: not in each recording" for name in every if name not in names]
+    notes += [f"{name} is left out: some recordings lack it" for name in every if name not in names]
     why = ""
     if orientations[0] is None:
-        why = "orientations are not known"
+        why = "they need orientations"
     elif latitude is None:
-        why = "the Earth's rate needs the latitude"
+        why = "they need the latitude, for the Earth's rate"
     if why and any(axis.sensor == "gyro" for axis in common):
-        notes.append(f"gyros left out: {why}")
+        notes.append(f"gyros are left out: {why}")
         common = [axis for axis in common if axis.sensor != "gyro"]
     if orientations[0] is None and len({place_of(a) for a in common if a.sensor == "accel"}) < 3:
-        raise RecordingError("orientations can be left out for three accelerometers only: give orientations=")
+        raise RecordingError(
+            "orientations cannot be estimated without three accelerometers: give orientations="
+        )
     for sensor in SENSORS:
         own = [a for a in common if a.sensor == sensor]
         if len({place_of(a) for a in own}) < len(own):
-            raise RecordingError(f"{', '.join(a.name for a in own)} are not x, y and z: name them so")
+            raise RecordingError(f"the axes {', '.join(a.name for a in own)} must be named as x, y and z")
     if not common:
         raise RecordingError("; ".join(["no axis to calibrate", *notes]))
     return common
@@ -233,7 +237,7 @@ def _noise(
     fit: Fit | None,
     notes: list[str],
 ) -> tuple[dict[str, tuple[Part, ...]], str]:
-    """Noise of each axis, and where it comes from; adds to the notes what to bear in mind."""
+    """Noise of each axis, and its source; adds limitations to the notes."""
     if model is not None and fit is not None:
         raise AllanjaxError("give a model or a fit, not both")
     if model is not None:
@@ -247,8 +251,8 @@ def _noise(
         source = f"fitted to the longest position, {longest.name or 'unnamed'}, {duration(longest.duration)}"
         if len(recordings) > 1:
             notes.append(
-                "drift that is slower than the noise model's record is told from the scatter of the means "
-                "alone: give the fit of a long recording (fit=, --fit) for narrower intervals"
+                "drift slower than the noise model's record is estimated from the scatter of the means only; "
+                "for narrower intervals pass the fit of a long recording (fit=, --fit)"
             )
     notes += [f"{a.name}: {fit[a.name].verdict}" for a in axes if not fit[a.name].measured]
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
@@ -257,52 +261,52 @@ def _noise(
 def _model_of(model: ModelLike | Mapping[str, ModelLike], axis: Axis) -> ModelLike:
     if not isinstance(model, Mapping):
         return model
-    found = model.get(axis.name, model.get(axis.sensor))
-    if found is None:
+    own = model.get(axis.name, model.get(axis.sensor))
+    if own is None:
         raise AllanjaxError(
-            f"no noise model for {axis.name}: add it to model= by {axis.name!r} or {axis.sensor!r}"
+            f"no noise model for {axis.name}: add it to model= as {axis.name!r} or {axis.sensor!r}"
         )
-    return found
+    return own
 
 
 def _scatter(sensor: Sensor, misfit: Misfit) -> list[str]:
-    """Note that the means scatter more than a noise model says that may lack drift, if they do."""
+    """Note on means that scatter more than under a noise model that may lack drift."""
     if misfit.wider == 1.0:
         return []
     return [
-        f"{sensor}: the means scatter {significant(misfit.wider)} times as much as this noise model says: "
-        "the intervals are as much wider, and follow Student's law"
+        f"{sensor}: the means scatter {significant(misfit.wider)} times as much as under this noise model; "
+        "the intervals are widened accordingly, with Student's law"
     ]
 
 
 def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
-    """What a user should know of gravity, and of what the Earth's rate does not tell of gyros."""
+    """Notes on gravity, and on errors of gyros that the Earth's rate does not determine."""
     notes = []
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
-        notes.append("normal gravity; its anomaly, 35 mGal (1 σ), is part of the scale factors' intervals")
+        notes.append("normal gravity; its anomaly, 35 mGal (1σ), is part of the scale factors' intervals")
     gyros = [r for r in results if r.axis.sensor == "gyro"]
     if not gyros:
         return notes
     rate = convert(EARTH_RATE, "rad/s", "deg/h")
-    notes.append("gyros: a sensitivity to gravity would show as scale factor and misalignment")
+    notes.append("gyros: sensitivity to gravity would appear as scale factor and misalignment")
     aligned = [r.axis.name for r in gyros if _as_if_aligned(r)]
     if aligned:
         notes.append(
-            f"{', '.join(aligned)}: as if aligned, for a misalignment of 1 mrad makes a bias of up to "
-            f"{1e-3 * rate:.3f} deg/h; the positions, with headings ('x up, y north') or without, do not tell"
+            f"{', '.join(aligned)}: taken as aligned, since the positions do not determine misalignments; "
+            f"a misalignment of 1 mrad would change the bias by up to {1e-3 * rate:.3f} deg/h"
         )
     scales = [c.std for r in gyros for label, c in r.coefficients.items() if label != "bias"]
     worst = max((s for s in scales if math.isfinite(s)), default=0.0)
     if worst > USEFUL:
         notes.append(
-            f"gyros: the Earth's rate, {rate:.2f} deg/h, tells scale factors and misalignments to ± "
-            f"{significant(100.0 * worst, 2)} % (1 σ) only; what is known to no better than 1 % is not "
-            "applied. It takes a rate table"
+            f"gyros: the Earth's rate, {rate:.2f} deg/h, determines scale factors and misalignments only to "
+            f"± {significant(100.0 * worst, 2)} % (1σ); those not known to 1 % are not applied. Better "
+            "values need a rate table"
         )
     return notes
 
 
 def _as_if_aligned(result: AxisCalibration) -> bool:
     """Whether an axis has a scale factor and none of its misalignments is determined."""
-    known = {label: math.isfinite(c.value) for label, c in result.coefficients.items()}
-    return known.pop("scale_factor") and not any(found for label, found in known.items() if label != "bias")
+    known = {label for label, c in result.coefficients.items() if math.isfinite(c.value)}
+    return known - {"bias"} == {"scale_factor"}

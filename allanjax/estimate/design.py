@@ -379,7 +379,7 @@ def moments_behind(
     model: Model, geometry: AllanCovariance
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    mean, variance = jax.device_get(_moments_behind(numbers_as_data(model.seen), geometry))
+    mean, variance = jax.device_get(_moments_behind(numbers_as_data(model.processes), geometry))
     rows = int(geometry.count)
     return mean[:rows], variance[:rows]
 

@@ -1,28 +1,28 @@
-"""How long a sensor coasts: the bias model that a filter may use, and for how long it holds.
+"""How long a sensor coasts: which model of the bias a filter may use, and for how long that model holds.
 
-The filter has seen the sensor at rest for long, and has an estimate of the bias by a steady-state Kalman
+The filter has observed the sensor at rest for long, and has estimated the bias by a steady-state Kalman
 filter for samples z_k = b_k + v_k with b_{k+1} = φ b_k + w_k, variances R = N²·rate and Q. The bias is a
 random walk, φ = 1 and Q = K²/rate, or a first-order Gauss–Markov process of correlation time T driven by
 noise of density K², φ = e^{−1/(T·rate)} and Q = K²T/2·(1 − φ²):
 
     P = φ²PR/(P + R) + Q,    g = P/(P + R),    b̂_k = φ b̂_{k−1} + g(z_k − φ b̂_{k−1}).
 
-Then it integrates for n samples of h seconds, less φ^j b̂. It predicts for the integral the variance
+Then it integrates n samples of h seconds, less φ^j b̂. The variance that it predicts for the integral is
 
     h²[s_n² PR/(P + R) + Q Σ_{k≤n} (s_k/φ)² + nR],    s_k = φ + … + φ^k,
 
-which is right if the noise is as it believes. What it is for any other noise follows from the states of the
+which is right if the noise is as the filter assumes. For any other noise it follows from the states of the
 noise and b̂ together (Gelb, Applied Optimal Estimation, 1974, 7.2: the suboptimal filter's true covariance).
 
-A Gauss–Markov process returns to zero. To its filter the bias is counted from its mean over the record of
-length D, which is known; about it a random walk has the variance K²D/6.
+A Gauss–Markov process returns to zero. Its filter counts the bias from the known mean over the record of
+length D; about that mean a random walk has the variance K²D/6.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
@@ -30,20 +30,19 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import finite_or_none, significant
 from allanjax.estimate.as_json import in_both_units
 from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
-from allanjax.estimate.tables import Column, Number, as_html, as_text, column, tables_of
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
 from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
 from allanjax.record.recording import Axis
-from allanjax.record.units import SENSORS, SI, Sensor, default_coefficient_unit, si_unit, unit_scale
+from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
 #: How the filter models the bias.
 Process = Literal["walk", "markov"]
@@ -58,7 +57,7 @@ _DRAWS = 400
 _AT_REST = 3600.0
 # Memories and correlation times of the Gauss–Markov filters that are compared.
 _MEMORIES, _TIMES = 25, 11
-# Those whose true error is larger than the least by more than this factor are no filters to take.
+# Filters whose true error is larger than the least by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _LABELS = {
@@ -196,7 +195,7 @@ def _of_block(
     """Variance of the integral's error for noise of these states."""
     space = StateSpace.of(block, filters.rate, "gyro", "")
     sums = [space.sum_covariance(int(n)) for n in steps]
-    seen = np.stack([transition[-1, :-1] for transition, _ in sums])
+    observed = np.stack([transition[-1, :-1] for transition, _ in sums])
     added = np.array([noise[-1, -1] for _, noise in sums])
     A, n, found = block.transition, block.size, []
     # About its mean over the record a walk has the variance of a process that is forgotten in a third of it;
@@ -214,8 +213,8 @@ def _of_block(
         states = A @ P[:n, :n] @ A.T + block.noise
         shared = A @ P[:n, n]
         found.append(
-            np.einsum("ti,ij,tj->t", seen, states, seen)
-            - 2.0 * share * (seen @ shared)
+            np.einsum("ti,ij,tj->t", observed, states, observed)
+            - 2.0 * share * (observed @ shared)
             + share**2 * P[n, n]
             + added
         )
@@ -255,29 +254,31 @@ def memories(duration: float, rate: float, terms: Sequence[float] = (), count: i
 class AxisHorizon(ByValue):
     """White noise and process of the bias for the filter of one axis, up to a horizon.
 
-    The filter has estimated the bias from the sensor at rest and integrates the samples less that bias. Its
-    `error` is that of the angle (or velocity). The filter models the bias as a random walk, or as a
-    first-order Gauss–Markov process; K² is then the density of the noise that drives it.
+    The filter has estimated the bias from the sensor at rest, and integrates the samples less that bias. Its
+    `error` is that of the angle (of the velocity); see `estimate.horizon`. It models the bias as a random
+    walk, or as a first-order Gauss–Markov process, which is a walk that returns to zero within the
+    correlation time: K is then the root of the density of the noise that drives it.
 
     Attributes:
         axis: the axis.
         horizon: time between corrections [s].
         probability: probability of the bounds.
-        white, walk: the N and K whose predicted variance equals the true one at the horizon and is closest to
-            it, in the largest ratio, at shorter times down to a hundredth of the horizon.
-        correlation_time: correlation time of the Gauss–Markov process, from a grid with steps of at most a
-            factor of two; None for a walk.
-        mismatch: largest ratio of the predicted standard deviation to the true one, either way.
-        bounding_white, bounding_walk: the N and K [SI] whose predicted variance is nowhere below the true
-            one, with this probability at each time; the pair with the least mean log variance.
+        white, walk: the N and K whose predicted variance is the true one at the horizon, and whose largest
+            ratio to it at shorter times, from a hundredth of the horizon on, is closest to one.
+        correlation_time: correlation time of the Gauss–Markov process, from a grid of values that are a
+            factor of two apart or less; None for a walk.
+        mismatch: largest factor between the predicted and the true standard deviation at these times.
+        bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
+            true variance, at each with this probability; of all such pairs the one with the least mean
+            logarithm of the predicted variance.
         bounding_time: correlation time of the bounding process [s]; infinite for a walk.
-        raw_white, raw_walk: N and K of the fitted model [SI]; zero if it has none.
+        raw_white, raw_walk: N and K of the fitted model, SI; zero if it has none.
         time: times [s] since the last correction.
         error: standard deviation of the error [rad or m/s] with `white` and `walk`, all terms included.
-        raw_error, raw_prediction: the same with the raw N and K as a walk, and what these predict.
+        raw_error, raw_prediction: the same with the raw N and K, as a walk, and what these predict.
         bound: the standard deviation that the bounding pair predicts.
         shares: shares of the terms in the variance of the error at the horizon, the largest first.
-        sets: number of likely sets of terms that were averaged over.
+        sets: how many likely sets of terms were averaged over.
     """
 
     axis: Axis
@@ -311,7 +312,7 @@ class AxisHorizon(ByValue):
 
     @property
     def raw_factor(self) -> float:
-        """Ratio of the error at the horizon to what a filter with the raw N and K predicts; inf without."""
+        """Error at the horizon over the one that a filter with raw N and K predicts; infinite without."""
         predicted = float(self.raw_prediction[-1])
         return float(self.raw_error[-1]) / predicted if predicted > 0.0 else math.inf
 
@@ -323,25 +324,40 @@ class AxisHorizon(ByValue):
 
     @property
     def bounding_bias_std(self) -> float:
-        """The same for the bounding process."""
+        """Standard deviation of the bounding process, SI; infinite for a walk."""
         return self.bounding_walk * math.sqrt(self.bounding_time / 2.0)
 
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
-        shares = [
-            f"{title_of(k, self.axis.sensor)} {100.0 * x:.0f} %"
-            for k, x in self.shares.items()
-            if x >= _NAMED
-        ]
-        return ", ".join(shares)
+        named = {k: x for k, x in self.shares.items() if x >= _NAMED}
+        return ", ".join(f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in named.items())
 
-    def describe(self) -> str:
-        """What a filter with the raw N and K gets wrong, and what the error is made of, in words."""
-        sets = f"; averaged over {self.sets} likely sets of terms" if self.sets > 1 else ""
-        raw = ""
-        if math.isfinite(self.raw_factor):
-            raw = f"with the raw N and K the error is ×{significant(self.raw_factor)} what they predict; "
-        return f"{self.axis.name}: {raw}error from {self.causes()}{sets}"
+    def rows(self) -> list[tuple[str, ...]]:
+        """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
+
+        def shown(name: str, value: float) -> str:
+            unit = default_coefficient_unit(self.axis.sensor, EXPONENTS[name])
+            return significant(value / unit_scale(unit, self.axis.sensor)) if 0.0 < value < math.inf else ""
+
+        def interval(name: str, e: Estimate) -> str:
+            low, high = e.interval
+            return f"{shown(name, low)} … {shown(name, high)}" if low < high else ""
+
+        time = "" if self.correlation_time is None else significant(self.correlation_time.value)
+        bound = "" if math.isinf(self.bounding_time) else significant(self.bounding_time)
+        errors = (self.error, self.error, self.bound, self.raw_prediction, self.raw_error)
+        own, true, limit, raw, raw_true = (shown("integral", float(x[-1])) for x in errors)
+        N, K = self.bounding_white, self.bounding_walk
+        # For want of width, N has no interval beside a correlation time.
+        white, walk = "" if time else interval("white", self.white), interval("walk", self.walk)
+        equal = (shown("white", self.white.value), white, shown("walk", self.walk.value), walk)
+        bounding = (shown("white", N), "", shown("walk", K), "")
+        fitted = (shown("white", self.raw_white), "", shown("walk", self.raw_walk), "")
+        return [
+            (self.axis.name, "equal", *equal, time, shown("bias", self.bias_std), own, true),
+            (self.axis.name, "bound", *bounding, bound, shown("bias", self.bounding_bias_std), limit, ""),
+            (self.axis.name, "fitted", *fitted, "", "", raw, raw_true),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
@@ -374,7 +390,7 @@ class AxisHorizon(ByValue):
         return f"<AxisHorizon {self.axis.name}, {length(self.horizon)}: N* {white}, K* {walk}{time}>"
 
     def to_dataframe(self):  # type: ignore[no-untyped-def]  # pandas is imported late
-        """Errors by time, SI: of the matched pair, its bound, and with the raw N and K."""
+        """Errors over time in SI: of the matched pair, of the bound, and with raw N and K."""
         import pandas as pd
 
         return pd.DataFrame({"axis": self.axis.name, **{name: getattr(self, name) for name in _SERIES}})
@@ -390,10 +406,14 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         process: how the filters model the bias, "walk" or "markov".
         probability: probability of the bounds.
         results: one per axis.
-        notes: for a data sheet, what was assumed and what it does not state.
+        notes: for a data sheet, what was assumed and what it does not give.
     """
 
     CALLED: ClassVar[str] = "the horizon"
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "pair", "N", "95 %", "K", "95 %", "T", "bias\n1σ", "predicted\nerror", "true\nerror"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -406,7 +426,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     def to_dict(self) -> dict[str, Any]:
         """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
 
-        `allanjax schema horizon` describes the keys.
+        `allanjax schema horizon` describes each of them.
         """
         return {
             "schema_version": SCHEMA_VERSION,
@@ -418,51 +438,33 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
             "notes": list(self.notes),
         }
 
-    def __str__(self) -> str:
-        return as_text(self._title(), *self._printed())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), *self._printed())
-
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        probability = f"{100.0 * self.probability:.0f} %"
-        return f"{name}corrections every {length(self.horizon)}{process}, bounds at {probability} probability"
+        return f"{name}N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
-    def _printed(self) -> tuple[list[list[Column]], list[str]]:
-        """Tables with one row per axis, one per sensor, and the lines below them."""
-        tables = []
-        for sensor in SENSORS:
-            of = [r for r in self.results if r.axis.sensor == sensor]
-            error = f"{'velocity' if sensor == 'accel' else 'angle'} after {length(self.horizon)}"
+    def _cells(self) -> list[tuple[str, ...]]:
+        def units(sensor: Sensor) -> tuple[str, ...]:
+            names = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
+            own = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()} | {"time": "s"}
+            return ("", *(own[name] for name in names))
 
-            def numbers(head: str, name: str, values: Iterable[float], sensor: Sensor = sensor) -> Column:
-                unit = default_coefficient_unit(sensor, EXPONENTS[name])
-                return column(head, unit, [Number(x / unit_scale(unit, sensor)) for x in values])
+        return by_sensor(self.results, units)
 
-            def estimates(head: str, values: Iterable[Estimate]) -> Column:
-                shown = [c.in_unit() for c in values]
-                return column(head, shown[0].unit, [Number(c.value, c.std) for c in shown])
-
-            if of:
-                times = [r.correlation_time for r in of if r.correlation_time is not None]
-                main = [estimates("N*", (r.white for r in of)), estimates("K*", (r.walk for r in of))]
-                if times:
-                    main.append(column("T*", "s", [Number(c.value) for c in times]))
-                    main.append(numbers("1σ of the bias", "bias", (r.bias_std for r in of)))
-                others = [
-                    numbers(error, "integral", (r.error[-1] for r in of)),
-                    numbers("bound N", "white", (r.bounding_white for r in of)),
-                    numbers("bound K", "walk", (r.bounding_walk for r in of)),
-                    *([column("bound T", "s", [Number(r.bounding_time) for r in of])] if times else []),
-                    numbers("bound error", "integral", (r.bound[-1] for r in of)),
-                ]
-                tables += tables_of([Column("axis", [r.axis.name for r in of])], main, others)
-        about = (
-            "N*, K*: with these the filter's predicted error is that of the model; bound: nowhere below it"
+    def _notes(self) -> list[str]:
+        kinds = {"gyro": "angle", "accel": "velocity"}
+        errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
+        explained = (
+            f"error: 1σ of the {errors} after {length(self.horizon)}, as the filter predicts it, and true. "
+            f"equal: the prediction is right. bound: the true error is below it with {self.probability:.0%} "
+            "probability. fitted: N and K of the fit without its other terms"
         )
-        return tables, [about, *(r.describe() for r in self.results), *(f"note: {n}" for n in self.notes)]
+        causes = [
+            f"{r.axis.name}: error from {r.causes()}"
+            + (f"; average over {r.sets} likely sets of terms" if r.sets > 1 else "")
+            for r in self.results
+        ]
+        return [explained, *causes, *(f"note: {note}" for note in self.notes)]
 
 
 class _Noise(NamedTuple):
@@ -484,50 +486,50 @@ def horizon(
     probability: float = 0.95,
     seed: int = 0,
 ) -> Horizon:
-    """White noise and walk with which a filter's predicted error is that of the whole model, up to a horizon.
+    """White noise and walk with which a filter predicts the error of the whole model, up to a horizon.
 
-    A filter with two parameters estimates the bias from the sensor at rest and integrates its samples, less
+    A filter with two parameters estimates the bias from the sensor at rest and integrates the samples, less
     the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, including
-    lines and terms behind a response. `white` and `walk` predict it as well as two numbers can; with the
-    given probability, the bounding pair is never below it. Where the data cannot distinguish sets of terms,
-    both are averaged over the likely sets.
+    lines and terms behind a response. The pair `white` and `walk` predicts it as well as two numbers can;
+    the bounding pair is at no time below it, with the given probability of the coefficients. If the data do
+    not distinguish sets of terms, both are averaged over the likely ones.
 
     Args:
-        fit: a result of `fit` or `load`; or a data sheet, taken as exact, with the bias estimated over one
-            hour at rest, or over two horizons if that is longer.
+        fit: what `fit` or `load` returned; or a data sheet, taken as exact, with the bias estimated over an
+            hour at rest, or over two horizons if these are longer.
         seconds: time between corrections [s], at least two samples and at most half the record.
-        process: how the filter models the bias: as a random walk ("walk"), or as a first-order Gauss–Markov
-            process ("markov"). Its correlation time is then estimated with the pair, among filters whose true
-            error at the horizon is at most a tenth above the least. (A filter that soon forgets the bias may
-            predict as well, but leaves the drift in the error.)
+        process: how the filter models the bias: as a random walk, or ("markov") as a first-order Gauss–Markov
+            process, whose correlation time is then chosen with the pair, among filters whose true error at
+            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
+            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
         rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
-        axes: names of axes; by default all with a measurement. The axes of a data sheet are its sensors.
+        axes: names of axes, by default of all with a measurement. The axes of a data sheet are its sensors.
         probability: probability of the bounds.
         seed: seed of the draws of the coefficients.
 
     Raises:
         FitError: a requested axis has no measurement, or no axis has one.
-        AllanjaxError: the horizon, process or probability is out of range; a term has no state space.
+        AllanjaxError: a horizon, a process or a probability out of range; a term that has no state space.
     """
     if process not in get_args(Process):
-        raise AllanjaxError(f"process (--process) must be walk or markov, not {process!r}")
+        raise AllanjaxError(f"process= (--process) must be walk or markov, not {process!r}")
     if isinstance(fit, DataSheet):
         rate, record = rate or RATE, max(_AT_REST, 2.0 * seconds)
     elif rate is not None:
-        raise AllanjaxError("a fit has its own rate: leave out rate")
+        raise AllanjaxError("a fit has its own sample rate: leave out rate")
     else:
         rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
     if not 2.0 / rate <= seconds <= record / 2.0:
         raise AllanjaxError(
-            f"the horizon must be from two samples, {2.0 / rate:g} s, to half the record, "
-            f"{record / 2.0:g} s; got {seconds}"
+            f"the horizon must be from {2.0 / rate:g} s (two samples) to {record / 2.0:g} s (half the "
+            f"record); got {seconds} s"
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"the probability of a bound must be from 0.5 to below 1, got {probability}")
     asked = [axes] if isinstance(axes, str) else axes
     noises = _noises(fit, asked, seed)
     if not noises:
-        raise FitError("no axis has a measurement; print the fit to see why")
+        raise FitError("no axis has a measurement; the fit gives the reasons")
     found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
@@ -651,8 +653,8 @@ def _shares(sets: Sequence[Likely], each: Sequence[np.ndarray], best: int) -> di
         for label, part in zip(likely.labels[:count], parts, strict=False):
             total[label] = total.get(label, 0.0) + float(part)
     ordered = sorted(total.items(), key=lambda item: -item[1])
-    whole = sum(total.values())
-    return {label: part / whole for label, part in ordered}
+    overall = sum(total.values())
+    return {label: part / overall for label, part in ordered}
 
 
 def _estimate(axis: Axis, name: str, value: float, drawn: Float[np.ndarray, " draws"]) -> Estimate:

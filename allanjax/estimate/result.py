@@ -719,5 +719,5 @@ class Fit(ByValue, PerAxis[AxisFit]):
     def _title(self) -> str:
         length = duration(self.curve.n / self.curve.rate)
         name = f"{self.name}: " if self.name else ""
-        others = self.curve.others_told()
+        others = self.curve.describe_others()
         return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"

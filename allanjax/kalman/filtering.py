@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration
 from allanjax.kalman.likelihood import Constant
 from allanjax.kalman.recursion import (
     FilterModel,
     Rows,
     in_blocks,
     padded,
-    room_for,
+    padded_size,
     run_bank,
     run_filter,
     run_smoother,
@@ -33,7 +33,7 @@ from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
 
-#: A model for all axes; or one for each by its name, as a fit and `critique.models` have them.
+#: A model for all axes, or models by the names of axes, as a fit and `critique.models` have them.
 ModelsLike: TypeAlias = ModelLike | Mapping[str, Any]
 
 
@@ -48,7 +48,7 @@ def kalman_filter(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
 ) -> Filtered:
-    """Filter every axis of a recording by the state space of its noise model (Hou 2004, 3.1–3.17).
+    """Filter every axis of a recording with the state space of its noise model (Hou 2004, 3.1–3.17).
 
     The state x_{k+1} = A x_k + w_k (3.1) and the sample z_k = H x_k + v_k + b (3.2), with w and v white and
     normal (3.3, 3.4), are those of `Model.state_space`; b is a constant. The a priori errors and covariances
@@ -63,13 +63,13 @@ def kalman_filter(
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
-            that are `Recording.missing` are not seen by the filter.
-        models: a model with all its values, for all axes, or as text; a fit; or a mapping from axes to
-            either.
+            that are `Recording.missing` are not used.
+        models: a model with all its values, or such a model as text, for all axes; a fit; or a mapping from
+            names of axes to either.
         smooth: whether bias and states are estimated from all samples (Rauch, Tung & Striebel 1965).
         constant_std: standard deviation of the constant b about zero [rad/s or m/s²] before the first
-            sample; None if nothing is known of it, 0 if there is none.
-        missing: further samples that the filter is not to see.
+            sample; None if nothing is known about it, 0 if there is no constant.
+        missing: further samples that the filter is not to use.
         rate, gyro_unit, accel_unit: of an array, as for `fit`.
 
     Raises:
@@ -79,7 +79,8 @@ def kalman_filter(
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
         raise AllanjaxError(
-            f"constant_std must be finite and not negative, or None if unknown; got {constant_std}"
+            "constant_std must be finite and not negative, or None if the constant is unknown; got "
+            f"{constant_std}"
         )
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)
@@ -90,19 +91,19 @@ def kalman_filter(
 
 
 def model_of(models: ModelsLike, axis: Axis) -> Model:
-    """The model of an axis, from one for all, or of its own; the fitted one of a fit.
+    """The model of an axis: its own or the one for all axes; the fitted model of a fit.
 
     Raises:
-        AllanjaxError: there is none for this axis; a parameter without a value.
+        AllanjaxError: there is no model for this axis; a parameter without a value.
     """
-    found: Any = models
+    own: Any = models
     if isinstance(models, Mapping):
         if axis.name not in models:
-            raise AllanjaxError(f"there is no model for {axis.name}, only for {', '.join(models)}")
-        found = models[axis.name]
+            raise AllanjaxError(f"no noise model for {axis.name}; there are models for {', '.join(models)}")
+        own = models[axis.name]
     # A fit of an axis has its model.
-    fitted = getattr(found, "model", None)
-    model = as_model(fitted if isinstance(fitted, Model) else found, [axis])
+    fitted = getattr(own, "model", None)
+    model = as_model(fitted if isinstance(fitted, Model) else own, [axis])
     model.check_complete()
     return model
 
@@ -110,25 +111,25 @@ def model_of(models: ModelsLike, axis: Axis) -> Model:
 def missing_of(
     recording: Recording, missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None
 ) -> Bool[np.ndarray, "samples axes"]:
-    """Samples that a filter does not see: those of the recording, and others. Not all of an axis."""
+    """Samples that a filter does not use: those missing in the recording, and others; not all of an axis."""
     shape = recording.values.shape
-    found = np.zeros(shape, bool) if recording.missing is None else recording.missing
+    lost = np.zeros(shape, bool) if recording.missing is None else recording.missing
     given = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
     given = given[:, None] if given.ndim == 1 else given
     if given.shape not in (shape, (shape[0], 1)):
         raise AllanjaxError(f"missing must have the shape {shape} or ({shape[0]},), not {given.shape}")
-    found = found | given
-    for name, lost in zip(recording.names, found.T, strict=True):
-        if lost.all():
-            raise AllanjaxError(f"{name}: all samples are missing, there is nothing to filter")
-    return found
+    lost = lost | given
+    for name, of_axis in zip(recording.names, lost.T, strict=True):
+        if of_axis.all():
+            raise AllanjaxError(f"{name}: all samples are missing, so there is nothing to filter")
+    return lost
 
 
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
     """Raise AllanjaxError if a sample has no scatter under the model."""
     if not np.all(std[..., there] > 0.0):
         raise AllanjaxError(
-            f"{model!r} leaves nothing random in a sample: add a noise term, AngleRandomWalk(…)"
+            f"the samples are not random under {model!r}: add a noise term, e.g. AngleRandomWalk(…)"
         )
 
 
@@ -144,22 +145,22 @@ def _filtered(
     axis, z, rate = recording.axes[k], recording.values[:, k], recording.rate
     n, there = len(z), ~missing
     of_axis = FilterModel.of(model, rate, n / rate, axis.sensor)
-    room, size = room_for([of_axis.space]), of_axis.space.size
-    # All states, so that programs are those of their room.
-    rows = np.concatenate([np.eye(room, size), of_axis.drift[None]])
-    system, offset = padded(of_axis.space, rows, room), float(z[there].mean())
+    most, size = padded_size([of_axis.space]), of_axis.space.size
+    # All states, so that programs depend on the padded size alone.
+    rows = np.concatenate([np.eye(most, size), of_axis.drift[None]])
+    system, offset = padded(of_axis.space, rows, most), float(z[there].mean())
     record = in_blocks(z - offset, missing)
-    innovations, told, states = run_filter(system, record)
+    innovations, estimates, states = run_filter(system, record)
     e, std = (np.asarray(x)[:n] for x in innovations)
     check_noise(std, there, model)
     constant = Constant.of(e, std, there, constant_std, offset)
     value, variance = constant.value, constant.variance
     if smooth:
-        told = run_smoother(system, states, record)
+        estimates = run_smoother(system, states, record)
         value, variance = np.full(n, value[-1]), np.full(n, variance[-1])
-    told = jax.tree.map(lambda x: np.asarray(x)[:n], told)
-    states_found, state_stds = with_constant(told, value, variance, 0.0)
-    drift, drift_std = (x[:, -1] for x in with_constant(told, value, variance, 1.0))
+    estimates = jax.tree.map(lambda x: np.asarray(x)[:n], estimates)
+    state_values, state_stds = with_constant(estimates, value, variance, 0.0)
+    drift, drift_std = (x[:, -1] for x in with_constant(estimates, value, variance, 1.0))
     return FilteredAxis(
         axis=axis,
         rate=rate,
@@ -170,7 +171,7 @@ def _filtered(
         bias_std=drift_std,
         constant=float(constant.value[-1]) + offset,
         constant_std=float(np.sqrt(constant.variance[-1])),
-        states=states_found[:, :size],
+        states=state_values[:, :size],
         state_stds=state_stds[:, :size],
         names=of_axis.space.names,
         units=of_axis.space.units,
@@ -185,21 +186,21 @@ def _filtered(
 def with_constant(
     rows: Rows, value: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], share: float
 ) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
-    """Rows, with a share of the constant in them, and their standard deviations, for an unknown constant."""
+    """Rows with a share of the unknown constant, and their standard deviations."""
     moved = share - np.asarray(rows.value[:, :, 1])
     known = np.isfinite(variance)[:, None]
     added = np.where(moved == 0.0, 0.0, moved**2 * np.where(known, variance[:, None], np.inf))
     return rows.value[:, :, 0] + moved * value[:, None], np.sqrt(np.asarray(rows.std) ** 2 + added)
 
 
-# Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): models weighed by their innovations.
+# Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): models weighted by their innovations.
 #
-# Every model has a filter of its own. Before a sample the models have weights; the density of the
-# innovation of each, times its weight, is its weight after the sample: the weights are the models'
-# probabilities. As Magill and the thesis have it the true model is one for all the time, and the weights of
-# others go to zero for good; here it may change, with a stated probability per second, so that a model can
-# come back. The models are then the states of a Markov chain, whose probabilities by all samples say when
-# it changed. (A filter does not know of the change: after one it needs as long as its own memory.)
+# Every model has its own filter. A model's weight after a sample is proportional to its weight before, times
+# the density of its innovation: the weights are the models' probabilities. In Magill's bank and the thesis
+# the true model never changes, and the weights of the others go to zero for good; here it may change, with a
+# stated probability per second, so that a model can come back. The models are then the states of a Markov
+# chain, whose probabilities given all samples show when it changed. (A filter does not know about the change
+# and takes as long as its own memory to adapt.)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -218,16 +219,16 @@ class Change:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AdaptedAxis(BiasTrack):
-    """What a bank of filters says of one axis. All is in SI.
+    """Result of a bank of filters for one axis. Arrays are in SI.
 
     Attributes:
         axis, rate, samples: see `BiasTrack`.
-        bias, bias_std: the filters' biases, blended by the weights, and their spread: that of each, and
-            between them.
-        log_likelihood: under the bank.
-        labels: of the models.
-        weights: probability of each model by the samples up to each, [samples, models].
-        probability: the same by all samples.
+        bias, bias_std: the filters' biases, averaged with the weights, and their standard deviation, from
+            that of each filter and the spread between them.
+        log_likelihood: log-likelihood under the bank [nats].
+        labels: names of the models.
+        weights: probability of each model given the samples up to each, [samples, models].
+        probability: the same given all samples.
         switching: probability of a change per second.
     """
 
@@ -238,7 +239,7 @@ class AdaptedAxis(BiasTrack):
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Changes of the most probable model, by all samples."""
+        """Changes of the most probable model, given all samples."""
         best = np.argmax(self.probability, axis=1)
         places = np.flatnonzero(np.diff(best)) + 1
         return tuple(
@@ -251,29 +252,32 @@ class AdaptedAxis(BiasTrack):
             own |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
         return super()._columns() | own
 
-    def _told(self) -> list[tuple[str, str]]:
-        last = sorted(zip(self.weights[-1], self.labels, strict=True), reverse=True)
-        changed = [f"{c.before} → {c.after} at {duration(c.time)}" for c in self.changes]
-        return [
-            ("bias at the end", self._last_bias()),
-            ("weights at the end", ", ".join(f"{label} {plain(w, 3)}" for w, label in last)),
-            ("changes", "; ".join(changed) or f"none: {last[0][1]} throughout"),
-        ]
-
-    def __repr__(self) -> str:
-        return f"<AdaptedAxis {self.axis.name}: {self._told()[2][1]}>"
+    def rows(self) -> list[tuple[str, ...]]:
+        """The row of the printed table: bias, most probable model and its weight, number of changes."""
+        best = int(np.argmax(self.weights[-1]))
+        weight = f"{self.weights[-1, best]:.3f}"
+        return [(self.axis.name, self._last_bias(), self.labels[best], weight, str(len(self.changes)))]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Adapted(BiasTracks[AdaptedAxis]):
-    """What a bank of filters says of every axis of a recording."""
+    """Results of a bank of filters for every axis of a recording."""
 
     CALLED: ClassVar[str] = "the adaptive filter"
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *BiasTracks.HEADINGS,
+        *("most probable model", "its weight", "changes"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = (*BiasTracks.HEADINGS[1:], *HEADINGS[3:])
 
     def _title(self) -> str:
         first = self.results[0]
         models = f"{len(first.labels)} models, changes at {first.switching:g} per second"
         return f"{self.name or 'recording'}: adaptive filter, {models}"
+
+    def _notes(self) -> list[str]:
+        changes = ((r.axis.name, c) for r in self.results for c in r.changes)
+        return [f"{name}: {c.before} → {c.after} at {duration(c.time)}" for name, c in changes]
 
 
 def adaptive_filter(
@@ -287,28 +291,28 @@ def adaptive_filter(
     gyro_unit: str | None = None,
     accel_unit: str | None = None,
 ) -> Adapted:
-    """Filter every axis by several models, weighed by how well they predict it (Magill; Hou 2004, 3.4.4).
+    """Filter every axis with several models, weighted by how well they predict it (Magill; Hou 2004, 3.4.4).
 
     Args:
         recording, constant_std, missing, rate, gyro_unit, accel_unit: as for `kalman_filter`.
-        models: models by their labels, each as `kalman_filter` takes it; or a sequence of them, called
+        models: models by name, each as `kalman_filter` takes it; or a sequence of them, which are named
             "model 1", ….
         switching: probability per second that the true model changes to any other; 0 for Magill's bank, in
             which it never does.
 
     Raises:
-        AllanjaxError: fewer than two models, or one that `kalman_filter` would refuse; a probability that is
-            negative, or not below one a sample.
+        AllanjaxError: fewer than two models, or one that `kalman_filter` refuses; a probability that is
+            negative or too large.
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if not isinstance(models, Mapping):
         models = {f"model {k + 1}": model for k, model in enumerate(models)}
     if len(models) < 2:
-        raise AllanjaxError("an adaptive filter weighs at least two models; kalman_filter takes one")
+        raise AllanjaxError("an adaptive filter needs at least two models; for one, use kalman_filter")
     if not 0.0 <= switching / recording.rate < 0.5:
         raise AllanjaxError(
-            f"the probability of a change, {switching} per second, must be at least 0 and below half a "
-            f"sample's, {recording.rate / 2:g}"
+            f"switching, the probability of a change per second, must be at least 0 and below half the "
+            f"sample rate, {recording.rate / 2:g}; got {switching}"
         )
     lost = missing_of(recording, missing)
     results = (
@@ -332,8 +336,8 @@ def _adapted(
     offset = float(z[there].mean())
     own = [model_of(model, axis) for model in models.values()]
     of_axis = [FilterModel.of(model, rate, n / rate, axis.sensor) for model in own]
-    room = room_for([m.space for m in of_axis])
-    systems = stacked([padded(m.space, m.drift[None], room) for m in of_axis])
+    most = padded_size([m.space for m in of_axis])
+    systems = stacked([padded(m.space, m.drift[None], most) for m in of_axis])
     innovations, rows = jax.device_get(run_bank(systems, in_blocks(z - offset, missing)))
     density, bias, variance = (np.zeros((n, len(own))) for _ in range(3))
     for j, model in enumerate(own):
@@ -341,11 +345,11 @@ def _adapted(
         check_noise(std, there, model)
         constant = Constant.of(e, std, there, constant_std, offset)
         u, s = constant.innovation, constant.innovation_std
-        seen = np.isfinite(s)
-        density[seen, j] = -0.5 * (np.log(2.0 * math.pi * s[seen] ** 2) + (u[seen] / s[seen]) ** 2)
-        told = Rows(rows.value[j, :n], rows.std[j, :n])
-        found = with_constant(told, constant.value, constant.variance, 1.0)
-        bias[:, j], variance[:, j] = found[0][:, 0], found[1][:, 0] ** 2
+        used = np.isfinite(s)
+        density[used, j] = -0.5 * (np.log(2.0 * math.pi * s[used] ** 2) + (u[used] / s[used]) ** 2)
+        estimates = Rows(rows.value[j, :n], rows.std[j, :n])
+        biases, stds = with_constant(estimates, constant.value, constant.variance, 1.0)
+        bias[:, j], variance[:, j] = biases[:, 0], stds[:, 0] ** 2
     weights, probability, total = (np.asarray(x) for x in _weighed(density, np.asarray(switching / rate)))
     blended = np.sum(weights * bias, axis=1)
     spread = np.sum(weights * (variance + (bias - blended[:, None]) ** 2), axis=1)
@@ -367,7 +371,7 @@ def _adapted(
 def _weighed(
     density: Float[np.ndarray, "n models"], change: Float[np.ndarray, ""]
 ) -> tuple[Float[Array, "n models"], Float[Array, "n models"], Float[Array, ""]]:
-    """Probabilities of the models by the samples up to each and by all, and the likelihood of all.
+    """Probabilities of the models given the samples up to each and given all, and the likelihood of all.
 
     Args:
         density: logarithms of each innovation's density.

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.kalman.recursion import in_blocks, padded, room_for, run_innovations, stacked
+from allanjax.kalman.recursion import in_blocks, padded, padded_size, run_innovations, stacked
 from allanjax.noise.model import Model
 
 # The unknown constant of a record, beside a filter for noise about zero (de Jong 1991, Ann. Stat. 19:1073).
@@ -87,19 +87,19 @@ def innovations_under(
     rate: float,
     missing: Bool[np.ndarray, " n"] | None = None,
 ) -> tuple[Float[np.ndarray, "models n1"], Float[np.ndarray, "models n1"]]:
-    """Innovations of the samples under each model, and their variances, but for the first sample's.
+    """Innovations of the samples under each model, and their variances, except for the first sample.
 
-    The mean of the samples is unknown, and nothing is known of it before; missing samples are left out.
+    The mean of the samples is unknown; missing samples are left out.
     """
     n = len(z)
     there = np.ones(n, bool) if missing is None else ~missing
     spaces = [model.state_space(rate, duration=n / rate) for model in models]
-    room = room_for(spaces)
-    systems = stacked([padded(space, np.zeros((0, space.size)), room) for space in spaces])
+    most = padded_size(spaces)
+    systems = stacked([padded(space, np.zeros((0, space.size)), most) for space in spaces])
     found = jax.device_get(run_innovations(systems, in_blocks(z - z[there].mean(), missing)))
     each = [Constant.of(e[:n], std[:n], there, None) for e, std in zip(found.value, found.std, strict=True)]
-    seen = np.flatnonzero(there)[1:]
-    return np.stack([c.innovation[seen] for c in each]), np.stack([c.innovation_std[seen] ** 2 for c in each])
+    used = np.flatnonzero(there)[1:]
+    return np.stack([c.innovation[used] for c in each]), np.stack([c.innovation_std[used] ** 2 for c in each])
 
 
 def log_likelihoods(

@@ -13,8 +13,8 @@ in a step is the inverse of the number of samples so far, or less. A missing sam
 columns are filtered with the same gains: the samples, and ones, by which an unknown constant is estimated
 without a state of its own (see `likelihood`).
 
-Lengths are padded to a few, and so are the numbers of states: samples and matrices are data, and few programs
-compile.
+Lengths and numbers of states are padded to a few values: samples and matrices are data, and few programs are
+compiled.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Skip(NamedTuple):
 
 
 class System(NamedTuple):
-    """Matrices of a filter, with room for more states than there are.
+    """Matrices of a filter, padded to a number of states for which a program is compiled.
 
     Attributes:
         A, h: transition and observation.
@@ -269,7 +269,7 @@ def run_innovations(systems: System, record: Record) -> Innovations:
 
 
 class _Adjoint(NamedTuple):
-    """State of the smoother after a sample: what later samples say.
+    """State of the smoother after a sample, from later samples.
 
     Attributes:
         r, N: of both columns, and its covariance.
@@ -286,10 +286,10 @@ class _Adjoint(NamedTuple):
 
 
 # What a step back takes of a sample: innovation, updated states, gains, and whether it is there.
-_Seen = tuple[Array, Array, Gains, Array]
+_Sample = tuple[Array, Array, Gains, Array]
 
 
-def _back(system: System, r: Float[Array, "n 2"], at: _Seen) -> tuple[Array, Array]:
+def _back(system: System, r: Float[Array, "n 2"], at: _Sample) -> tuple[Array, Array]:
     """r before a sample, and Aᵀr, by which the states at the sample are corrected."""
     innovation, _, gains, there = at
     h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
@@ -300,8 +300,8 @@ def _back(system: System, r: Float[Array, "n 2"], at: _Seen) -> tuple[Array, Arr
 def _closed(system: System, gains: Gains, there: Array) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
     """What a sample makes of N: L·N·Lᵀ + h·hᵀ/s."""
     h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
-    seen = h / sd
-    return system.A.T - jnp.outer(h, system.A @ gains.gain), jnp.outer(seen, seen)
+    scaled = h / sd
+    return system.A.T - jnp.outer(h, system.A @ gains.gain), jnp.outer(scaled, scaled)
 
 
 def _smoothed_std(system: System, P: Float[Array, "n n"], N: Float[Array, "n n"]) -> Float[Array, " rows"]:
@@ -329,10 +329,10 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         new, (innovation, x) = _step(system, state, *at)
         return new, ((innovation, x, new.gains, at[1]), new.S, new.settled)
 
-    def backward(adjoint: _Adjoint, at: tuple[_Seen, Array, Array]) -> tuple[_Adjoint, Rows]:
-        seen, S, is_settled = at
-        _, x, gains, there = seen
-        r, a = _back(system, adjoint.r, seen)
+    def backward(adjoint: _Adjoint, at: tuple[_Sample, Array, Array]) -> tuple[_Adjoint, Rows]:
+        sample, S, is_settled = at
+        _, x, gains, there = sample
+        r, a = _back(system, adjoint.r, sample)
         std = _smoothed_std(system, S @ S.T, adjoint.N)
         L, own = _closed(system, gains, there)
         N = L @ adjoint.N @ L.T + own
@@ -354,8 +354,8 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         N = L @ adjoint.N @ L.T + N
         ends = _smoothed_std(system, P, N), _smoothed_std(system, P + change, adjoint.N)
         share = jnp.arange(1, BLOCK + 1) / BLOCK
-        seen = (innovation, x, gains, there)
-        r, a = jax.lax.scan(lambda r, at: _back(system, r, at), adjoint.r, seen, reverse=True)
+        inputs = (innovation, x, gains, there)
+        r, a = jax.lax.scan(lambda r, at: _back(system, r, at), adjoint.r, inputs, reverse=True)
         part = share[:, None, None]
         moved = jnp.einsum("ij,bjc->bic", P, a) + part * jnp.einsum("ij,bjc->bic", change, a)
         value = jnp.einsum("rn,bnc->brc", system.rows, x + moved)
@@ -396,8 +396,8 @@ class FilterModel:
 
     Attributes:
         space: its state space.
-        drift: what of the states is drift, a row: the sum of the slow terms.
-        slow: their labels.
+        drift: row that sums the states that are drift, those of the slow terms.
+        slow: labels of these terms.
     """
 
     space: StateSpace
@@ -436,9 +436,9 @@ def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return scale[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
 
 
-def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int) -> System:
-    """Matrices with room for so many states, see `room_for`; `rows` are told of."""
-    grown = [(0, room - space.size)] * 2
+def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], most: int) -> System:
+    """Matrices padded to this many states, see `padded_size`; `rows` are the wanted sums of states."""
+    grown = [(0, most - space.size)] * 2
     parts: Any = (
         np.pad(space.A, grown),
         np.pad(space.H[0], grown[0]),
@@ -446,26 +446,26 @@ def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], room: int) -> S
         np.sqrt(space.R[0, 0]),
         np.pad(factor(space.P0), grown),
         np.pad(rows, [(0, 0), grown[0]]),
-        _skip(space, room),
+        _skip(space, most),
     )
     return System(*parts)
 
 
-def _skip(space: StateSpace, room: int) -> Skip:
-    """What the samples that are skipped make of the covariance: of one sample, joined in powers of two."""
+def _skip(space: StateSpace, most: int) -> Skip:
+    """Effect of skipped samples on the covariance: that of one sample, joined in powers of two."""
     poles = np.linalg.eigvals(space.A)
     lasting = (abs(poles) > math.exp(-1.0 / _LASTING)) & (poles.imag != 0.0)
-    n, grown = space.size, [(0, room - space.size)] * 2
+    n, grown = space.size, [(0, most - space.size)] * 2
     h, R, one = space.H[0], space.R[0, 0], np.eye(space.size)
     s = float(h @ space.Q @ h + R)
     parts: Any
     if n == 0 or lasting.any() or not s > 0.0:
-        nothing = np.zeros((room, room))
+        nothing = np.zeros((most, most))
         parts = (nothing, nothing, nothing, np.asarray(False))
         return Skip(*parts)
     closed = one - np.outer(space.Q @ h / s, h)
-    seen = space.A.T @ h
-    power = (closed @ space.A, closed @ space.Q, np.outer(seen, seen) / s)
+    observed = space.A.T @ h
+    power = (closed @ space.A, closed @ space.Q, np.outer(observed, observed) / s)
     total = (one, 0.0 * one, 0.0 * one)
     for bit in bin(BLOCK - 1)[:1:-1]:
         if bit == "1":
@@ -485,11 +485,11 @@ def _followed(
     return A2 @ between @ A1, A2 @ between @ C1 @ A2.T + C2, A1.T @ J2 @ between @ A1 + J1
 
 
-def room_for(spaces: Sequence[StateSpace]) -> int:
-    """Number of states that a program for all of these has; AllanjaxError if they are too many."""
+def padded_size(spaces: Sequence[StateSpace]) -> int:
+    """Number of states of a program that takes all of these; AllanjaxError if they are too many."""
     most = max(space.size for space in spaces)
     if most > _SIZES[-1]:
-        raise AllanjaxError(f"a filter takes at most {_SIZES[-1]} states, and the model has {most}")
+        raise AllanjaxError(f"the model has {most} states; a filter takes at most {_SIZES[-1]}")
     return next(size for size in _SIZES if most <= size)
 
 
@@ -501,12 +501,12 @@ def stacked(systems: Sequence[System]) -> System:
 
 
 def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] | None) -> Record:
-    """Samples in blocks, which are there and which are missing; those that only pad are missing, too."""
+    """Samples in blocks, and which of them are there; padding counts as missing."""
     n = len(samples)
-    room = BLOCK * _FEWEST * 2 ** max(math.ceil(math.log2(n / (BLOCK * _FEWEST))), 0)
-    there, values = np.zeros(room, bool), np.zeros(room)
+    size = BLOCK * _FEWEST * 2 ** max(math.ceil(math.log2(n / (BLOCK * _FEWEST))), 0)
+    there, values = np.zeros(size, bool), np.zeros(size)
     there[:n] = True if missing is None else ~missing
     values[:n] = np.where(there[:n], samples, 0.0)
-    after = np.arange(0, room, BLOCK) >= n
+    after = np.arange(0, size, BLOCK) >= n
     parts: Any = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK), after)
     return Record(*parts)

@@ -14,11 +14,11 @@ from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, finite_or_none, format_interval, format_with_error
+from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.wording import duration, finite_or_none, format_with_error
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import rate_unit_of
+from allanjax.record.units import default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
 
 # Lags of the portmanteau test: at most so many, and this share of the samples.
 _LAGS, _SHARE = 40, 0.2
+_TESTS_EXPLAINED = (
+    "whiteness p: Ljung–Box test of the innovations; NIS/n: normalized innovations squared per sample, 1 if "
+    "their size is right. A p below 0.01 means that the model does not fit."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,19 +68,25 @@ def whiteness(u: Float[np.ndarray, " n"]) -> ChiSquared:
 
 
 def normalized_square(u: Float[np.ndarray, " n"]) -> ChiSquared:
-    """Normalized innovations squared (NIS) Σ e²/s, χ² with a degree of freedom a sample; two-sided."""
+    """Normalized innovations squared (NIS) Σ e²/s, χ² with one degree of freedom per sample; two-sided."""
     u = u[np.isfinite(u)]
     statistic = float(u @ u)
     above = float(upper_tail(statistic, len(u)))
     return ChiSquared(statistic, len(u), min(2.0 * min(above, 1.0 - above), 1.0))
 
 
+def _p_value(test: ChiSquared) -> str:
+    if not test.dof:
+        return ""
+    return f"{test.p_value:.3f}" if test.p_value >= 0.001 else "< 0.001"
+
+
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class BiasTrack(ByValue):
-    """Bias of one axis over time, by one filter or several. All is in SI, [samples].
+    """Bias of one axis over time, by one filter or several. Arrays are in SI, [samples].
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         rate: sample rate [Hz].
         samples: what was filtered.
         bias, bias_std: what the filter would remove in each sample, and its standard deviation.
@@ -102,7 +112,7 @@ class BiasTrack(ByValue):
         return self.bias - half, self.bias + half
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table of a row a sample: axis, time, sample, bias with std and interval, what else is told; SI."""
+        """Table in SI with one row per sample: axis, time, sample, bias with std and interval, and more."""
         import pandas as pd
 
         return pd.DataFrame(self._columns())
@@ -120,18 +130,17 @@ class BiasTrack(ByValue):
         }
 
     def _last_bias(self) -> str:
-        """The bias in the last sample, in words."""
-        unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
-        value, std = float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale
-        ends = (value - TWO_SIDED_95 * std, value + TWO_SIDED_95 * std)
-        return f"{format_with_error(value, std)} {unit} (95 %: {format_interval(*ends, value, std)})"
+        """The bias in the last sample ± 1σ, in the usual unit."""
+        scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.0))
+        return format_with_error(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
 
-    def _told(self) -> list[tuple[str, str]]:
-        """What is told of the axis, a quantity and its value in words each."""
+    def rows(self) -> list[tuple[str, ...]]:
+        """The row of the printed table."""
         raise NotImplementedError
 
-    def __str__(self) -> str:
-        return "\n".join(f"{self.axis.name} {what}: {value}" for what, value in self._told())
+    def __repr__(self) -> str:
+        unit = default_coefficient_unit(self.axis.sensor, 0.0)
+        return f"<{type(self).__name__} {self.axis.name}: bias at the end {self._last_bias()} {unit}>"
 
 
 _T = TypeVar("_T", bound=BiasTrack)
@@ -143,10 +152,10 @@ class BiasTracks(ByValue, PerAxis[_T]):
 
     Attributes:
         name: the recording's name.
-        results: one an axis.
+        results: one per axis.
     """
 
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "quantity", "value")
+    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "bias at the end ± 1σ")
 
     name: str
     results: tuple[_T, ...]
@@ -163,27 +172,28 @@ class BiasTracks(ByValue, PerAxis[_T]):
         """
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, str, str]]:
-        return [(result.axis.name, *row) for result in self.results for row in result._told()]
+    def _cells(self) -> list[tuple[str, ...]]:
+        others = [""] * (len(self.HEADINGS) - 2)
+        return by_sensor(self.results, lambda sensor: [default_coefficient_unit(sensor, 0.0), *others])
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class FilteredAxis(BiasTrack):
-    """What a Kalman filter says of one axis. All is in SI, [samples] or [samples, states].
+    """Result of a Kalman filter for one axis. Arrays are in SI, [samples] or [samples, states].
 
     Attributes:
         axis, rate, samples: see `BiasTrack`.
         bias, bias_std: of the constant and the sum of the slow terms (`slow`).
         log_likelihood: exact; of an unknown constant that of the samples' differences.
         model: the noise model.
-        missing: samples that the filter did not see.
+        missing: samples that the filter did not use.
         constant, constant_std: the constant after all samples (of a walk, where it began).
-        states, state_stds: of the noise model.
-        names, units: of the states.
+        states, state_stds: states of the noise model.
+        names, units: names and units of the states.
         slow: labels of the terms that are drift.
-        innovation, innovation_std: samples less what those before predict, and their standard deviation; NaN
-            where there is no sample, and at the first one of an unknown constant.
-        smoothed: whether bias and states are estimates by all samples, and not by those up to each.
+        innovation, innovation_std: samples less their predictions from earlier ones, and their standard
+            deviation; NaN where a sample is missing, and at the first one if the constant is unknown.
+        smoothed: whether bias and states are estimated from all samples, not only from those up to each.
     """
 
     model: Model
@@ -206,12 +216,12 @@ class FilteredAxis(BiasTrack):
 
     @property
     def whiteness(self) -> ChiSquared:
-        """Test that innovations are white: of Ljung and Box, with up to 40 lags."""
+        """Ljung and Box's test that innovations are white, with up to 40 lags."""
         return whiteness(self.standardized)
 
     @property
     def nis(self) -> ChiSquared:
-        """Test that innovations have the size that the filter says: of their normalized squares."""
+        """Test that innovations are as large as the filter predicts, from their normalized squares."""
         return normalized_square(self.standardized)
 
     def _columns(self) -> dict[str, Any]:
@@ -224,27 +234,15 @@ class FilteredAxis(BiasTrack):
             own |= {name: x, f"{name}_std": std}
         return super()._columns() | own
 
-    def _told(self) -> list[tuple[str, str]]:
-        drift = " + ".join(["constant", *self.slow]).replace("_", " ")
-        kind = "smoothed" if self.smoothed else "filtered"
-        w, s = self.whiteness, self.nis
-        lost = int(self.missing.sum())
-        rows = [
-            (f"bias at the end ({drift}), {kind}", self._last_bias()),
-            (
-                "innovations white (Ljung–Box)",
-                f"χ² = {w.statistic:.1f} for {w.dof} lags, p = {w.p_value:.2g}",
-            ),
-            (
-                "innovations of their size (NIS)",
-                f"χ² = {s.statistic:,.1f} for {s.dof:,} samples, p = {s.p_value:.2g}",
-            ),
-            ("log-likelihood", f"{self.log_likelihood:,.2f} nats"),
-        ]
-        return [*rows, ("missing samples", f"{lost:,} of {len(self.samples):,}")] if lost else rows
+    def rows(self) -> list[tuple[str, ...]]:
+        """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
+        size, lost = self.nis, int(self.missing.sum())
+        tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
+        others = (f"{self.log_likelihood:,.2f}", f"{lost:,}" if lost else "")
+        return [(self.axis.name, self._last_bias(), *tests, *others)]
 
     def to_dict(self) -> dict[str, Any]:
-        """Bias in the last sample and tests as plain dictionaries, in SI; None where there is none."""
+        """Bias in the last sample and tests as plain dictionaries, in SI; None for undefined numbers."""
         tests = {"whiteness": self.whiteness, "nis": self.nis}
         return {
             "axis": self.axis.name,
@@ -261,19 +259,21 @@ class FilteredAxis(BiasTrack):
             "samples": len(self.samples),
         }
 
-    def __repr__(self) -> str:
-        return f"<FilteredAxis {self.axis.name}: {self._told()[0][1]}>"
-
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Filtered(BiasTracks[FilteredAxis]):
-    """What a Kalman filter says of every axis of a recording."""
+    """Results of a Kalman filter for every axis of a recording."""
 
     CALLED: ClassVar[str] = "the filter"
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *BiasTracks.HEADINGS,
+        *("whiteness p", "NIS/n", "NIS p", "log-likelihood [nats]", "missing samples"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all axes [nats], which are independent of each other."""
+        """Log-likelihood of all axes [nats], which are taken as independent."""
         return sum(result.log_likelihood for result in self.results)
 
     def to_dict(self) -> dict[str, Any]:
@@ -284,4 +284,13 @@ class Filtered(BiasTracks[FilteredAxis]):
     def _title(self) -> str:
         first = self.results[0]
         length = duration(len(first.samples) / first.rate)
-        return f"{self.name or 'recording'}: Kalman filter, {length} at {first.rate:g} Hz"
+        kind = "smoother" if first.smoothed else "filter"
+        return f"{self.name or 'recording'}: Kalman {kind}, {length} at {first.rate:g} Hz"
+
+    def _notes(self) -> list[str]:
+        drifts: dict[str, list[str]] = {}
+        for result in self.results:
+            terms = " + ".join(["constant", *result.slow]).replace("_", " ")
+            drifts.setdefault(terms, []).append(result.axis.name)
+        bias = "; ".join(f"{terms} ({', '.join(axes)})" for terms, axes in drifts.items())
+        return [f"bias: {bias}", _TESTS_EXPLAINED]

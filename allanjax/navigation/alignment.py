@@ -1,4 +1,4 @@
-"""Accuracy of leveling and gyro-compassing against the averaging time, and the time that an azimuth takes."""
+"""Accuracy of leveling and gyro-compassing against the averaging time."""
 
 from __future__ import annotations
 
@@ -13,43 +13,45 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import duration, finite_or_none, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI
+from allanjax.record.units import SI, Sensor, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Latitude beyond which the horizontal part of that is below 1/50.
+# Units of printed errors: of an azimuth and of a tilt.
+_SHOWN: dict[Sensor, str] = {"gyro": "deg", "accel": "arcsec"}
+# Latitude beyond which the horizontal part of the Earth's rate is below 1/50.
 _POLAR = math.radians(89.0)
 # Longest averaging time for models [s], times an octave, and error beyond which an angle is not small.
 _LONGEST, _PER_OCTAVE, _LARGE = 1e5, 8, math.radians(30.0)
-# Share of its value an octave before from which on an error is said to fall no more; of white noise 0.71.
+# An error above this share of its value an octave before no longer falls; for white noise the share is 0.71.
 _FALLING = 0.9
 _DEG = math.pi / 180.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AxisAlignment(ByValue):
-    """Accuracy of the angle that one level axis tells: azimuth by a gyro, tilt by an accelerometer.
+    """Accuracy of the angle that one level axis measures: azimuth by a gyro, tilt by an accelerometer.
 
     Each interval has 95 % probability, and is nan for models that are taken as exact.
 
     Attributes:
-        axis: whose it is; a gyro's is that of the axis that points east.
-        time: averaging times [s], half of it in each of two opposite positions.
+        axis: the axis; a gyro's azimuth is measured while this axis points east.
+        time: averaging times [s], half in each of two opposite positions.
         error, lower, upper: standard deviation of the angle [rad] and its interval.
         best: the least error [rad], and `best_interval`.
         best_time: the first averaging time [s] at which the error is within 1 % of the least, which may be a
             level that it never leaves; and `best_time_interval`.
         falling: whether the error still falls at the longest time, so that more time would help.
-        wanted: the error that is asked for [rad]; None if none is, or of an accelerometer.
-        needed: time after which the error is as wanted [s], infinite if it never is, and `needed_interval`.
-        white_time: the same for the white noise alone (2.53) [s].
-        out_of_reach: probability that no averaging time up to the longest gives the error that is wanted.
+        wanted: the requested error [rad]; None if none was requested, or for an accelerometer.
+        needed: time after which the error is as requested [s], infinite if it never is; `needed_interval`.
+        white_time: the same for white noise alone (2.53) [s].
+        out_of_reach: probability that no averaging time up to the longest gives the requested error.
     """
 
     axis: Axis
@@ -80,42 +82,33 @@ class AxisAlignment(ByValue):
     @TextProperty
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
+        if self.best > _LARGE:
+            return f"{self.angle} not found: its error is never below {significant(self.best / _DEG)} deg"
         if self.wanted is None:
-            return "the error still falls at the longest time" if self.falling else ""
+            return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
         white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
         if math.isinf(self.needed):
-            why = f"not within {longest}, and the error still falls" if self.falling else "out of reach"
+            why = f"takes more than {longest} (the error still falls)" if self.falling else "is out of reach"
             doubt = "" if not 0.0 < self.out_of_reach < 1.0 else f", with probability {self.out_of_reach:.0%}"
-            told = f"{wanted} is {why}{doubt}"
+            reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
             ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {_or_never(high)})"
-            told = f"{wanted} after {duration(self.needed)}{ends}"
+            reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
-                told += f", out of reach with probability {self.out_of_reach:.0%}"
-        return f"{told}; {white}" if white else told
+                reached += f"; it is out of reach with probability {self.out_of_reach:.0%}"
+        return f"{reached}; {white}" if white else reached
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, quantity, value, interval."""
-
-        def interval(values: tuple[float, float], scale: float) -> str:
-            low, high = (significant(x / scale) for x in values)
-            return "" if math.isnan(values[0]) else f"{low} … {high}"
-
-        name = self.axis.name
+    def rows(self) -> list[tuple[str, ...]]:
+        """The row of the printed table: axis, angle, least error and averaging time with intervals."""
         if self.best > _LARGE:
-            told = f"{self.angle} not found: its error is never below {significant(self.best / _DEG)} deg"
-            return [(name, told, "", "")]
-        best = f"{significant(self.best / _DEG)} deg"
-        cells = [(name, f"best {self.angle}, 1σ", best, interval(self.best_interval, _DEG))]
-        told = f"{significant(self.best_time)} s"
-        cells.append(
-            (name, "within 1 % of it after averaging for", told, interval(self.best_time_interval, 1.0))
-        )
-        if verdict := self.verdict:
-            cells.append((name, verdict, "", ""))
-        return cells
+            return [(self.axis.name, self.angle, *[""] * 4)]
+        cells = [self.axis.name, self.angle]
+        for name, scale in (("best", unit_scale(_SHOWN[self.axis.sensor])), ("best_time", 1.0)):
+            low, high = (significant(x / scale) for x in getattr(self, f"{name}_interval"))
+            cells += [significant(getattr(self, name) / scale), "" if low == "nan" else f"{low} … {high}"]
+        return [tuple(cells)]
 
     def to_dataframe(self) -> pd.DataFrame:
         """Error by averaging time, in SI."""
@@ -125,7 +118,7 @@ class AxisAlignment(ByValue):
         return pd.DataFrame({"axis": self.axis.name, "angle": self.angle, **columns})
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as plain dictionaries, in SI; None where there is none."""
+        """The numbers as plain dictionaries, in SI; None for undefined numbers."""
         names = ("best", "best_time", "needed", "white_time", "out_of_reach")
         pairs = ("best_interval", "best_time_interval", "needed_interval")
         return {
@@ -145,13 +138,15 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
 
     Attributes:
         name: the recording's name.
-        latitude: where it stands [rad].
-        results: one an axis.
+        latitude: latitude of the sensor [rad].
+        results: one per axis.
     """
 
     CALLED: ClassVar[str] = "the alignment"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "alignment", "value", "95 % interval")
-    RIGHT: ClassVar[tuple[str, ...]] = ("value",)
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "angle", "least error 1σ", "95 % interval", "averaging time", "95 % interval"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
 
     name: str
     latitude: float
@@ -166,11 +161,16 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         name = f"{self.name}: " if self.name else ""
         done = {"tilt": "leveling", "azimuth": "gyro-compassing"}
         angles = {result.angle for result in self.results}
-        told = " and ".join(what for angle, what in done.items() if angle in angles)
-        return f"{name}{told} at {self.latitude / _DEG:g}° of latitude, two positions"
+        what = " and ".join(what for angle, what in done.items() if angle in angles)
+        return f"{name}{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        return [row for result in self.results for row in result.rows()]
+    def _cells(self) -> list[tuple[str, ...]]:
+        units = {sensor: ("", unit, unit, "s", "s") for sensor, unit in _SHOWN.items()}
+        return by_sensor(self.results, units.__getitem__)
+
+    def _notes(self) -> list[str]:
+        verdicts = {r.axis.name: r.verdict for r in self.results}
+        return [f"{name}: {verdict}" for name, verdict in verdicts.items() if verdict]
 
 
 def align(
@@ -184,22 +184,22 @@ def align(
     gravity: float = STANDARD_GRAVITY,
     seed: int = 0,
 ) -> Alignment:
-    """Accuracy of a static alignment against its duration, and the duration for a wanted azimuth.
+    """Accuracy of a static alignment against its duration, and the duration for a requested azimuth.
 
-    Tilt is an accelerometer's error over g (2.45, 2.46), azimuth that of the gyro that points east over the
-    horizontal part of the Earth's rate, ω_e cos φ (2.52). A bias is cancelled by averaging for half of the
-    time T in one position and for the other half in the opposite one; half the difference of the two means
-    has the variance σ²(T/2)/2, of the Allan variance σ². It is N²/T for white noise, as in (2.53); with all
-    terms it has a minimum, so that a wanted azimuth may be out of reach.
+    The error of the tilt is an accelerometer's error over g (2.45, 2.46). That of the azimuth is the error of
+    the gyro that points east over the horizontal part of the Earth's rate, ω_e cos φ (2.52). A bias is
+    cancelled by averaging for half of the time T in one position and for the other half in the opposite one;
+    half the difference of the two means has the variance σ²(T/2)/2, with the Allan variance σ². It is N²/T
+    for white noise, as in (2.53); with all terms it has a minimum, so that an azimuth may be out of reach.
 
     Args:
         data: what `fit` or `load` returned, a posterior, or models by the names of axes, taken as exact.
-        latitude: where the sensor stands [deg].
-        azimuth: standard deviation of the azimuth that is wanted [rad], or a text such as "0.1 deg".
+        latitude: latitude of the sensor [deg].
+        azimuth: requested standard deviation of the azimuth [rad], or a text such as "0.1 deg".
         rate: sample rate [Hz] of models.
         gyro_bias, accel_bias: standard deviation of biases that remain after turning, as in `navigate`.
-        gravity: of the Earth [m/s²].
-        seed: of the draws of the coefficients.
+        gravity: gravity of the Earth [m/s²].
+        seed: seed of the draws of the coefficients.
 
     Raises:
         FitError: no axis has a measurement.
@@ -211,39 +211,38 @@ def align(
         raise AllanjaxError(f"the latitude must be from -90 to 90 deg, got {latitude}")
     if abs(phi) > _POLAR:
         raise AllanjaxError(
-            f"at {latitude} deg of latitude the Earth's rotation has no horizontal part to tell north by: "
+            f"at {latitude} deg latitude the Earth's rotation has no horizontal part that shows north: "
             "gyro-compassing needs a latitude below 89 deg"
         )
     if not 0.0 < gravity < np.inf:
         raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
     wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
     if wanted == 0.0:
-        raise AllanjaxError("no averaging makes the azimuth's error zero: give one that is positive")
+        raise AllanjaxError("the error of an azimuth cannot be zero: give a positive azimuth")
     sensors = sensors_of(data, rate, seed)
     earth = EARTH_RATE * math.cos(phi)
     bias = in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")
-    push = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
-    found = []
-    for noise in sensors.axes.values():
-        if noise.axis.name.endswith("_z"):
-            continue
-        gyro = noise.axis.sensor == "gyro"
-        found.append(
-            _of_axis(noise, sensors, earth, bias, wanted) if gyro else _of_axis(noise, sensors, gravity, push)
-        )
-    if not found:
-        raise AllanjaxError(f"no level axis, x or y; there are {', '.join(sensors.axes)}")
-    return Alignment(sensors.name, phi, tuple(found))
+    force_bias = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    level = [noise for noise in sensors.axes.values() if not noise.axis.name.endswith("_z")]
+    if not level:
+        raise AllanjaxError(f"alignment needs a level axis, x or y; there are {', '.join(sensors.axes)}")
+    results = (
+        _of_axis(noise, sensors, earth, bias, wanted)
+        if noise.axis.sensor == "gyro"
+        else _of_axis(noise, sensors, gravity, force_bias)
+        for noise in level
+    )
+    return Alignment(sensors.name, phi, tuple(results))
 
 
 def _of_axis(
     noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None = None
 ) -> AxisAlignment:
-    """Accuracy of one axis, whose rate is so much for an angle of 1 rad."""
+    """Accuracy of one axis; `per_angle` is its rate for an angle of 1 rad."""
     rate, longest = sensors.rate, min(sensors.record, _LONGEST)
     octaves = math.log2(longest * rate / 2.0)
     if octaves < 1.0:
-        raise AllanjaxError(f"{noise.axis.name}: an alignment needs a record of at least four samples")
+        raise AllanjaxError(f"{noise.axis.name}: alignment needs a record of at least four samples")
     size = np.unique(np.rint(2.0 ** np.arange(0.0, octaves, 1.0 / _PER_OCTAVE)).astype(int))
     half = size / rate
 
@@ -278,7 +277,7 @@ def _of_axis(
         best=float(error.min()),
         best_interval=_interval(known.min(axis=1), above.min(axis=1), sensors.estimated),
         best_time=float(_nearly_best(time, error[None])[0]),
-        # What is only known to be below a limit makes an error rise sooner.
+        # Terms that are only known to be below a limit make an error rise sooner.
         best_time_interval=_interval(_nearly_best(time, above), _nearly_best(time, known), sensors.estimated),
         falling=bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)]),
         **reached,
@@ -293,7 +292,7 @@ def _nearly_best(
 
 
 def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:
-    """First time at which the error is as wanted, between times by a power law; infinite if it never is."""
+    """First time with the requested error, by a power law between times; infinite if there is none."""
     below = np.flatnonzero(error <= wanted)
     if not below.size:
         return math.inf
@@ -307,7 +306,7 @@ def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], want
 def _interval(
     low: Float[np.ndarray, " draws"], high: Float[np.ndarray, " draws"], estimated: bool
 ) -> tuple[float, float]:
-    """Ends of the central 95 % interval of draws, some of which may be infinite; nan of what is exact."""
+    """Ends of the central 95 % interval of draws, some of which may be infinite; nan for exact models."""
     if not estimated:
         return math.nan, math.nan
     pair = ((low, 0.025), (high, 0.975))

@@ -1,4 +1,4 @@
-"""Noise models of sensor axes with what is known of their powers, from a fit, a posterior, or as given."""
+"""Noise models of sensor axes and the uncertainty of their powers, from a fit, a posterior, or as given."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Drawn(NamedTuple):
     So each end is that of the set of terms for which it is outermost.
 
     Attributes:
-        mean: of the terms that were found, averaged over sets of terms; by term, in words.
-        known: draws of the sum of the terms that were found, of the set whose lower end is lowest.
-        upper: the same with terms that are only known to be below a limit, of that whose upper end is
-            highest.
+        mean: means of the detected terms, averaged over sets of terms; by the term's title.
+        known: draws of the sum of the detected terms, for the set whose lower end is lowest.
+        upper: the same including terms that are only known to be below a limit, for the set whose upper end
+            is highest.
     """
 
     mean: Mapping[str, Float[np.ndarray, ...]]
@@ -46,7 +46,7 @@ class Drawn(NamedTuple):
 
     @property
     def total(self) -> Float[np.ndarray, ...]:
-        """The mean of all terms that were found."""
+        """The mean of all detected terms."""
         return sum(self.mean.values(), np.zeros_like(self.known[0]))
 
 
@@ -68,10 +68,10 @@ class AxisNoise(NamedTuple):
             for k, label in enumerate(likely.labels[:count]):
                 title = f"{self.axis.name} {title_of(label, self.axis.sensor)}"
                 mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
-            found = np.tensordot(likely.power[:, :count], each[:count], axes=1)
-            known.setdefault(likely.labels, []).append(found)
+            detected = np.tensordot(likely.power[:, :count], each[:count], axes=1)
+            known.setdefault(likely.labels, []).append(detected)
             more = np.tensordot(likely.power[:, count:], each[count:], axes=1)
-            upper.setdefault(likely.labels, []).append(found + more)
+            upper.setdefault(likely.labels, []).append(detected + more)
         return Drawn(mean, _outermost(known, 0.025), _outermost(upper, 0.975))
 
 
@@ -92,9 +92,9 @@ class Sensors(NamedTuple):
     """Axes of gyros and accelerometers with their noise.
 
     Attributes:
-        name: the recording's.
+        name: the recording's name.
         rate: sample rate [Hz].
-        record: length of the record that was fitted [s]; infinite for models that were given.
+        record: length of the fitted record [s]; infinite for given models.
         axes: noise by the name of the axis.
         notes: axes that are left out, and why.
     """
@@ -111,9 +111,9 @@ class Sensors(NamedTuple):
         return np.isfinite(self.record)
 
     def ends(self, drawn: Drawn) -> tuple[np.ndarray, np.ndarray]:
-        """Ends of the central 95 % interval of a quantity, the lower of what was found, the upper of all.
+        """Ends of the central 95 % interval of a quantity: the lower from detected terms, the upper from all.
 
-        They are nan of what is taken as exact.
+        They are nan for models that are taken as exact.
         """
         if not self.estimated:
             return (np.full_like(drawn.total, np.nan),) * 2
@@ -121,19 +121,19 @@ class Sensors(NamedTuple):
 
     def along(self, sensor: Sensor, letter: str) -> AxisNoise | None:
         """The axis of this sensor along x, y or z; one without a letter stands for all three."""
-        found = [noise for noise in self.axes.values() if noise.axis.sensor == sensor]
-        for noise in found:
+        own = [noise for noise in self.axes.values() if noise.axis.sensor == sensor]
+        for noise in own:
             if noise.axis.name.endswith(f"_{letter}"):
                 return noise
-        return next((noise for noise in found if "_" not in noise.axis.name), None)
+        return next((noise for noise in own if "_" not in noise.axis.name), None)
 
 
-#: What the errors of sensors are told from: a fit, a posterior, a data sheet, or models by axes' names.
+#: Sources of the errors of sensors: a fit, a posterior, a data sheet, or models by the names of axes.
 NoiseLike: TypeAlias = Fit | Posterior | DataSheet | Mapping[str, ModelLike]
 
 
 def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
-    """Axes with draws of their likely models, or of models that are given and taken as exact.
+    """Axes with draws of their likely models, or with given models, which are taken as exact.
 
     Raises:
         FitError: no axis of the fit has a measurement.
@@ -141,12 +141,12 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
     """
     if isinstance(data, Fit | Posterior):
         if rate is not None:
-            raise AllanjaxError("a fit has its own rate: leave out rate")
+            raise AllanjaxError("a fit has its own sample rate: leave out rate")
         sampled = data if isinstance(data, Posterior) else None
         data = data.fit if isinstance(data, Posterior) else data
         good = [r for r in data.values() if r.measured and (sampled is None or r.axis.name in sampled)]
         if not good:
-            raise FitError("no axis has a measurement: the fit says why")
+            raise FitError("no axis has a measurement; the fit gives the reasons")
         rng = np.random.default_rng(seed)
         axes = {
             name: likely_models(data, name, _DRAWS, rng) if sampled is None else _sampled(sampled[name])
@@ -167,7 +167,7 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
             '{"gyro_x": "N=0.1 deg/√h", "accel_x": "N=0.01 m/s/√h"}'
         )
     if rate is None or not 0.0 < rate < np.inf:
-        raise AllanjaxError(f"models need the sample rate, positive and finite: give rate in Hz, not {rate}")
+        raise AllanjaxError(f"models need a sample rate: give a positive rate in Hz, not {rate}")
     models = cast(Mapping[str, ModelLike], data)
     given = {axis: _given(axis, model) for axis, model in models.items()}
     return Sensors(name, float(rate), np.inf, given, notes)
@@ -176,22 +176,22 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
 def _given(name: str, model: ModelLike) -> AxisNoise:
     column = recognise(name)
     if column.sensor is None:
-        raise AllanjaxError(f"{name!r} is no axis of a gyro or an accelerometer; use names such as gyro_x")
-    found = as_model(model, [column])
-    found.check_complete()
-    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(found)])
+        raise AllanjaxError(f"{name!r} is not an axis of a gyro or accelerometer; use names such as gyro_x")
+    complete = as_model(model, [column])
+    complete.check_complete()
+    return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(complete)])
 
 
 def _sampled(posterior: AxisPosterior) -> list[Likely]:
-    """Draws of a posterior, those of the same shapes together; terms not sampled are left out."""
+    """Draws of a posterior, grouped by equal shapes; terms that were not sampled are left out."""
     has_shapes = any(not posterior.coefficients[label].is_amplitude for label in posterior.labels)
-    alike: list[list[Likely]] = []
+    groups: list[list[Likely]] = []
     for likely in map(exact_model, posterior.models(_SHAPES if has_shapes else _DRAWS)):
-        if alike and eqx.tree_equal(alike[-1][0].model, likely.model):
-            alike[-1].append(likely)
+        if groups and eqx.tree_equal(groups[-1][0].model, likely.model):
+            groups[-1].append(likely)
         else:
-            alike.append([likely])
-    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in alike]
+            groups.append([likely])
+    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in groups]
 
 
 def one_by_one(model: Model) -> list[Model]:
@@ -201,18 +201,18 @@ def one_by_one(model: Model) -> list[Model]:
 
 
 def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:
-    """Number in this SI unit, of a number that is in it or a text with a unit, e.g. "0.2 deg/h".
+    """Value in this SI unit, from a number in that unit or a text with a unit, e.g. "0.2 deg/h".
 
     Raises:
-        AllanjaxError: no number, or a negative one.
+        AllanjaxError: not a number, or a negative one.
         UnitError: a unit of another dimension.
     """
     number, text = value, unit
     if isinstance(value, str):
-        found = parse_quantity(value)
-        if found is None:
+        quantity = parse_quantity(value)
+        if quantity is None:
             raise AllanjaxError(f"{name}: cannot read {value!r}; write a number and a unit, e.g. 0.1 {unit}")
-        number, text = found
+        number, text = quantity
     if not 0.0 <= float(number) < np.inf:
         raise AllanjaxError(f"{name} must be finite and not negative, got {value}")
     return float(convert(float(number), text, unit, sensor))

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -16,7 +16,7 @@ from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, text_table
+from allanjax.base.tables import Tabled
 from allanjax.base.wording import duration, finite_or_none, plain, significant
 from allanjax.navigation.likely import (
     AxisNoise,
@@ -37,14 +37,13 @@ if TYPE_CHECKING:
 
 #: Errors of a navigator.
 Quantity = Literal["attitude", "velocity", "position"]
-#: Units in which they are computed, and in which they are told with their size in SI.
+#: Units in which errors are computed, and those in which they are shown, with their size in SI.
 UNITS: dict[str, str] = {"attitude": "rad", "velocity": "m/s", "position": "m"}
 SHOWN: dict[str, tuple[str, float]] = {
     "attitude": ("deg", math.pi / 180.0),
     "velocity": ("m/s", 1.0),
     "position": ("m", 1.0),
 }
-_HEADINGS = ("error", "after", "1σ", "95 % interval", "mostly from")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +56,7 @@ class ErrorGrowth(ByValue):
         time: times [s] since the start.
         error: standard deviation [rad, m/s or m].
         lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
-        causes: by direction, standard deviations of what each cause does by itself.
+        causes: by direction, standard deviations of the error that each cause makes by itself.
     """
 
     quantity: Quantity
@@ -80,7 +79,7 @@ class ErrorGrowth(ByValue):
             AllanjaxError: there is no such direction.
         """
         if channel not in self.channels:
-            raise AllanjaxError(f"{self.quantity}: no error {channel}; there are {', '.join(self.channels)}")
+            raise AllanjaxError(f"no {self.quantity} error {channel!r}; there are {', '.join(self.channels)}")
         return self.error[self.channels.index(channel)]
 
     def __repr__(self) -> str:
@@ -89,13 +88,13 @@ class ErrorGrowth(ByValue):
         return f"<ErrorGrowth {self.quantity} after {plain(float(self.time[-1]), 4)} s: {', '.join(last)}>"
 
     def largest(self, channel: str) -> list[str]:
-        """The cause that contributes most, at each time."""
+        """The largest cause at each time."""
         causes = self.causes[channel]
         names = list(causes)
         return [names[k] for k in np.argmax(np.stack(list(causes.values())), axis=0)]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a direction and time, in SI."""
+        """One row per direction and time, in SI."""
         import pandas as pd
 
         tables = [
@@ -116,7 +115,7 @@ class ErrorGrowth(ByValue):
         return pd.concat(tables, ignore_index=True)
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as plain dictionaries and lists, in SI; None where there is no interval."""
+        """The numbers as plain dictionaries and lists, in SI; None for the ends of missing intervals."""
 
         def numbers(values: Float[np.ndarray, " t"]) -> list[float | None]:
             return [finite_or_none(x) for x in values]
@@ -135,9 +134,10 @@ class ErrorGrowth(ByValue):
         }
 
     def rows(self, at: Sequence[int]) -> list[tuple[str, ...]]:
-        """Rows of the printed table, at these indices of the times."""
+        """Rows of the printed table, units first, at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
-        cells: list[tuple[str, ...]] = []
+        ends = unit if np.isfinite(self.lower).any() else ""
+        cells: list[tuple[str, ...]] = [("", "s", unit, ends, "", "")]
         for k, channel in enumerate(self.channels):
             largest = self.largest(channel)
             for j in at:
@@ -147,28 +147,34 @@ class ErrorGrowth(ByValue):
                 cells.append(
                     (
                         f"{self.quantity} {channel}",
-                        f"{plain(float(self.time[j]), 4)} s",
-                        f"{significant(float(value) / scale)} {unit}",
+                        plain(float(self.time[j]), 4),
+                        significant(float(value) / scale),
                         f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
-                        f"{largest[j]} {share:.0%}",
+                        largest[j],
+                        f"{share:.0%}",
                     )
                 )
         return cells
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Navigation(ByValue, Mapping[str, ErrorGrowth]):
+class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
     """Growth of a resting navigator's errors: `result["position"].of("north")`.
 
     Attributes:
         name: the recording's name.
         rate: sample rate [Hz].
         calibration: time at rest before the start [s], over which the biases were averaged.
-        gravity: of the Earth [m/s²].
-        schuler: whether the loop of gravity is in the errors; without it they hold for short times only.
-        growths: of attitude, velocity and position, as far as there are sensors for them.
-        notes: what to bear in mind.
+        gravity: gravity of the Earth [m/s²].
+        schuler: whether the Schuler loop is included; without it the errors hold for short times only.
+        growths: growth of attitude, velocity and position errors, as far as there are sensors for them.
+        notes: limitations of the result.
     """
+
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("error", "after", "1σ", "95 % interval", "largest cause", "share"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = (*HEADINGS[1:4], "share")
 
     name: str
     rate: float
@@ -188,7 +194,7 @@ class Navigation(ByValue, Mapping[str, ErrorGrowth]):
         for growth in self.growths:
             if growth.quantity == quantity:
                 return growth
-        raise AllanjaxError(f"no error of {quantity!r}; there are {', '.join(self)}")
+        raise AllanjaxError(f"no errors of {quantity!r}; there are errors of {', '.join(self)}")
 
     def __iter__(self) -> Iterator[str]:
         return iter([growth.quantity for growth in self.growths])
@@ -197,7 +203,7 @@ class Navigation(ByValue, Mapping[str, ErrorGrowth]):
         return len(self.growths)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a quantity, direction and time, in SI."""
+        """One row per quantity, direction and time, in SI."""
         import pandas as pd
 
         return pd.concat([growth.to_dataframe() for growth in self.growths], ignore_index=True)
@@ -217,34 +223,26 @@ class Navigation(ByValue, Mapping[str, ErrorGrowth]):
 
     @presented
     def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the errors against time with their causes, a panel a quantity and direction."""
+        """Draw the errors and their causes against time, one panel per quantity and direction."""
         raise NotImplementedError
 
     def _title(self) -> str:
         name = f"{self.name}: " if self.name else ""
         loop = "with the Schuler loop" if self.schuler else "short-term"
         return (
-            f"{name}errors of a navigator at rest, {loop}, biases averaged over {duration(self.calibration)}"
+            f"{name}errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
         )
 
-    def _rows(self) -> list[tuple[str, ...]]:
+    def _cells(self) -> list[tuple[str, ...]]:
         time = self.growths[0].time
         # The times nearest to powers of ten, and the end.
         decades = np.arange(math.ceil(math.log10(time[0])), math.log10(time[-1]))
-        told = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
-        at = sorted(told | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
+        near = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
+        at = sorted(near | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
         return [row for growth in self.growths for row in growth.rows(at)]
 
-    def __str__(self) -> str:
-        table = text_table(self._title(), _HEADINGS, self._rows(), right=_HEADINGS[1:3])
-        return "\n".join([table, *(f"note: {note}" for note in self.notes)])
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        notes = "".join(f"<p>note: {note}</p>" for note in self.notes)
-        return html_table(self._title(), _HEADINGS, self._rows()) + notes
+    def _notes(self) -> list[str]:
+        return [f"note: {note}" for note in self.notes]
 
 
 # Variance of the errors of a navigator at rest that integrates the noise of one sensor.
@@ -368,7 +366,7 @@ _MOST = 2**21
 
 
 class _Channel(NamedTuple):
-    """Direction of an error: the sensors' axis along it, and that of the gyro that tilts gravity into it."""
+    """Direction of an error: the sensors' axis along it, and the gyro's axis that tilts gravity into it."""
 
     name: str
     along: str
@@ -392,32 +390,32 @@ def navigate(
 ) -> Navigation:
     """Growth of the errors of a level strapdown navigator at rest, from all terms of its sensors' noise.
 
-    The navigator has been at rest for `calibration` seconds, has taken the means of its sensors for their
-    biases (an accelerometer's by leveling, 2.45, which cancels it), and is then left to itself, x pointing
-    north and z down. A gyro's error tilts it, the tilt takes a part of gravity for motion, and what the
-    accelerometers add is integrated, too (2.38–2.40). All terms count, those behind a response, lines and
-    ramps included; errors of scale and mounting, the coupling by the Earth's rotation and what moves the
-    sensor are not in it. Transients, which happen once, are not noise, and are left out.
+    The navigator has been at rest for `calibration` seconds and has taken the means of its sensors as their
+    biases (an accelerometer's by leveling, 2.45, which cancels it). Then it is on its own, with x pointing
+    north and z down. A gyro's error tilts it, so that it takes a part of gravity for motion, and the errors
+    of the accelerometers are integrated, too (2.38–2.40). All terms count, including lines, ramps and terms
+    behind a response. Not included are errors of scale and mounting, the coupling by the Earth's rotation,
+    errors from motion, and transients, which happen once and are not noise.
 
     Args:
-        data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and,
-            where the data do not tell sets of terms apart, an average over the likely ones and intervals that
-            hold for each of them; a posterior, for intervals by its draws; or a data sheet or models by the
-            names of axes, taken as exact.
-        times: when to tell the errors [s]; by default from 1 s to 1,000 s.
-        rate: sample rate [Hz] of models; of a data sheet 100 Hz, if none is given.
+        data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and, if
+            the data do not distinguish sets of terms, an average over the likely ones and intervals that
+            hold for each of them; a posterior, with intervals from its draws; or a data sheet or models by
+            the names of axes, taken as exact.
+        times: times of the errors [s]; by default from 1 s to 1,000 s.
+        rate: sample rate [Hz] of models; for a data sheet 100 Hz by default.
         calibration: time at rest before the start [s].
         gyro_bias, accel_bias: standard deviation of biases that the calibration leaves besides noise, e.g.
-            from turn-on to turn-on where it was done before; rad/s and m/s², or a text such as "0.2 deg/h".
-        gravity: of the Earth [m/s²].
+            from turn-on to turn-on if it was done earlier; rad/s and m/s², or a text such as "0.2 deg/h".
+        gravity: gravity of the Earth [m/s²].
         schuler: whether gravity corrects horizontal errors, with the Schuler period of 84 min, and drives the
-            vertical one; without it the errors hold up to a quarter of that.
-        seed: of the draws of the coefficients.
+            vertical one; without it the errors hold up to a quarter of that period.
+        seed: seed of the draws of the coefficients.
 
     Raises:
         FitError: no axis has a measurement.
-        AllanjaxError, UnitError: a time, rate or bias out of range or that cannot be read; no axis that there
-            is a channel for; more than two million samples.
+        AllanjaxError, UnitError: a time, rate or bias is out of range or cannot be read; no axis can be used;
+            more than two million samples.
     """
     sensors = sensors_of(data, rate, seed)
     biases = {"gyro": in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")}
@@ -429,7 +427,7 @@ def navigate(
     found = _variances(sensors, steps, before, biases, float(gravity), schuler)
     if not any(found.values()):
         raise AllanjaxError(
-            f"no channel has a sensor: name axes as gyro_x, accel_z, not {', '.join(sensors.axes)}"
+            f"no axis can be used; use names such as gyro_x or accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
     growths = tuple(_growth(q, of, time, sensors) for q, of in found.items() if of)
@@ -465,13 +463,13 @@ def _variances(
     for channel in _CHANNELS:
         upright = channel.tilting is None
         turned = errors(sensors.along("gyro", channel.along), (1,), about if upright else level)
-        pushed = errors(sensors.along("accel", channel.along), (1, 2), vertical if upright else level)
+        forced = errors(sensors.along("accel", channel.along), (1, 2), vertical if upright else level)
         tilted = errors(sensors.along("gyro", channel.tilting), (2, 3), level) if channel.tilting else []
         tilted = [_times(drawn, gravity**2) for drawn in tilted]
         for quantity, parts in (
             ("attitude", turned[:1]),
-            ("velocity", pushed[:1] + tilted[:1]),
-            ("position", pushed[1:] + tilted[1:]),
+            ("velocity", forced[:1] + tilted[:1]),
+            ("position", forced[1:] + tilted[1:]),
         ):
             if parts:
                 found[quantity][channel.name] = parts
@@ -482,9 +480,9 @@ def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: flo
     """Times and calibration in samples; AllanjaxError if there is less than one, or too many."""
     for name, values in (("times", times), ("calibration", np.array([float(calibration)]))):
         if not (values.size and np.all(np.isfinite(values)) and np.all(values * rate >= 0.5)):
-            raise AllanjaxError(f"{name} must be finite and at least a sample interval, {1 / rate:g} s")
+            raise AllanjaxError(f"{name} must be finite and at least one sample interval, {1 / rate:g} s")
     if times.max() * rate > _MOST:
-        raise AllanjaxError(f"at {rate:g} Hz times may be up to {_MOST / rate:.0f} s, got {times.max():g} s")
+        raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, got {times.max():g}")
     return np.unique(np.rint(times * rate).astype(int)), round(calibration * rate)
 
 
@@ -521,26 +519,26 @@ def _growth(
 
 
 def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
-    """What to bear in mind: sensors that are missing, and times for which the errors are not meant."""
+    """Limitations: sensors that are missing, and times for which the errors do not hold."""
     notes = []
     for channel in _CHANNELS:
         gyro = channel.tilting and sensors.along("gyro", channel.tilting)
         accel = sensors.along("accel", channel.along)
         if channel.tilting and (gyro is None) != (accel is None):
             only = "the accelerometer" if gyro is None else "the gyro's tilt"
-            notes.append(f"velocity and position {channel.name} are those of {only} alone")
+            notes.append(f"velocity and position {channel.name} contain the errors of {only} only")
     if not result.schuler and last > result.quarter_period:
         notes.append(
-            f"the short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "
-            "period: give schuler=True (--schuler)"
+            f"short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "
+            "period; for longer times pass schuler=True (--schuler)"
         )
     if result.schuler and last > result.quarter_period:
         notes.append(
-            "the vertical channel alone is unstable: aid it with a height; the Earth's rotation is left out"
+            "the vertical channel is unstable without a height sensor; the Earth's rotation is not included"
         )
     if last + result.calibration > sensors.record / 2.0:
         notes.append(
-            "times and calibration beyond half the record, "
-            f"{duration(sensors.record / 2.0)}, extrapolate the model"
+            f"times plus calibration exceed half the record ({duration(sensors.record / 2.0)}): the errors "
+            "extrapolate the model"
         )
     return notes

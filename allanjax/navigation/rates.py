@@ -15,7 +15,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
@@ -47,18 +47,18 @@ class AxisRates(ByValue):
     """Noise of one axis at several rates.
 
     A level is the Allan variance of clusters of eight samples times their duration, N² of white noise
-    [rad²/s or m²/s³]. What picking has above averaging is aliased.
+    [rad²/s or m²/s³]. The excess of picked samples over means is aliased.
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         rates: sample rates [Hz], falling; the first is that of the recording.
-        picked, averaged: levels of samples that are picked, and of means over as many.
+        picked, averaged: levels of picked samples, and of means over as many.
         aliased: share of the picked level that is aliased, and `aliased_interval`, 95 %, (rates, 2).
         from_quantization: share of the picked level that is aliased quantization, nan if that is not
-            detected: picked increments do not take back each other's rounding.
-        bandwidth: half-power frequency of the filter that was found [Hz], or a lower limit; None if there is
-            no sign of one.
-        quantization: Q, by its slope of −1 at the recording's rate; None if it was not fitted.
+            detected: the rounding of picked increments does not cancel.
+        bandwidth: half-power frequency of the filter [Hz], or a lower limit; None if there is no sign of a
+            filter.
+        quantization: Q, from its slope of −1 at the recording's rate; None if it was not fitted.
         reason: why there is neither.
     """
 
@@ -75,13 +75,13 @@ class AxisRates(ByValue):
 
     @property
     def agree_from(self) -> float:
-        """The lowest rate [Hz] from which on up less than 5 % is aliased: below it, the curves part."""
+        """The rate [Hz] from which on up less than 5 % is aliased; below it the curves differ."""
         parted = np.flatnonzero(self.aliased > _AGREE)
         return float(self.rates[max(int(parted[0]) - 1, 0)] if parted.size else self.rates[-1])
 
     @property
     def needed(self) -> tuple[float, float] | None:
-        """Three and five times the bandwidth [Hz]; None if that is not known."""
+        """Three and five times the bandwidth [Hz]; None if the bandwidth is not known."""
         if self.bandwidth is None or self.bandwidth.lower_limit is not None:
             return None
         return _NEEDED[0] * self.bandwidth.value, _NEEDED[1] * self.bandwidth.value
@@ -91,29 +91,30 @@ class AxisRates(ByValue):
         first, last = (plain(float(self.rates[k]), 4) for k in (0, -1))
         return f"<AxisRates {self.axis.name}: {first} Hz down to {last} Hz, bandwidth {bandwidth}>"
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table: axis, rate or quantity, value, aliased share."""
-        name, unit = self.axis.name, default_coefficient_unit(self.axis.sensor, 0.5)
-        scale, cells = unit_scale(unit, self.axis.sensor), []
+    def rows(self) -> list[tuple[str, ...]]:
+        """Rows of the printed table, one per rate: level, aliased share with its interval, quantization."""
+        scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.5), self.axis.sensor)
+        cells: list[tuple[str, ...]] = []
         for k, rate in enumerate(self.rates):
             low, high = 100.0 * self.aliased_interval[k]
-            share = f"{100.0 * self.aliased[k]:.1f} % (95 %: {low:.1f} … {high:.1f} %)" if k else ""
-            if self.from_quantization[k] > 0.005:
-                share += f", quantization {self.from_quantization[k]:.0%}"
-            level = f"{significant(float(np.sqrt(self.picked[k])) / scale)} {unit}"
-            cells.append((name, f"{plain(float(rate), 4)} Hz", level, share))
-        if self.bandwidth is None:
-            why = self.reason or f"no filter is seen below {plain(float(self.rates[0]) / 2.0, 4)} Hz"
-            cells.append((name, f"bandwidth: {why}", "", ""))
-        else:
-            needs = (
-                "" if self.needed is None else "needs {} … {} Hz".format(*(plain(x, 3) for x in self.needed))
-            )
-            cells.append((name, "bandwidth", self.bandwidth.describe(), needs))
-        if self.quantization is not None:
-            cells.append((name, "quantization", self.quantization.in_unit().describe(), ""))
-        cells.append((name, "curves agree from", f"{plain(self.agree_from, 4)} Hz", ""))
+            shares = (f"{100.0 * self.aliased[k]:.1f}", f"{low:.1f} … {high:.1f}") if k else ("", "")
+            folded = f"{100.0 * self.from_quantization[k]:.0f}" if self.from_quantization[k] > 0.005 else ""
+            level = significant(float(np.sqrt(self.picked[k])) / scale)
+            cells.append((self.axis.name, plain(float(rate), 4), level, *shares, folded))
         return cells
+
+    def describe(self) -> str:
+        """Bandwidth, quantization and the rate that is needed, in words."""
+        if self.bandwidth is None:
+            nyquist = plain(float(self.rates[0]) / 2.0, 4)
+            words = [f"no bandwidth: {self.reason or f'there is no sign of a filter below {nyquist} Hz'}"]
+        else:
+            words = [f"bandwidth {self.bandwidth.describe()}"]
+        if self.needed is not None:
+            words.append("needs a sample rate of {} to {} Hz".format(*(plain(x, 3) for x in self.needed)))
+        if self.quantization is not None:
+            words.append(f"quantization {self.quantization.in_unit().describe()}")
+        return "; ".join([*words, f"less than 5 % is aliased from {plain(self.agree_from, 4)} Hz on"])
 
     def _columns(self) -> dict[str, Any]:
         low, high = self.aliased_interval.T
@@ -122,14 +123,14 @@ class AxisRates(ByValue):
         return {"rate": self.rates, **own, "aliased_lower_95": low, "aliased_upper_95": high}
 
     def to_dataframe(self) -> pd.DataFrame:
-        """One row a rate; levels in SI."""
+        """One row per rate; levels in SI."""
         import pandas as pd
 
         return pd.DataFrame({"axis": self.axis.name, **self._columns()})
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as plain dictionaries, in SI; None where there is none."""
-        found = {"bandwidth": self.bandwidth, "quantization": self.quantization}
+        """The numbers as plain dictionaries, in SI; None for undefined numbers."""
+        estimates = {"bandwidth": self.bandwidth, "quantization": self.quantization}
         return {
             "axis": self.axis.name,
             **{name: [finite_or_none(x) for x in values] for name, values in self._columns().items()},
@@ -137,7 +138,7 @@ class AxisRates(ByValue):
                 name: None
                 if e is None
                 else {"value": e.value, "interval_95": [*map(finite_or_none, e.interval)]}
-                for name, e in found.items()
+                for name, e in estimates.items()
             },
             "agree_from": self.agree_from,
         }
@@ -149,12 +150,15 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
 
     Attributes:
         name: the recording's name.
-        picked, averaged: Allan deviations at each rate, of samples that are picked and of means.
-        results: one an axis.
+        picked, averaged: Allan deviations at each rate, of picked samples and of means.
+        results: one per axis.
     """
 
     CALLED: ClassVar[str] = "the sample rates"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "samples picked at", "level", "aliased")
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "picked at", "level", "aliased", "95 % interval", "from quantization"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     name: str
     picked: tuple[AllanDeviation, ...]
@@ -169,7 +173,7 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         *,
         how: Literal["picked", "averaged"] = "picked",
     ) -> Figure:
-        """Draw the Allan deviations at each rate over one another; see `plot_allan`."""
+        """Draw the Allan deviations at all rates in one panel per axis; see `plot_allan`."""
         raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
@@ -181,8 +185,13 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         first, last = self.picked[0].rate, self.picked[-1].rate
         return f"{name}sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        return [row for result in self.results for row in result.rows()]
+    def _cells(self) -> list[tuple[str, ...]]:
+        return by_sensor(
+            self.results, lambda sensor: ("Hz", default_coefficient_unit(sensor, 0.5), "%", "%", "%")
+        )
+
+    def _notes(self) -> list[str]:
+        return [f"{result.axis.name}: {result.describe()}" for result in self.results]
 
 
 def sample_rates(
@@ -197,45 +206,44 @@ def sample_rates(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> SampleRates:
-    """Noise at several sample rates, what is aliased at each, and the rate that the bandwidth asks for.
+    """Noise at several sample rates, the aliased share at each, and the rate that the bandwidth needs.
 
     Samples are picked, as a slower converter would take them, and averaged, as a counter would: noise from
     beyond half the new rate is folded into the first, S(f) = Σ_k S(f + k·rate), and hardly into the second.
-    The bandwidth is that of a filter of one pole or of a Butterworth filter, fitted to the recording's
-    spectrum with quantization after it, whose density rises with frequency as its Allan deviation falls as
-    1/T; where neither follows the data, that of the filter that `fit` searches. Three to five times as much
-    is the rate that is needed (Hou 2004, section 5.3).
+    The bandwidth is that of a one-pole or a Butterworth filter, which is fitted to the recording's spectrum
+    together with quantization after it, whose density rises with frequency as its Allan deviation falls as
+    1/T. If neither fits, it is the bandwidth of the filter that `fit` finds. The rate that is needed is three
+    to five times the bandwidth (Hou 2004, section 5.3).
 
     Args:
-        data: a recording, or what makes one, as `fit` takes it; or a model behind a response, which is
-            simulated.
-        rates: sample rates [Hz], whole fractions of that of the recording; by default down to a fiftieth.
-        rate: that of an array or of the model's simulation [Hz].
-        duration: that of the simulation [s].
-        sensor: that of the model.
-        seed: of the simulation.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them.
+        data: a recording, or data that `fit` takes; or a model behind a response, which is simulated.
+        rates: sample rates [Hz], each the recording's rate divided by an integer; by default down to 1/50.
+        rate: sample rate of an array or of the model's simulation [Hz].
+        duration: length of the simulation [s].
+        sensor: sensor of the model.
+        seed: seed of the simulation.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`.
 
     Raises:
-        AllanjaxError: a rate that is no whole fraction, or too low for the record; a model without a rate.
+        AllanjaxError: a rate that does not divide the recording's, or is too low; a model without a rate.
         RecordingError, UnitError: as `fit` raises them.
     """
     if isinstance(data, Model | NoiseTerm):
         if rate is None or not 0.0 < rate < np.inf:
-            raise AllanjaxError("a model needs a rate to be simulated at: give rate in Hz")
+            raise AllanjaxError("the simulation of a model needs a sample rate: give rate in Hz")
         recording = simulate_recording({sensor: data}, max(int(duration * rate), 1), rate, seed)
     else:
         recording = as_recording(data, rate, gyro_unit, accel_unit, names)
     factors = _factors(recording, rates)
     picked = tuple(_curve(recording, m, recording.values[::m]) for m in factors)
     averaged = tuple(_curve(recording, m, _means(recording.values, m)) for m in factors)
-    found = _filtered_fits(recording)
-    results = tuple(_of_axis(picked, averaged, k, found[k]) for k in range(len(recording.axes)))
+    fits = _filtered_fits(recording)
+    results = tuple(_of_axis(picked, averaged, k, fits[k]) for k in range(len(recording.axes)))
     return SampleRates(recording.name, picked, averaged, results)
 
 
 def _filtered_fits(recording: Recording) -> list[AxisFit]:
-    """Fits with a filter and quantization after it; where none follows the data, what `fit` finds."""
+    """Fits with a filter and quantization after it; if none of them fits, the result of `fit`."""
     inside = AngleRandomWalk() + RateRandomWalk()
     templates = [kind() * inside + Quantization() for kind in (LowPass1, Butterworth)]
     fits = [fit(recording, template, objective="whittle", as_is=True) for template in templates]
@@ -253,7 +261,7 @@ def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
     """How many samples go into one, rising, the first 1."""
     most = recording.n // _FEWEST
     if most < 1:
-        raise AllanjaxError(f"the recording has {recording.n} samples: {_FEWEST} are needed at each rate")
+        raise AllanjaxError(f"the recording has {recording.n} samples; {_FEWEST} are needed at each rate")
     if rates is None:
         return [int(m) for m in _FACTORS if m <= most]
     factors = {1}
@@ -261,12 +269,12 @@ def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
         ratio = recording.rate / rate if rate > 0.0 else np.inf
         if not (np.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6 * ratio):
             raise AllanjaxError(
-                f"{rate:g} Hz is no whole fraction of {recording.rate:g} Hz, the recording's rate"
+                f"the recording's rate, {recording.rate:g} Hz, is not a multiple of {rate:g} Hz"
             )
         if round(ratio) > most:
             raise AllanjaxError(
-                f"{rate:g} Hz leaves {recording.n // round(ratio)} samples: give at least "
-                f"{recording.rate / most:.3g} Hz, or a longer recording"
+                f"{rate:g} Hz leaves only {recording.n // round(ratio)} samples: use at least "
+                f"{recording.rate / most:.3g} Hz or a longer recording"
             )
         factors.add(round(ratio))
     return sorted(factors)

@@ -1,14 +1,14 @@
 """Coefficients from the figures of a data sheet.
 
-Data sheets give the same noise in several ways, and leave out by which convention. What a figure leaves open
-is asked for; what is assumed is stated.
+Data sheets give the same noise in several ways, often without stating the convention. If a figure is
+ambiguous, the missing information is requested; assumptions are stated.
 
-- N is √S of the two-sided density S: a one-sided density (of a spectrum analyser, as data sheets mostly give
-  it) is √2·N. A random walk in deg/√h is N itself.
-- White noise has the rms √(2N²·W) in the equivalent noise bandwidth W; W is π/2 times the −3 dB bandwidth of
-  a filter of one pole.
+- N is √S with the two-sided density S: a one-sided density (from a spectrum analyser, as in most data sheets)
+  is √2·N. A random walk in deg/√h is N itself.
+- White noise has the rms √(2N²·W) in the equivalent noise bandwidth W; for a one-pole filter W is π/2 times
+  the −3 dB bandwidth.
 - The least Allan deviation of flicker noise is √(2 ln2/π)·B = 0.664 B (Hou 2004, eq. 4.48).
-- Rounding to steps q adds q²/12 to the variance: of increments that is quantization noise, Q = q/√12; of
+- Rounding to steps q adds q²/12 to the variance: for increments that is quantization noise, Q = q/√12; for
   rates at a sample rate f it is white noise, N = q/√(12 f), as long as the noise exceeds half a step.
 """
 
@@ -17,7 +17,6 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import functools
-import html
 import math
 import os
 import re
@@ -25,13 +24,13 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
-from allanjax.base.tables import html_table, text_table
+from allanjax.base.tables import Tabled
 from allanjax.base.wording import significant
-from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
 from allanjax.record.columns import Axis
@@ -47,20 +46,20 @@ from allanjax.record.units import (
     si_unit,
 )
 
-#: Terms that every sensor has, and what is said where a sheet does not have one.
+#: Terms that every sensor has, with their symbols, and words for a term that is missing in a sheet.
 USUAL = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
 NOT_GIVEN = "not given"
 REMEDY = (
-    "measure it: record the sensor at rest (allanjax check says how long) and characterize that recording; "
-    "until then the value is yours to choose"
+    "for a measurement, record the sensor at rest (allanjax check reports for how long) and characterize "
+    "the recording; until then choose a value yourself"
 )
-#: Sample rate [Hz] at which a sheet's noise is taken where none is given: little of it depends on the rate.
+#: Default sample rate [Hz] for a sheet's noise, which hardly depends on it.
 RATE = 100.0
 #: Least Allan deviation of flicker noise over B.
 MINIMUM = math.sqrt(2.0 * math.log(2.0) / math.pi)
-# Equivalent noise bandwidth of a filter of one pole over its −3 dB bandwidth.
+# Equivalent noise bandwidth of a one-pole filter over its −3 dB bandwidth.
 _ONE_POLE = math.pi / 2.0
-# Figures of a sensor, each with what else must be said of it and the answers.
+# Figures of a sensor, each with the information that it needs and the allowed answers.
 _FIGURES: dict[str, dict[str, tuple[str, ...]]] = {
     "random_walk": {},
     "noise_density": {"sided": ("one", "two")},
@@ -70,25 +69,28 @@ _FIGURES: dict[str, dict[str, tuple[str, ...]]] = {
     "lsb": {},
 }
 _WHY = {
-    "sided": "in data sheets it is one-sided by convention, √2 times N, and in IEEE 952 two-sided, N itself",
-    "bandwidth": "white noise has no rms without it",
-    "bandwidth_is": 'the −3 dB bandwidth of a filter of one pole ("first-order"), or the equivalent noise '
-    'bandwidth, as of a brick wall ("noise")',
-    "reading": 'the least Allan deviation ("minimum"), which is 0.664 B, or the coefficient ("B")',
-    "rate": "steps of a rate are white noise by the sample rate",
+    "sided": "densities in data sheets are usually one-sided (√2 times N), those in IEEE 952 two-sided (N)",
+    "bandwidth": "the rms of white noise depends on it",
+    "bandwidth_is": 'either the −3 dB bandwidth of a one-pole filter ("first-order") or the equivalent noise '
+    'bandwidth, as of an ideal filter ("noise")',
+    "reading": 'either the least Allan deviation ("minimum"), which is 0.664 B, or the coefficient ("B")',
+    "rate": "the white noise of rounded rates depends on it",
 }
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class DataSheet(ByValue):
+class DataSheet(ByValue, Tabled):
     """Noise models of the sensors of a data sheet, and what was assumed.
 
     Attributes:
         name: name of the unit.
-        source: where the figures are from.
+        source: source of the figures.
         models: the model of each sensor, "gyro" or "accel", with the coefficients that the figures give.
-        statements: what was assumed, and which figures differ from others.
+        statements: assumptions, missing coefficients, and differences between figures.
     """
+
+    HEADINGS: ClassVar[tuple[str, ...]] = ("sensor", "N", "B", "K", "Q")
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     name: str
     source: str
@@ -117,50 +119,43 @@ class DataSheet(ByValue):
         }
 
     def coefficients(self, sensor: Sensor) -> dict[str, Estimate]:
-        """What the figures of a sensor give by label, in SI: values without an interval."""
+        """Coefficients of a sensor by label, in SI: values without an interval."""
         axis, model = Axis(sensor, sensor, SI[sensor]["rate"]), self[sensor]
-        found = {}
+        coefficients = {}
         for p in model.parameters:
             if p.parameter.is_amplitude:
                 value = float(model.values[p.label] or 0.0)
                 known: dict[str, Any] = {"label": p.label, "term": p.term_label, "parameter": p.parameter}
                 ends = (value, value)
-                found[p.label] = Estimate(
+                coefficients[p.label] = Estimate(
                     axis=axis, value=value, std=0.0, interval=ends, interval_68=ends, held=True, **known
                 )
-        return found
+        return coefficients
 
     def of_axes(self) -> dict[str, Model]:
         """The model of each of three axes of each sensor, by name: `gyro_x` to `accel_z`."""
         return {f"{sensor}_{letter}": model for sensor, model in self.models.items() for letter in "xyz"}
 
-    def _rows(self) -> list[tuple[str, str, str]]:
-        rows: list[tuple[str, str, str]] = []
-        for sensor, model in self.models.items():
-            given = [(c, c.in_unit()) for c in self.coefficients(sensor).values()]
-            rows += [(sensor, f"{c.symbol} {c.title}", f"{significant(x.value)} {x.unit}") for c, x in given]
-            lacking = [label for label in USUAL if label not in model.term_labels]
-            rows += [(sensor, f"{USUAL[label]} {title_of(label, sensor)}", NOT_GIVEN) for label in lacking]
+    def _title(self) -> str:
+        return self.name or "data sheet"
+
+    def _cells(self) -> list[tuple[str, ...]]:
+        rows: list[tuple[str, ...]] = []
+        for sensor in self.models:
+            given = {c.symbol: c.in_unit() for c in self.coefficients(sensor).values()}
+            lacking = dict.fromkeys(USUAL.values(), NOT_GIVEN)
+            values = lacking | {symbol: significant(c.value) for symbol, c in given.items()}
+            rows.append(("", *(given[x].unit if x in given else "" for x in self.HEADINGS[1:])))
+            rows.append((sensor, *(values.get(symbol, "") for symbol in self.HEADINGS[1:])))
         return rows
 
-    def _lines(self) -> list[str]:
-        """Source and statements, a line each."""
+    def _notes(self) -> list[str]:
         source = [f"source: {self.source}"] if self.source else []
         return [*source, *(f"note: {line}" for line in self.statements)]
 
-    def __str__(self) -> str:
-        table = text_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
-        return "\n".join([table, *self._lines()])
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        table = html_table(self.name or "data sheet", ("sensor", "coefficient", "value"), self._rows())
-        return table + "".join(f"<p>{html.escape(line)}</p>" for line in self._lines())
-
 
 def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
-    """Noise models from the figures of a data sheet: of a known sensor, of a file of TOML or of a dictionary.
+    """Noise models from the figures of a data sheet: of a known sensor, in a TOML file or in a dictionary.
 
     `datasheet("BMI088")` is that of a sensor of `datasheets()`. In a file, a figure is a text with its unit:
 
@@ -174,27 +169,26 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
         in_run_bias_instability = "13 µg"
         reading = "minimum"
 
-    Of each sensor there may be `random_walk` (deg/√h); `noise_density`, with `sided` "one" or "two";
-    `rms_noise`, with its `bandwidth`, and `bandwidth_is` "first-order" (−3 dB of one pole) or "noise" (the
-    equivalent noise bandwidth); `in_run_bias_instability`, with `reading` "minimum" (of the Allan deviation,
-    0.664 B) or "B"; `rate_random_walk`; and `lsb`, the step of the output, of rates with the sample `rate`.
-    The first one given of the first three is N, and how much the others differ is stated. `conditions` is
-    a text on what the figures hold for, e.g. "typical, 25 °C".
+    A sensor may have `random_walk` (deg/√h); `noise_density`, with `sided` "one" or "two"; `rms_noise`, with
+    its `bandwidth`, and `bandwidth_is` "first-order" (−3 dB of one pole) or "noise" (the equivalent noise
+    bandwidth); `in_run_bias_instability`, with `reading` "minimum" (of the Allan deviation, 0.664 B) or "B";
+    `rate_random_walk`; and `lsb`, the step of the output, for rates with the sample `rate`. N is taken from
+    the first of the first three, and the differences of the others are stated. `conditions` is a text on the
+    conditions of the figures, e.g. "typical, 25 °C".
 
     Args:
-        source: name of a sensor of `datasheets()`; path of a file; or what is in one, as a dictionary.
+        source: name of a sensor of `datasheets()`; path of a file; or its contents as a dictionary.
 
     Raises:
-        AllanjaxError: an unknown name, a file that cannot be read, an unknown key, or a figure without what
-            it leaves open.
-        UnitError: a unit that does not fit.
+        AllanjaxError: an unknown name, a file that cannot be read, an unknown key, or an ambiguous figure.
+        UnitError: a unit of another dimension.
     """
     where, document = _document(source)
     unknown = [key for key in document if key not in ("name", "source", *SENSORS)]
     present = [sensor for sensor in SENSORS if sensor in document]
     if unknown or not present:
-        found = f"unknown key {unknown[0]!r}" if unknown else "no sensor"
-        raise AllanjaxError(f"{where}: {found}; there may be name, source, [gyro] and [accel]")
+        problem = f"unknown key {unknown[0]!r}" if unknown else "no sensor"
+        raise AllanjaxError(f"{where}: {problem}; the keys are name, source, [gyro] and [accel]")
     sheets = {sensor: _Sheet(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
     models = {sensor: sheet.model() for sensor, sheet in sheets.items()}
     statements = [f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements]
@@ -216,22 +210,23 @@ def datasheets() -> tuple[str, ...]:
 
 @functools.cache
 def known_sheets() -> Mapping[str, Mapping[str, Any]]:
-    """What each data sheet says, by the name of its sensor, in the form that `datasheet` takes."""
+    """Contents of each data sheet, by the name of its sensor, in the form that `datasheet` takes."""
     text = files(__package__).joinpath("sheets.toml").read_text(encoding="utf-8")
     return {name: {"name": name, **figures} for name, figures in tomllib.loads(text).items()}
 
 
 def _find(name: str) -> Mapping[str, Any] | None:
-    """The data sheet of a sensor, however its name is hyphenated and capitalised; None if there is none."""
+    """The data sheet of a sensor, ignoring hyphens and case in its name; None if there is none."""
     return {_plain(known): figures for known, figures in known_sheets().items()}.get(_plain(name))
 
 
 def _closest(name: str) -> str:
-    """Words on the names that are there, the most similar ones first."""
+    """The known names in words, the most similar ones first."""
     known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
     near = [there for plain, there in known.items() if own and plain.startswith(own)]
     near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
-    return (f"did you mean {' or '.join(near)}? " if near else "") + f"there are {', '.join(known_sheets())}"
+    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    return f"{hint}Known are {', '.join(known_sheets())}"
 
 
 def _plain(name: str) -> str:
@@ -239,7 +234,7 @@ def _plain(name: str) -> str:
 
 
 def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
-    """What a data sheet says, and its name in messages."""
+    """Contents of a data sheet, and its name in messages."""
     if isinstance(source, Mapping):
         return "data sheet", source
     if isinstance(source, str) and (known := _find(source)) is not None:
@@ -249,9 +244,9 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
             names = _closest(source)
-            raise AllanjaxError(f"{source!r} is no known data sheet and no file: {names}") from None
+            raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file: {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
-        raise AllanjaxError(f"{source}: {why}; give a file of TOML with [gyro] or [accel]") from error
+        raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error
 
 
 def _si_of(sensor: Sensor, time_exponent: float) -> str:
@@ -260,18 +255,18 @@ def _si_of(sensor: Sensor, time_exponent: float) -> str:
 
 
 class _Sheet:
-    """Figures of one sensor, read one after the other; collects the statements on what was assumed."""
+    """Figures of one sensor, read one after the other; collects the assumptions as statements."""
 
     def __init__(self, sensor: Sensor, figures: Any, where: str) -> None:
         self.sensor, self.figures, self.where = sensor, figures, where
         self.statements: list[str] = []
         if not isinstance(figures, Mapping):
-            raise AllanjaxError(f"{where}: is no table; write its figures below [{sensor}]")
+            raise AllanjaxError(f"{where} is not a table: write its figures below [{sensor}]")
         answers = [key for options in _FIGURES.values() for key in options]
         for key in figures:
             if key not in (*_FIGURES, *answers, "rate", "conditions"):
                 known = ", ".join((*_FIGURES, *answers, "rate", "conditions"))
-                raise AllanjaxError(f"{where}: unknown key {key!r}; there may be {known}")
+                raise AllanjaxError(f"{where}: unknown key {key!r}; the keys are {known}")
 
     def model(self) -> Model:
         """Sum of the terms that the figures give."""
@@ -286,34 +281,34 @@ class _Sheet:
             if value is not None
         ]
         if not terms:
-            raise AllanjaxError(f"{self.where}: no figure; there may be {', '.join(_FIGURES)}")
+            raise AllanjaxError(f"{self.where}: no figure; give at least one of {', '.join(_FIGURES)}")
         return Model(tuple(terms))
 
     def _white(self, stepped: float | None) -> float | None:
-        """N of the first figure that gives it; of steps alone, where there is none."""
-        found = {
+        """N from the first figure that gives it, else from steps alone."""
+        figures = {
             "random_walk": self._random_walk(),
             "noise_density": self._density(),
             "rms_noise": self._rms(),
         }
-        given = {key: value for key, value in found.items() if value is not None}
+        given = {key: value for key, value in figures.items() if value is not None}
         if not given:
             if stepped is not None:
-                self.statements.append("N is that of the steps alone")
+                self.statements.append("N is from the quantization steps alone")
             return stepped
         first, N = next(iter(given.items()))
         for key, value in list(given.items())[1:]:
-            self.statements.append(f"N is that of {first}; {key} gives {value / N:.2f} times as much")
+            self.statements.append(f"N is from {first}; {key} gives {value / N:.2f} times as much")
         if stepped is not None:
             share = (stepped / N) ** 2
             self.statements.append(
-                f"steps make {100.0 * share:.2g} % of the power of N, and are not added to it"
+                f"quantization steps would add {100.0 * share:.2g} % to the power of N; they are not added"
             )
         return N
 
     def _random_walk(self) -> float | None:
         if "random_walk" in self.figures and self._is_density("random_walk"):
-            raise self._error("random_walk", "is per √Hz: give it as noise_density, with sided, or in deg/√h")
+            raise self._error("random_walk", "is per √Hz: give it as noise_density with sided, or in deg/√h")
         return self._amount("random_walk", 0.5)
 
     def _density(self) -> float | None:
@@ -325,8 +320,8 @@ class _Sheet:
             )
         density, sided = self._amount("noise_density", 0.5), self._answer("noise_density", "sided")
         assert density is not None
-        told = "√2·N" if sided == "one" else "N"
-        self.statements.append(f"noise_density is taken as {sided}-sided, {told}")
+        meaning = "√2·N" if sided == "one" else "N"
+        self.statements.append(f"noise_density is taken as {sided}-sided, {meaning}")
         return density / math.sqrt(2.0) if sided == "one" else density
 
     def _rms(self) -> float | None:
@@ -339,8 +334,8 @@ class _Sheet:
             self._answer("rms_noise", "bandwidth_is"),
         )
         width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
-        how = f"1.57 times the −3 dB bandwidth of {bandwidth:g} Hz" if kind == "first-order" else "as given"
-        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz, {how}")
+        how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)" if kind == "first-order" else ""
+        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz{how}")
         return rms / math.sqrt(2.0 * width)
 
     def _flicker(self) -> float | None:
@@ -349,17 +344,17 @@ class _Sheet:
             return None
         if self._answer("in_run_bias_instability", "reading") == "B":
             self.statements.append(
-                "in_run_bias_instability is taken as B; the Allan deviation's minimum is 0.664 B"
+                "in_run_bias_instability is taken as B; the least Allan deviation is 0.664 B"
             )
             return value
         self.statements.append(
-            "in_run_bias_instability is taken as the minimum of the Allan deviation, 0.664 B; N and K are "
-            "part of that minimum, so that B is at most this"
+            "in_run_bias_instability is taken as the least Allan deviation, 0.664 B; N and K contribute to "
+            "it, so this B is an upper limit"
         )
         return value / MINIMUM
 
     def _rounding(self) -> tuple[float | None, float | None]:
-        """Q of steps of increments, and N of steps of rates."""
+        """Q from steps of increments, or N from steps of rates."""
         if "lsb" not in self.figures:
             return None, None
         number, unit = self._quantity(self.figures["lsb"], "lsb")
@@ -372,7 +367,7 @@ class _Sheet:
             raise UnitError(f"{self.where} lsb: {error}") from error
         size = number * step.scale / math.sqrt(12.0)
         if step.quantity == "increment":
-            self.statements.append("lsb is a step of increments: Q = lsb/√12")
+            self.statements.append("lsb is taken as a step of increments, Q = lsb/√12")
             return size, None
         if "rate" not in self.figures:
             raise self._error("lsb", f'needs rate, e.g. rate = "100 Hz": {_WHY["rate"]}')
@@ -380,7 +375,7 @@ class _Sheet:
         return None, size / math.sqrt(rate)
 
     def _answer(self, figure: str, key: str) -> str:
-        """What a figure leaves open, as it is given; AllanjaxError that asks for it if it is not."""
+        """Information that a figure needs; AllanjaxError that asks for it if it is missing."""
         options = _FIGURES[figure][key]
         value = self.figures.get(key)
         if value is None or (options and value not in options):
@@ -397,7 +392,7 @@ class _Sheet:
         return self._converted(number, unit, _si_of(self.sensor, time_exponent), key)
 
     def _is_density(self, key: str) -> bool:
-        """Whether a figure is per √Hz; of an unknown unit the conversion will tell."""
+        """Whether a figure is per √Hz; UnitError for an unknown unit."""
         try:
             return density_power(self._quantity(self.figures[key], key)[1]) > 0.0
         except UnitError as error:

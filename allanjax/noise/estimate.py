@@ -1,4 +1,4 @@
-"""Estimates: values with their uncertainty and the unit that they are in."""
+"""Estimates: values with their uncertainty and unit."""
 
 from __future__ import annotations
 
@@ -26,40 +26,39 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(ByValue):
-    """A value with its uncertainty, in a unit: a coefficient, what follows from one, a finding's parameter.
+    """A value with its uncertainty and unit: a coefficient, a derived quantity, or a finding's parameter.
 
-    A fit's and a posterior's numbers are in SI; `in_unit` gives them in a unit for people.
+    The numbers of a fit or a posterior are in SI; `in_unit` converts them to the usual unit.
 
     Attributes:
-        axis: whose it is.
-        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or of what follows
-            from a model, e.g. "angle error after 60 s"; or of a finding's parameter, e.g. "frequency".
-        value: the estimate, of a posterior the median; zero for an amplitude that the data do not call for.
-        std: its standard deviation.
-        interval: 95 % interval; of an amplitude its lower end is zero where zero is not excluded; nan where
-            only a limit is known.
+        axis: the axis.
+        label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or name of a derived
+            quantity, e.g. "angle error after 60 s", or of a finding's parameter, e.g. "frequency".
+        value: the estimate, for a posterior its median; zero for an amplitude of which there is no sign.
+        std: standard deviation.
+        interval: 95 % interval; for an amplitude its lower end is zero if zero is not excluded; nan if only a
+            limit is known.
         interval_68: 68 % interval.
-        unit: the unit that all these numbers are in; the SI one if none is given.
-        usual_unit: the unit for people, e.g. "deg/√h"; a model's parameter knows its own.
-        source: where it comes from: "fit", "posterior", "spectrum", "critique", "calibration", or "averaged"
-            over sets of terms.
-        parameter: the parameter of a noise term that it is, and `term` the term's name; None for what follows
-            from a model and for a finding's parameters.
-        upper_limit: one-sided 95 % limit, of an amplitude; or of another parameter that may be anywhere
-            below, down to what a record of this length and rate shows nothing of: then `std` is nan, and of a
-            finding's parameter the limit is the `value`, too.
-        lower_limit: the same of a parameter that may be anywhere above.
+        unit: unit of all these numbers; SI by default.
+        usual_unit: usual unit, e.g. "deg/√h"; for a model's parameter it follows from the parameter.
+        source: "fit", "posterior", "spectrum", "critique", "calibration", or "averaged" over sets of terms.
+        parameter: the parameter of the noise term, whose name is `term`; None for derived quantities and for
+            a finding's parameters.
+        upper_limit: one-sided 95 % limit of an amplitude; or of another parameter that may have any smaller
+            value, too small to affect a record of this length and rate: then `std` is nan, and for a
+            finding's parameter the limit is also the `value`.
+        lower_limit: the same for a parameter that may have any larger value.
         detected: whether zero is excluded.
-        rivals: of an amplitude that is not `detected` though zero is excluded: names of other terms that may
-            be there in its place, for the data do not tell which.
+        rivals: for an amplitude that is not `detected` although zero is excluded: names of other terms from
+            which the data cannot distinguish it.
         held: whether the value was given and not estimated.
-        measured: whether it is a measurement of the sensor. Where the fitted curve is off by too much (see
-            `AxisFit.misfit`) it is not: the value is that of the curve; standard deviation and intervals are
+        measured: whether it is a measurement of the sensor. It is not if the model does not fit (see
+            `AxisFit.misfit`): the value is that of the fitted curve; standard deviation and intervals are
             nan, there is no limit, and nothing is detected.
-        remark: what to bear in mind, e.g. that it lies beyond the record.
-        bayes_factor: of an amplitude's posterior, see `posterior.marginals`; else None.
-        sampled: of a posterior, whether draws of it exist.
-        band, degrees_of_freedom, excess: of a spectrum's N, see `spectrum.psd`; else None.
+        remark: limitation of the value, e.g. that it lies beyond the record.
+        bayes_factor: for an amplitude's posterior, see `posterior.marginals`; else None.
+        sampled: for a posterior, whether there are draws.
+        band, degrees_of_freedom, excess: for a spectrum's N, see `spectrum.psd`; else None.
     """
 
     axis: Axis
@@ -89,14 +88,14 @@ class Estimate(ByValue):
     def __post_init__(self) -> None:
         if not self.usual_unit:
             if self.parameter is None:
-                raise UnitError(f"{self.label}: an estimate of no parameter needs its usual_unit=")
+                raise UnitError(f"{self.label}: an estimate without a parameter needs usual_unit=")
             object.__setattr__(self, "usual_unit", usual_unit(self.parameter, self.axis.sensor))
         if not self.unit:
             object.__setattr__(self, "unit", self.si_unit)
 
     @property
     def title(self) -> str:
-        """Name of the quantity for people; an accelerometer's angle random walk is a velocity random walk."""
+        """Usual name of the quantity; an accelerometer's angle random walk is a velocity random walk."""
         return title_of(self.label, self.axis.sensor)
 
     @property
@@ -111,17 +110,17 @@ class Estimate(ByValue):
 
     @property
     def symbol(self) -> str:
-        """Symbol of the parameter in the literature, e.g. "N"; "" for what follows from a model."""
+        """Symbol of the parameter in the literature, e.g. "N"; "" for a derived quantity."""
         return self.parameter.symbol if self.parameter else ""
 
     @property
     def kind(self) -> str:
-        """Kind of the parameter, e.g. "amplitude"; "" for what follows from a model."""
+        """Kind of the parameter, e.g. "amplitude"; "" for a derived quantity."""
         return self.parameter.kind if self.parameter else ""
 
     @property
     def is_amplitude(self) -> bool:
-        """Whether the estimate is a term's amplitude, and not its shape or what follows from a model."""
+        """Whether the estimate is a term's amplitude, not its shape or a derived quantity."""
         return self.kind == "amplitude"
 
     def in_unit(self, unit: str | None = None) -> Estimate:
@@ -133,7 +132,7 @@ class Estimate(ByValue):
         unit = self.usual_unit if unit is None else unit
         if unit == self.unit:
             return self
-        # What is no parameter of its noise may have a unit of another sensor: a tilt, a misalignment.
+        # A quantity that is not a parameter may have a unit of the other sensor: a tilt, a misalignment.
         factor = convert(1.0, self.unit, unit, self.axis.sensor if self.parameter else None)
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
         return dataclasses.replace(self, unit=unit, **numbers)
@@ -175,7 +174,7 @@ class Estimate(ByValue):
         )
 
     def unmeasured(self) -> Estimate:
-        """A copy without uncertainty, for a fitted curve that does not follow the data; held values stay."""
+        """A copy without uncertainty, for a model that does not fit the data; held values stay."""
         if self.held:
             return self
         nowhere = (float("nan"), float("nan"))
@@ -191,9 +190,9 @@ class Estimate(ByValue):
         )
 
     def describe(self, unit: str | None = None) -> str:
-        """The estimate in words, in the unit that it is in or the one asked for; see `in_unit`.
+        """The estimate in words, in its own unit or the given one; see `in_unit`.
 
-        E.g. "0.512 ± 0.007 deg/√h", or "not detectable, below 3.2 deg/h (95 %)".
+        E.g. "0.512 ± 0.007 deg/√h", or "not detected (< 3.2 deg/h, 95 %)".
         """
         shown = self if unit is None else self.in_unit(unit)
         return shown._sentence(shown._amount())
@@ -204,7 +203,7 @@ class Estimate(ByValue):
 
     @property
     def is_normal(self) -> bool:
-        """Whether 1σ lies within the 95 % interval and about a quarter of it: else the interval is told."""
+        """Whether 1σ lies within the 95 % interval and is about a quarter of it; else the latter is shown."""
         (low, high), value, std = self.interval, self.value, self.std
         if not (low < high and std > 0.0):
             return True
@@ -228,7 +227,7 @@ class Estimate(ByValue):
         return self.upper_limit if self.lower_limit is None else self.lower_limit
 
     def _amount(self) -> str:
-        """The number to be shown, value or limit, with its unit; the interval where 1σ does not say it."""
+        """The value or limit with its unit, and the interval where 1σ does not describe it."""
         normal = True
         if self.held:
             number = plain(self.value)
@@ -250,22 +249,22 @@ class Estimate(ByValue):
         return amount if bare else f"{amount} (95 %: {self.describe_interval()})"
 
     def _sentence(self, amount: str) -> str:
-        """The phrase in which an amount is told, e.g. "not detectable, below 3.2 deg/h (95 %)"."""
+        """The amount in words, e.g. "not detected (< 3.2 deg/h, 95 %)"."""
         if self.held:
             return f"{amount} (held)"
         if not self.measured:
-            return f"not a measurement of this sensor (fitted: {amount})"
+            return f"not a measurement of this sensor (the fitted curve has {amount})"
         if self.parameter is None and np.isnan(self.value):
             return f"not determined by these data{'; ' if self.remark else ''}{self.remark}"
         if not self.detected:
             if self.upper_limit is None:
-                return "not determined: its term is not detectable"
+                return "not determined: its term is not detected"
             if self.rivals:
                 names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
-                return f"not told from {names}, below {amount} (95 %)"
-            return f"not detectable, below {amount} (95 %)"
+                return f"cannot be distinguished from {names} (< {amount}, 95 %)"
+            return f"not detected (< {amount}, 95 %)"
         if self._shape_limit is not None:
-            return f"{'below' if self.lower_limit is None else 'above'} {amount} (95 %)"
+            return f"{'<' if self.lower_limit is None else '>'} {amount} (95 %)"
         if self.parameter and not self.is_amplitude and np.isnan(self.std):
             return "not determined by these data"
         return f"{amount}; {self.remark}" if self.remark else amount
@@ -294,9 +293,9 @@ def usual_unit(parameter: Parameter, sensor: Sensor) -> str:
 
 
 def title_of(label: str, sensor: Sensor) -> str:
-    """A term's or a coefficient's name for people: N of an accelerometer is a velocity random walk.
+    """Usual name of a term or a coefficient: N of an accelerometer is a velocity random walk.
 
-    Its K is an acceleration random walk. Several labels in one text are named one by one.
+    Its K is an acceleration random walk. The text may contain several labels.
     """
     words = label.replace("_", " ")
     if sensor == "accel":
@@ -336,12 +335,12 @@ def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AxisReadings(ByValue):
-    """What is read off the curve of one axis.
+    """Coefficients that are read off the curve of one axis.
 
     Attributes:
-        axis: whose it is.
-        estimates: by label; None where the curve does not show the quantity.
-        reasons: by label, why there is none.
+        axis: the axis.
+        estimates: estimates by label; None if the curve does not show the quantity.
+        reasons: reasons by label why there is no estimate.
     """
 
     axis: Axis
@@ -349,25 +348,21 @@ class AxisReadings(ByValue):
     reasons: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
 
     def __getitem__(self, label: str) -> Estimate | None:
-        """The estimate of this label, None where there is none."""
+        """The estimate of this label, or None."""
         return self.estimates[label]
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
-        """Rows of the printed table."""
-        found = []
-        for label, estimate in self.estimates.items():
+    def rows(self) -> list[tuple[str, ...]]:
+        """Rows of the printed table: one per quantity that is read."""
+        found: list[tuple[str, ...]] = []
+        for label, shown in ((k, e.in_unit()) for k, e in self.estimates.items() if e is not None):
+            value = format_with_error(shown.value, shown.std)
+            band = "" if shown.band is None else f"{shown.band[0]:.3g} … {shown.band[1]:.3g}"
             title = title_of(label, self.axis.sensor)
-            if estimate is None:
-                found.append((self.axis.name, title, "", f"none: {self.reasons.get(label, '')}"))
-                continue
-            shown = estimate.in_unit()
-            band = "" if shown.band is None else f", {shown.band[0]:.3g} to {shown.band[1]:.3g} Hz"
-            interval = f"{shown.describe_interval()} (95 %){band}"
-            found.append((self.axis.name, title, shown.describe().split(" (95 %")[0], interval))
+            found.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
         return found
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a quantity, in usual units; numbers are missing where there is none."""
+        """Table with one row per quantity, in usual units; numbers are missing where there is none."""
         import pandas as pd
 
         rows = []
@@ -383,21 +378,29 @@ class AxisReadings(ByValue):
         return pd.DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        told = [f"{label} {e.in_unit().describe()}" for label, e in self.estimates.items() if e is not None]
-        return f"<AxisReadings {self.axis.name}: {', '.join(told) or 'none'}>"
+        shown = [f"{label} {e.in_unit().describe()}" for label, e in self.estimates.items() if e is not None]
+        return f"<AxisReadings {self.axis.name}: {', '.join(shown) or 'none'}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Readings(ByValue, PerAxis[AxisReadings]):
-    """What is read off the curves of several axes.
+    """Coefficients that are read off the curves of several axes.
 
     Attributes:
-        title: what is read off what, and by which rule.
-        results: one an axis.
+        title: title of the table.
+        results: one per axis.
     """
 
     CALLED: ClassVar[str] = "the reading"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "quantity", "read ± 1σ", "interval, or why there is none")
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        "axis",
+        "quantity",
+        "value ± 1σ",
+        "95 % interval",
+        "unit",
+        "band [Hz]",
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = ("value ± 1σ",)
 
     title: str
     results: tuple[AxisReadings, ...]
@@ -405,5 +408,16 @@ class Readings(ByValue, PerAxis[AxisReadings]):
     def _title(self) -> str:
         return self.title
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
+    def _cells(self) -> list[tuple[str, ...]]:
         return [row for result in self.results for row in result.rows()]
+
+    def _notes(self) -> list[str]:
+        """The quantities that cannot be read, and why."""
+        axes: dict[tuple[str, str], list[str]] = {}
+        for result in self.results:
+            for label, reason in result.reasons.items():
+                axes.setdefault((label.replace("_", " "), reason), []).append(result.axis.name)
+        labels: dict[str, list[str]] = {}
+        for (label, reason), names in axes.items():
+            labels.setdefault(f"({', '.join(names)}): {reason}", []).append(label)
+        return [f"not read: {', '.join(names)} {reason}" for reason, names in labels.items()]

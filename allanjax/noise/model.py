@@ -19,7 +19,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.parameter import Parameter, Parametrized
-from allanjax.noise.process import Filtered, Process
+from allanjax.noise.process import FilteredProcess, Process
 from allanjax.noise.response import Response
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, together
 from allanjax.record.units import Sensor
@@ -46,10 +46,10 @@ class NoiseTerm(Parametrized, Process):
 
         For terms that are known but for their amplitude; lines of unknown phase are not.
         """
-        raise NotImplementedError(f"{type(self).__name__} defines no column(time)")
+        raise NotImplementedError(f"{type(self).__name__} does not define column(time)")
 
     def sampled(self, rate: float) -> Self:
-        """The term as seen by a sensor that samples at `rate` [Hz]; itself, unless sampling matters."""
+        """The term for a sensor that samples at `rate` [Hz]; the term itself, unless sampling matters."""
         return self
 
     def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> NoiseTerm:
@@ -157,8 +157,7 @@ class Model(eqx.Module):
         for term in self.terms:
             if not isinstance(term, NoiseTerm):
                 raise AllanjaxError(
-                    f"a model adds up noise terms, and {term!r} is none; "
-                    "add instances, e.g. AngleRandomWalk() with its parentheses"
+                    f"{term!r} is not a noise term; add instances such as AngleRandomWalk(), with parentheses"
                 )
 
     def __add__(self, other: NoiseTerm | Model) -> Model:
@@ -169,9 +168,7 @@ class Model(eqx.Module):
                 f"cannot add {other!r} to a model; add instances of noise terms, e.g. AngleRandomWalk()"
             )
         if None not in (self.response, other.response) and repr(self.response) != repr(other.response):
-            raise AllanjaxError(
-                f"a model has one response, not both {self.response!r} and {other.response!r}"
-            )
+            raise AllanjaxError(f"a model has one response, not {self.response!r} and {other.response!r}")
         response = other.response if self.response is None else self.response
         inside = () if response is None else self._is_inside + other._is_inside
         return Model(self.terms + other.terms, response, inside, self.rate or other.rate)
@@ -180,10 +177,10 @@ class Model(eqx.Module):
         if not isinstance(other, Response):
             return NotImplemented
         if self.response is not None:
-            raise AllanjaxError(f"{self.response!r} has been passed already; a model has one response")
+            raise AllanjaxError(f"the model has already passed {self.response!r}; a model has one response")
         for term in self.terms:
             if term.deterministic:
-                raise AllanjaxError(f"{term.name()} is no noise: write it after the filter")
+                raise AllanjaxError(f"{term.name()} is not noise: write it after the filter")
         return dataclasses.replace(self, response=other, inside=(True,) * len(self.terms))
 
     def __repr__(self) -> str:
@@ -200,12 +197,12 @@ class Model(eqx.Module):
         return self.inside or (False,) * len(self.terms)
 
     @property
-    def seen(self) -> tuple[Process, ...]:
-        """The terms as they are seen in the samples, after the response if they pass it."""
+    def processes(self) -> tuple[Process, ...]:
+        """The terms as they appear in the samples: after the response if they pass it."""
         if self.response is None:
             return self.terms
         return tuple(
-            Filtered(term, self.response, self.rate) if inside else term
+            FilteredProcess(term, self.response, self.rate) if inside else term
             for term, inside in zip(self.terms, self._is_inside, strict=True)
         )
 
@@ -273,7 +270,7 @@ class Model(eqx.Module):
         return dataclasses.replace(self, terms=tuple(self.terms[k] for k in kept), inside=inside)
 
     def sampled(self, rate: float) -> Model:
-        """The model as seen by a sensor that samples at `rate` [Hz]."""
+        """The model for a sensor that samples at `rate` [Hz]."""
         terms = tuple(term.sampled(rate) for term in self.terms)
         if self.response is None:
             return dataclasses.replace(self, terms=terms, rate=0.0)
@@ -287,7 +284,7 @@ class Model(eqx.Module):
         """Raise AllanjaxError if a parameter has no value."""
         for label, value in self.values.items():
             if value is None:
-                raise AllanjaxError(f"{label} has no value: give it one, or fit the model to a recording")
+                raise AllanjaxError(f"{label} has no value: set it, or fit the model to a recording")
 
     def state_space(
         self, rate: float, *, duration: float | None = None, sensor: Sensor = "gyro"
@@ -315,16 +312,16 @@ class Model(eqx.Module):
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         """States of all terms, after the response if they pass it; see `state_space`."""
-        seen = self.sampled(float(rate))
+        sampled = self.sampled(float(rate))
         blocks = [
             term.state_block(rate, duration).labelled(label)
-            for term, label in zip(seen.terms, self.term_labels, strict=True)
+            for term, label in zip(sampled.terms, self.term_labels, strict=True)
         ]
-        if seen.response is not None and any(self._is_inside):
+        if sampled.response is not None and any(self._is_inside):
             within = [b for b, inside in zip(blocks, self._is_inside, strict=True) if inside]
             after = [b for b, inside in zip(blocks, self._is_inside, strict=True) if not inside]
-            b, a = seen.response.transfer(rate)
-            blocks = [filtered_block(together(within), b, a, seen.response.name()), *after]
+            b, a = sampled.response.transfer(rate)
+            blocks = [filtered_block(together(within), b, a, sampled.response.name()), *after]
         return together(blocks)
 
     # ------------------------------------------------------------------ sums over the terms
@@ -332,31 +329,31 @@ class Model(eqx.Module):
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
         self.check_complete()
         lags: Any = namespace(lag).asarray(lag)
-        return sum((t.phase_covariance(lags) for t in self.seen), _zeros(lag))
+        return sum((t.phase_covariance(lags) for t in self.processes), _zeros(lag))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
         self.check_complete()
-        return sum((t.psd(frequency) for t in self.seen), _zeros(frequency))
+        return sum((t.psd(frequency) for t in self.processes), _zeros(frequency))
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Two-sided PSD of samples at `rate` [Hz], aliases included; lines and ramps have none."""
         self.check_complete()
-        return sum((t.sampled_psd(frequency, rate) for t in self.seen), _zeros(frequency))
+        return sum((t.sampled_psd(frequency, rate) for t in self.processes), _zeros(frequency))
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum((t.allan_variance(cluster_time) for t in self.seen), _zeros(cluster_time))
+        return sum((t.allan_variance(cluster_time) for t in self.processes), _zeros(cluster_time))
 
     def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
         self.check_complete()
-        return sum((t.hadamard_variance(cluster_time) for t in self.seen), _zeros(cluster_time))
+        return sum((t.hadamard_variance(cluster_time) for t in self.processes), _zeros(cluster_time))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples of the sum, n means of the rate, each term drawn with a key of its own."""
         self.check_complete()
         keys = jax.random.split(key, max(len(self.terms), 1))
-        draws = (t.simulate(k, n, rate) for t, k in zip(self.seen, keys, strict=False))
+        draws = (t.simulate(k, n, rate) for t, k in zip(self.processes, keys, strict=False))
         return sum(draws, jnp.zeros(n))

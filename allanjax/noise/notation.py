@@ -54,9 +54,9 @@ def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
         axes: the axes that it is for; amplitudes in a text must have units of their sensors.
 
     Raises:
-        AllanjaxError: what is given is no model; amplitudes with values, which have the unit of one sensor,
-            for axes of both.
-        UnitError: as `parse_model`.
+        AllanjaxError: `model` is not a model; amplitudes with values, which are for one kind of sensor, for
+            axes of both.
+        UnitError: as for `parse_model`.
     """
     if not isinstance(model, str):
         return Model(()) + model
@@ -66,8 +66,8 @@ def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
         for p in parsed.parameters:
             if p.parameter.is_amplitude and p.start is not None:
                 raise AllanjaxError(
-                    f"{p.label} in {model!r} has a value in the unit of one sensor, and there are axes of "
-                    'both: leave out the value, or take those of one, recording["gyro"]'
+                    f"{p.label} in {model!r} has a value for one kind of sensor, but there are axes of both: "
+                    'leave out the value, or use the axes of one sensor, recording["gyro"]'
                 )
     return parsed
 
@@ -79,7 +79,7 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
     `angle_random_walk`), alone, with the amplitude (`N=0.1 deg/√h`), or with parameters in brackets
     (`markov(amplitude=3 deg/h/√h, correlation_time=100 s)`). `held` after a value keeps it fixed in a fit.
     Terms that pass a filter stand in brackets after it: `low_pass1(bandwidth=28 Hz) * (N + K) + resonance`.
-    Options are whole numbers, `butterworth(order=4) * N`.
+    Options are integers, `butterworth(order=4) * N`.
 
     Args:
         text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
@@ -156,7 +156,7 @@ def _class(name: str, classes: Mapping[str, type[_Kind]]) -> type[_Kind]:
     if name.lower() not in classes and name not in by_symbol:
         known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
         what = "term" if by_symbol else "response"
-        raise AllanjaxError(f"there is no {what} {name!r}; there are {known}")
+        raise AllanjaxError(f"unknown {what} {name!r}; known are {known}")
     return classes.get(name.lower()) or by_symbol[name]
 
 
@@ -172,7 +172,7 @@ def _parameter(cls: type[Parametrized], name: str) -> Parameter:
 def _integer(text: str, name: str) -> int:
     """Value of an option."""
     if re.fullmatch(r"[-+]?\d+", text.strip()) is None:
-        raise AllanjaxError(f"{name} is a whole number, not {text!r}")
+        raise AllanjaxError(f"{name} must be an integer, not {text!r}")
     return int(text)
 
 

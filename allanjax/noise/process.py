@@ -54,11 +54,11 @@ class Process(eqx.Module):
 
         Known up to c0 + c1·t², and one call need agree only with itself about these two constants.
         """
-        raise NotImplementedError(f"{type(self).__name__} defines no phase_covariance(lag)")
+        raise NotImplementedError(f"{type(self).__name__} does not define phase_covariance(lag)")
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
-        raise NotImplementedError(f"{type(self).__name__} defines no psd(frequency)")
+        raise NotImplementedError(f"{type(self).__name__} does not define psd(frequency)")
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Two-sided PSD of the samples with aliases, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist frequency.
@@ -91,7 +91,7 @@ class Process(eqx.Module):
         return linear_recurrence(1.0, increments)
 
     def parts(self, rate: float) -> Parts:
-        """The density of samples at `rate` [Hz] taken apart, for what a `Response` makes of it."""
+        """Parts of the density of samples at `rate` [Hz], for filtering by a `Response`."""
         name = type(self).__name__
         raise AllanjaxError(
             f"{name} cannot pass a response: write it after the filter, response * (…) + {name}(…)"
@@ -112,7 +112,7 @@ class Process(eqx.Module):
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance of a narrow-band process's mean square over a record of this duration [s]."""
-        raise NotImplementedError(f"{type(self).__name__} is narrow-band and defines no power_scatter")
+        raise NotImplementedError(f"{type(self).__name__} is narrow-band and must define power_scatter")
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
@@ -153,10 +153,10 @@ def numbers_as_data(processes: tuple[Process, ...]) -> tuple[Process, ...]:
 _SETTLING = 8192
 
 
-class Filtered(Process):
+class FilteredProcess(Process):
     """A process after a response, for samples at `rate` [Hz]; 0 if that is not known yet.
 
-    The process says what its density consists of, by its method `parts(rate)`.
+    The process must have the method `parts(rate)`, which returns the parts of its density.
     """
 
     process: Process
@@ -187,7 +187,7 @@ class Filtered(Process):
         return self.response.power(frequency, rate) * self.process.end_effect(frequency, rate)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Simulated samples; the filter has seen some thousand of them before the first."""
+        """Simulated samples; the filter has run over thousands of samples before the first."""
         x = self.process.simulate(key, n + _SETTLING, rate)
         # It starts at rest at the first of these, which it passes: constants it leaves as they are.
         first = _SETTLING - self.response.ahead
@@ -196,5 +196,5 @@ class Filtered(Process):
     @property
     def _known_rate(self) -> float:
         if is_continuous(self.rate):
-            raise AllanjaxError("a response is that of samples: say at which rate, model.sampled(rate)")
+            raise AllanjaxError("a response depends on the sample rate: use model.sampled(rate)")
         return self.rate

@@ -121,7 +121,7 @@ class RecursiveFilter(Response):
         """Poles of the power response for samples at `rate` [Hz]."""
 
     def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        """What the power response is beside its poles; 0 unless a filter says otherwise."""
+        """The constant part of the power response besides its poles; 0 unless a filter overrides it."""
         return 0.0
 
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
@@ -133,7 +133,7 @@ class RecursiveFilter(Response):
         return xp.real(of_poles) + self.constant(rate)
 
     def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
-        """Phase covariance G after the filter of a process that says what it consists of by `parts(rate)`."""
+        """Phase covariance G, after the filter, of a process with the method `parts(rate)`."""
         change = self.change(process.parts(rate), rate)
         return process.phase_covariance(lag) + change.phase_covariance(lag, rate)
 

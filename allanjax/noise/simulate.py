@@ -41,7 +41,7 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
     if isinstance(model, DataSheet):
         raise AllanjaxError(
-            'simulate_recording(sheet, …) takes a data sheet; here give one model, sheet["gyro"]'
+            'use simulate_recording for a data sheet; simulate takes one model, e.g. sheet["gyro"]'
         )
     model = as_model(model)
     model.check_complete()
@@ -70,7 +70,7 @@ def simulate_recording(
         key: a JAX random key, or an integer to make one of.
         bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
         auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; an effect whose
-            channel is not given is left out, and the recording's notes say so.
+            channel is not given is left out, with a note in the recording.
         gyro_unit, accel_unit: units of the recording, for display.
         name: name of the recording.
 
@@ -86,15 +86,15 @@ def simulate_recording(
     for axis in bias:
         if axis not in models:
             raise AllanjaxError(
-                f"a bias is given for {axis!r}, which has no model; there are {', '.join(models)}"
+                f"the bias of {axis!r} has no model; there are models for {', '.join(models)}"
             )
     keys = jax.random.split(as_key(key), len(models))
     channels = {channel: np.asarray(samples, float) for channel, samples in (auxiliary or {}).items()}
     for channel, samples in channels.items():
         if samples.shape != (n,):
             raise RecordingError(
-                f"the channel {channel!r} has the shape {samples.shape}; it must have one of ({n},), "
-                "a sample for each that is simulated"
+                f"the channel {channel!r} has the shape {samples.shape}; it must have ({n},), one value per "
+                "simulated sample"
             )
     known = {axis: as_model(model, [recognise(axis)]).given(channels, rate) for axis, model in models.items()}
     columns = [
@@ -102,7 +102,7 @@ def simulate_recording(
         for (axis, model), k in zip(known.items(), keys, strict=True)
     ]
     left_out = tuple(
-        f"{axis}: the effect of {channel} is left out; give auxiliary={{{channel!r}: …}} to have it"
+        f"{axis}: the effect of {channel} is left out; pass auxiliary={{{channel!r}: …}} to include it"
         for axis, model in known.items()
         for term in model.terms
         if (channel := term.missing_channel)
@@ -140,5 +140,5 @@ def _with_traced_values(model: Model) -> Model:
 
 
 def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:
-    """JAX random key: the one given, or that of a seed."""
+    """JAX random key, as given or from a seed."""
     return jax.random.key(key) if isinstance(key, int | np.integer) else key

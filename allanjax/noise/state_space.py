@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
@@ -12,7 +13,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, text_table
+from allanjax.base.tables import Tabled
 from allanjax.base.wording import significant
 from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 
@@ -72,7 +73,7 @@ def block(
     time_exponents: tuple[float, ...] = (),
     level: Sequence[bool] = (),
 ) -> Block:
-    """Block of these matrices; its states are rates, and stationary, unless said otherwise."""
+    """Block of these matrices; by default its states are rates, and stationary."""
     n = len(names)
     return Block(
         np.asarray(transition, float).reshape(n, n),
@@ -168,7 +169,7 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
     """Block after a digital filter y_k = Σ b_j u_{k−j} − Σ_{j≥1} a_j y_{k−j}, a_0 = 1.
 
     The filter's states are those of Harvey (Time Series Models, 1993, 4.4), the first of which is its output.
-    It had seen the noise for long when the record begins.
+    It has filtered the noise for long when the record begins.
     """
     n, m = inner.size, max(len(a) - 1, len(b))
     feedback = np.zeros((m, m))
@@ -197,7 +198,7 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
 def settled(
     transition: Float[np.ndarray, "n n"], noise: Float[np.ndarray, "n n"], level: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n n"]:
-    """Covariance of states that have gone on for long, given that random walks are at zero now.
+    """Covariance of states after a long time, given that random walks are at zero now.
 
     What follows a walk (a filter, say) does so with a constant gain G, and its distance from G·walk is
     stationary.
@@ -207,9 +208,9 @@ def settled(
     follow = np.linalg.solve(np.eye(rest.sum()) - own, transition[np.ix_(rest, level)])
     enters = np.zeros((rest.sum(), len(level)))
     enters[:, rest], enters[:, level] = np.eye(rest.sum()), -follow
-    found = np.zeros_like(transition)
-    found[np.ix_(rest, rest)] = _stationary(own, enters @ noise @ enters.T)
-    return found
+    covariance = np.zeros_like(transition)
+    covariance[np.ix_(rest, rest)] = _stationary(own, enters @ noise @ enters.T)
+    return covariance
 
 
 def _stationary(
@@ -226,28 +227,30 @@ def _stationary(
     return (total + total.T) / 2.0
 
 
-_HEADINGS = ("state", "unit", "initial std", "noise std per sample", "weight in a sample")
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class StateSpace(ByValue):
-    """Noise of the samples as x_{k+1} = A x_k + w_k, z_k = H x_k + v_k, with x_0 of covariance P0.
+class StateSpace(ByValue, Tabled):
+    """Noise of the samples as x_{k+1} = A x_k + w_k, z_k = H x_k + v_k, where x_0 has the covariance P0.
 
-    w and v are white, of covariances Q and R, and independent of each other. All is in SI: samples in rad/s
-    or m/s².
+    w and v are white and independent, with covariances Q and R. Everything is in SI: samples are in rad/s or
+    m/s².
 
     Attributes:
         A: transition from one sample to the next, (n, n).
-        H: what a sample sees of the states, (1, n).
+        H: weights of the states in a sample, (1, n).
         Q: covariance of w, (n, n).
         R: variance of v, (1, 1) [rate²].
         P0: covariance of the states at the first sample, (n, n); their mean is zero.
-        names: of the states.
-        units: of the states.
+        names: names of the states.
+        units: units of the states.
         rate: sample rate [Hz].
         sensor: "gyro" or "accel".
         model: the noise model in words.
     """
+
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("state", "unit", "initial std", "noise std per sample", "weight in a sample"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
 
     A: Float[np.ndarray, "n n"]
     H: Float[np.ndarray, "1 n"]
@@ -283,9 +286,9 @@ class StateSpace(ByValue):
         return len(self.names)
 
     def sum_covariance(self, n: int) -> tuple[Float[np.ndarray, "n1 n1"], Float[np.ndarray, "n1 n1"]]:
-        """Transition over n samples of the states and the sum of the samples, and what noise adds to it.
+        """Transition over n samples of the states and the sum of the samples, and the covariance added to it.
 
-        The last row and column are those of the sum. It doubles the number of samples, in log₂ n steps.
+        The last row and column are those of the sum. The number of samples doubles in each of log₂ n steps.
         """
         transition = np.block([[self.A, np.zeros((self.size, 1))], [self.H, np.ones((1, 1))]])
         noise = np.zeros_like(transition)
@@ -302,13 +305,15 @@ class StateSpace(ByValue):
         """Allan variance [rate²], from the matrices alone, at cluster times [s].
 
         Raises:
-            AllanjaxError: a cluster time that is not one or more sample intervals.
+            AllanjaxError: a cluster time that is not a multiple of the sample interval.
         """
         size = np.asarray(cluster_time, float) * self.rate
-        whole = np.round(size)
-        if np.any(whole < 1) or np.any(np.abs(size - whole) > 1e-6 * size):
-            raise AllanjaxError(f"cluster times must be multiples of {1 / self.rate:g} s, a sample interval")
-        return np.array([self._allan(int(m)) for m in whole.flat]).reshape(size.shape)
+        samples = np.round(size)
+        if np.any(samples < 1) or np.any(np.abs(size - samples) > 1e-6 * size):
+            raise AllanjaxError(
+                f"cluster times must be multiples of {1 / self.rate:g} s, the sample interval"
+            )
+        return np.array([self._allan(int(m)) for m in samples.flat]).reshape(size.shape)
 
     def _allan(self, m: int) -> float:
         """Allan variance of clusters of m samples: that of the difference of two sums of m."""
@@ -368,11 +373,5 @@ class StateSpace(ByValue):
         white = f"R = ({significant(float(np.sqrt(self.R[0, 0])))} {unit})²"
         return f"State space of {self.size} states at {self.rate:g} Hz, {white}: {self.model}"
 
-    def __str__(self) -> str:
-        return text_table(self._title(), _HEADINGS, self._cells(), right=_HEADINGS[2:])
-
     def __repr__(self) -> str:
         return f"<{self._title()}>"
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEADINGS, self._cells())

@@ -97,7 +97,7 @@ def plot_allan(
     fit, curve = _fit_and_curve(data)
     title = fit.name if fit is not None and fit.name else _kind_of(curve)
     has_fit = fit is not None
-    facts = facts_of(curve.n, curve.rate) + curve.others_told()
+    facts = facts_of(curve.n, curve.rate) + curve.describe_others()
     frame = Frame(title, facts, CLUSTER_TIME, has_fit, has_fit)
     rows = rows_of(curve.names, curve.axes, axes)
     return frame.draw([[_panel(curve, fit, k) for k in row] for row in rows], path, ax)
@@ -160,7 +160,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
     time = _times_to_draw(fit.curve)
     total = np.zeros(len(time))
     lines = {}
-    for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).seen, strict=True):
+    for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
         if _is_transient(term):
             continue
         variance = np.asarray(term.allan_variance(time))
@@ -266,7 +266,7 @@ def _plot_several(
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
     """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
-    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) + curve.others_told() for curve in curves))
+    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) + curve.describe_others() for curve in curves))
     if len(facts) <= 2:
         return "; ".join(facts)
     lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)

@@ -151,7 +151,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     model = result.model.sampled(rate)
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
-    for label, term in zip(result.term_labels, model.seen, strict=True):
+    for label, term in zip(result.term_labels, model.processes, strict=True):
         style: dict[str, Any] = {
             "label": title_of(label, result.axis.sensor),
             **term_style(fit, result, label),

@@ -1,7 +1,7 @@
 """Autocorrelation of a static recording, and the Gauss–Markov process read off it: Hou (2004) section 3.4.1.
 
-The estimate at lag τ = k/rate is R̂(τ) = Σ_t x_t x_{t+k}/(n − k), x being the samples without their mean:
-(3.29), unbiased but for the mean, which lowers it by that mean's variance. Its scatter under a stationary
+The estimate at lag τ = k/rate is R̂(τ) = Σ_t x_t x_{t+k}/(n − k), where x is the samples without their mean:
+(3.29), unbiased except that the mean's variance is subtracted with the mean. Its scatter under a stationary
 Gaussian model with autocovariance R follows from Bartlett (1946),
 
     Var R̂(k) ≈ Σ_m [(1 − |m|/(n − k)) R(m)² + R(m + k) R(m − k)]/(n − k),
@@ -24,7 +24,8 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.wording import duration
+from allanjax.base.tables import text_table, wrapped
+from allanjax.base.wording import duration, significant
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, models_of
@@ -49,9 +50,9 @@ class Autocorrelation(ByValue, OfAxes):
     Attributes:
         lag: [m] lags [s], from 0 on.
         value: [m, axes] autocorrelation [(rad/s)² or (m/s²)², or the array's unit squared].
-        standard_error: [m, axes] standard errors under the models, nan where there is none; they are of the
-            scatter from record to record of neighbouring lags that go up and down together.
-        remarks: of each axis what its standard errors stand for, or why there are none.
+        standard_error: [m, axes] standard errors under the models, nan if there are none; they describe the
+            scatter from record to record, in which neighbouring lags go up and down together.
+        remarks: for each axis, the meaning of its standard errors or the reason why there are none.
         n: rate samples per axis.
         rate: sample rate [Hz].
         axes: the recording's axes, or None for an array.
@@ -72,17 +73,17 @@ class Autocorrelation(ByValue, OfAxes):
 
         σ² is the value at lag zero and 1/β the lag at which it has fallen to σ²/e (3.31). Both have the
         relative standard error √(2/(βT)) of (3.34), T being the record's length: a bound for the
-        autocorrelation of the process itself. It knows nothing of other noise, which is to be taken out
-        before (`wavelet_decomposition`), nor of the bias that subtracting the mean and reading off one lag
-        have; see `benchmarks/results/chapter3.md`. There is no reading where the autocorrelation does
-        not fall to σ²/e, or does so within a sample.
+        autocorrelation of the process itself. It does not include other noise, which must be removed before
+        (`wavelet_decomposition`), nor the bias from subtracting the mean and from reading off one lag; see
+        `benchmarks/results/chapter3.md`. There is no reading if the autocorrelation does not fall to σ²/e, or
+        does so within one sample.
 
         Raises:
-            AllanjaxError: samples without unit.
+            AllanjaxError: samples without a unit.
         """
         if self.axes is None:
             raise AllanjaxError(
-                "σ² needs the samples' unit, which an array does not have: give gyro_unit= or accel_unit="
+                "σ² needs the unit of the samples, which an array lacks: give gyro_unit= or accel_unit="
             )
         title = "Gauss–Markov process read off the autocorrelation, with the accuracy of (3.34)"
         return Readings(title, tuple(self._markov(k, axis) for k, axis in enumerate(self.axes)))
@@ -96,19 +97,19 @@ class Autocorrelation(ByValue, OfAxes):
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         i = below[0]
         if i == 1:
-            reason = "it falls to 1/e within a sample, as white noise does: take that out first"
+            reason = "the autocorrelation falls to 1/e within one sample, as for white noise: remove it first"
             return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
         time = float(np.interp(-R[0] / math.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
         accuracy = markov_accuracy(time, self.n / self.rate)
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
-        found: dict[str, Estimate | None] = {}
+        estimates: dict[str, Estimate | None] = {}
         units = (square_unit(axis)[0], "s")
         for label, value, unit in zip(labels, (float(R[0]), time), units, strict=True):
             std = accuracy * value
             wide, narrow = (
                 (max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68)
             )
-            found[label] = Estimate(
+            estimates[label] = Estimate(
                 axis=axis,
                 label=label,
                 value=value,
@@ -119,12 +120,12 @@ class Autocorrelation(ByValue, OfAxes):
                 source="spectrum",
                 remark=remark,
             )
-        return AxisReadings(axis, found)
+        return AxisReadings(axis, estimates)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a lag: each axis's autocorrelation and its standard error.
+        """Table with one row per lag: each axis's autocorrelation and its standard error.
 
-        Headings state the units, (deg/h)² or µg²; those of an array without units are in its own.
+        Headings state the units, (deg/h)² or µg²; an array without units keeps its own.
         """
         import pandas as pd
 
@@ -137,11 +138,19 @@ class Autocorrelation(ByValue, OfAxes):
         return pd.DataFrame(columns)
 
     def __str__(self) -> str:
-        lines = [repr(self)]
-        for k, (name, remark) in enumerate(zip(self.names, self.remarks, strict=True)):
+        rows = []
+        for k, name in enumerate(self.names):
             unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
-            lines.append(f"{name}: {self.value[0, k] / scale:.4g} {unit} at lag 0; {remark}")
-        return "\n".join(lines)
+            error = float(self.standard_error[0, k]) / scale
+            shown = "" if np.isnan(error) else significant(error, 2)
+            rows.append((name, significant(float(self.value[0, k]) / scale), shown, unit))
+        table = text_table(repr(self), ("axis", "at lag 0", "1σ", "unit"), rows, right=("at lag 0", "1σ"))
+        remarks = dict.fromkeys(self.remarks)
+        notes = [
+            f"{', '.join(n for n, own in zip(self.names, self.remarks, strict=True) if own == r)}: {r}"
+            for r in remarks
+        ]
+        return "\n".join([table, *map(wrapped, notes)])
 
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
@@ -185,14 +194,14 @@ def autocorrelation(
         rate: sample rate [Hz], for an array only: a recording has its own.
         model: the noise model of these samples with its values, or a fit of them, for the standard errors.
             It must be stationary: bias instability, random walks of the rate, ramps and other terms without
-            an autocovariance leave their axis without standard errors, and `remarks` says so.
+            an autocovariance leave their axis without standard errors; see `remarks`.
         longest_lag: longest lag [s]; by default a tenth of the record.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
-            autocorrelation is in the array's own squared, whatever that is.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`; without a
+            unit the autocorrelation is in the square of the array's unit.
 
     Raises:
-        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, a longest lag
-            beyond the record; a fit without a result for an axis, a model without a value.
+        AllanjaxError: no positive rate, samples that are not finite or constant, a longest lag beyond the
+            record; a fit without a result for an axis, a model without a value.
     """
     values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
     labels = names_of(axes, values.shape[1])
@@ -201,7 +210,7 @@ def autocorrelation(
     lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1
     if not 2 <= lags <= n - 1:
         raise AllanjaxError(
-            f"a longest_lag of {longest:g} s does not fit a record of {n / rate:g} s at {rate:g} Hz"
+            f"longest_lag must be from {1.0 / rate:g} s to {(n - 2) / rate:g} s here; got {longest:g} s"
         )
     pairs = n - np.arange(lags)
     value = np.stack([_sums(x - x.mean(), lags) / pairs for x in values.T], axis=1)
@@ -229,7 +238,7 @@ def _standard_error(
     if unstable:
         return (
             nothing,
-            f"no standard error: the correlation of {' and of '.join(unstable)} outlasts the record",
+            f"no standard error: the correlation of {' and '.join(unstable)} outlasts the record",
         )
     # Both sums are over positive and negative m.
     m, pairs = np.arange(n), n - np.arange(lags)
@@ -241,7 +250,7 @@ def _standard_error(
     full = np.concatenate([R[:0:-1], R])
     again = _sums(full, min(2 * lags - 1, len(full)))[::2]
     variance = (tapered + np.pad(again, (0, lags - len(again)))) / pairs
-    return np.sqrt(np.maximum(variance, 0.0)), "standard errors by Bartlett's formula under the model"
+    return np.sqrt(np.maximum(variance, 0.0)), "standard errors from Bartlett's formula under the model"
 
 
 def autocovariance(model: Model, n: int, rate: float) -> tuple[Float[np.ndarray, " n"], tuple[str, ...]]:
@@ -251,9 +260,9 @@ def autocovariance(model: Model, n: int, rate: float) -> tuple[Float[np.ndarray,
     constant: that is taken from the end of the record, where a stationary term has R = 0. A term whose R has
     not come to rest there is counted among the others.
     """
-    seen = model.sampled(rate)
+    sampled = model.sampled(rate)
     total, others = np.zeros(n), []
-    for term, label in zip(seen.seen, seen.term_labels, strict=True):
+    for term, label in zip(sampled.processes, sampled.term_labels, strict=True):
         lag: Any = np.arange(2 * n + 1) / rate
         G = np.asarray(term.phase_covariance(lag))
         H = -(rate**2) * (np.append(G[1], G[:-2]) - 2.0 * G[:-1] + G[1:])

@@ -390,7 +390,7 @@ class SegmentSpectra:
         if bad.any():
             row, axis = np.argwhere(bad)[0]
             raise AllanjaxError(
-                f"sample {start + row} of axis {axis} is not finite: give samples without gaps, or a stretch"
+                f"sample {start + row} of axis {axis} is not finite: use samples without gaps, or one segment"
             )
         # The values that are kept are copied: the array may be a buffer that is filled again.
         last = values if len(values) > _KEPT else values.copy()
@@ -409,13 +409,13 @@ class SegmentSpectra:
         """
         if right.start != self.stop:
             raise AllanjaxError(
-                f"a piece that begins at sample {right.start} does not follow one that ends before "
-                f"{self.stop}; merge adjacent pieces in order, each with its start="
+                f"the piece that begins at sample {right.start} does not follow the one that ends before "
+                f"{self.stop}: merge adjacent pieces in order, each with its start="
             )
         if right.rate != self.rate or right.last.shape[1] != self.last.shape[1]:
             raise AllanjaxError(
                 f"pieces of {self.last.shape[1]} axes at {self.rate:.9g} Hz and of {right.last.shape[1]} at "
-                f"{right.rate:.9g} Hz are not of one stream"
+                f"{right.rate:.9g} Hz do not belong to one stream"
             )
         left, levels = self, max(len(self.segmented), len(right.segmented))
         while len(left.segmented) < levels:

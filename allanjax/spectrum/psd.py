@@ -201,7 +201,7 @@ def spectral_coefficient(
         square: that mean, the coefficient's square [SI].
         others: what other noise contributes to it.
         dof: degrees of freedom of that mean.
-        axis: whose it is.
+        axis: the axis.
         band: lowest and highest frequency [Hz] averaged.
     """
     from scipy.special import ndtri
@@ -301,7 +301,7 @@ _PER_OCTAVE = 16
 # By default a record is as long as so many of Welch's segments; no segment has fewer samples.
 _SEGMENTS = 8
 _NO_UNIT = (
-    "{} the samples' unit, which an array does not have: make a recording of it, "
+    "{} the unit of the samples, which an array lacks: make a recording, "
     "Recording.from_array(values, rate, gyro_unit=…)"
 )
 
@@ -425,7 +425,7 @@ class PowerSpectrum(ByValue, OfAxes):
         found = flattest(s.frequency, s.density[:, k], s._coloured(k), s.count, s.dof, share)
         if found is None:
             raise AllanjaxError(
-                f"{axis}: its power spectral density is flat over no octave from {s.frequency[0]:.3g} Hz to "
+                f"{axis}: the power spectral density has no flat octave from {s.frequency[0]:.3g} Hz to "
                 f"{s.frequency[-1]:.3g} Hz; give the band of the white noise, band=(low, high) in Hz"
             )
         first, last = found
@@ -436,15 +436,15 @@ class PowerSpectrum(ByValue, OfAxes):
         """Angle (velocity) random walk N of an axis, Hou (2004) eq. (3.41): √(mean density in the band / 2).
 
         In (3.41) N is in deg/√h and the density in (deg/h)²/Hz; here both are SI, see `in_unit`. Intervals
-        are those of the mean's χ² law, and reach below it by what flicker, rate random walk and quantization
-        seem to contribute to the band (see `spectral_coefficient`).
+        follow from the mean's χ² law, and extend below it by the apparent contribution of flicker, rate
+        random walk and quantization to the band (see `spectral_coefficient`).
 
         Args:
             axis: the axis's name.
             band: lowest and highest frequency [Hz] to average over; by default `flat_band(axis)`.
 
         Raises:
-            AllanjaxError: no such axis, no flat part, no frequency in the band, or samples without unit.
+            AllanjaxError: no such axis, no flat part, no frequency in the band, or samples without a unit.
         """
         k = self._index(axis)
         if self.axes is None:
@@ -453,8 +453,8 @@ class PowerSpectrum(ByValue, OfAxes):
         inside = (low <= self.frequency) & (self.frequency <= high)
         if not inside.any():
             raise AllanjaxError(
-                f"{axis}: the band {low:g} Hz to {high:g} Hz holds no frequency of the spectrum, which goes "
-                f"from {self.frequency[0]:.3g} Hz to {self.frequency[-1]:.3g} Hz; give (low, high) in Hz"
+                f"{axis}: the spectrum has no frequency from {low:g} Hz to {high:g} Hz; give (low, high) "
+                f"between {self.frequency[0]:.3g} Hz and {self.frequency[-1]:.3g} Hz"
             )
         count = self.count[inside]
         density = count @ self.density[inside, k] / count.sum()
@@ -466,20 +466,20 @@ class PowerSpectrum(ByValue, OfAxes):
     def readings(self) -> Readings:
         """Coefficients of quantization, N, B, K and R of every axis read off the slopes of the density.
 
-        A term is read off a contiguous stretch of an octave or more of the spectrum averaged after table 3.4,
+        A term is read off a contiguous band of an octave or more of the spectrum averaged as in table 3.4,
         if the density over that of the term alone is flat there by the rule of `flat_band` (its log-log slope
-        is within ±0.5 of the term's by two standard errors, it is not bent and has no line), and if of a
-        rough sum of all five terms more than half is the term's. The lowest two ordinates are left out. Of
-        such stretches the one whose mean has the least expected square error is taken; N is that of
-        `random_walk`. Where there is none, the estimate is None and the reason says so. R stands for a
-        flicker rate ramp (4.58): a straight drift ramp is taken out before and has no density.
+        is within ±0.5 of the term's by two standard errors, it is not bent and has no line), and if the term
+        makes up more than half of a rough sum of all five terms. The lowest two ordinates are left out. Of
+        such bands the one whose mean has the least expected square error is used; N is that of `random_walk`.
+        If there is none, the estimate is None, with a reason. R stands for a flicker rate ramp (4.58): a
+        straight drift ramp is removed before and has no density.
 
         Raises:
-            AllanjaxError: samples without unit.
+            AllanjaxError: samples without a unit.
         """
         if self.axes is None:
             raise AllanjaxError(_NO_UNIT.format("coefficients need"))
-        title = "slopes of the power spectral density, each over an octave or more"
+        title = "coefficients from slopes of the power spectral density, each over an octave or more"
         return Readings(title, tuple(self._readings(k, axis) for k, axis in enumerate(self.axes)))
 
     def _readings(self, k: int, axis: Axis) -> AxisReadings:
@@ -496,10 +496,8 @@ class PowerSpectrum(ByValue, OfAxes):
             band = float(edges[stretch.start]), float(edges[stretch.stop])
             dof = float(s.degrees_of_freedom(s.count[stretch].sum()))
             estimates[term.name()] = spectral_coefficient(term, square, others, dof, axis, band)
-        reasons = {
-            t.name(): f"no octave of slope {slope:+d} that is mostly its own" for t, slope in SLOPES.items()
-        }
-        return AxisReadings(axis, estimates, {k: v for k, v in reasons.items() if estimates[k] is None})
+        reason = "no octave has the slope of the term and is dominated by it"
+        return AxisReadings(axis, estimates, {k: reason for k, e in estimates.items() if e is None})
 
     def _coloured(self, k: int) -> Float[np.ndarray, " m"]:
         """Density of an axis that is not white noise, at this spectrum's frequencies."""
@@ -508,9 +506,9 @@ class PowerSpectrum(ByValue, OfAxes):
         return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a frequency: its degrees of freedom, and each axis's density.
+        """Table with one row per frequency: its degrees of freedom, and each axis's density.
 
-        Headings state the units, (deg/h)²/Hz or µg²/Hz; densities of an array without units are in its own.
+        Headings state the units, (deg/h)²/Hz or µg²/Hz; an array without units keeps its own.
         """
         import pandas as pd
 
@@ -523,7 +521,7 @@ class PowerSpectrum(ByValue, OfAxes):
     def _index(self, axis: str) -> int:
         """Index of an axis by its name; AllanjaxError if there is none."""
         if axis not in self.names:
-            raise AllanjaxError(f"no axis {axis!r} in the spectrum; there are {', '.join(self.names)}")
+            raise AllanjaxError(f"the spectrum has no axis {axis!r}; it has {', '.join(self.names)}")
         return self.names.index(axis)
 
     def __repr__(self) -> str:
@@ -560,26 +558,26 @@ def power_spectrum(
 ) -> PowerSpectrum:
     """One-sided power spectral density of every axis, Hou (2004) section 3.4.2.
 
-    "logarithmic" is one periodogram (3.39) of the whole record without its straight line, averaged over
-    frequency after table 3.4. "welch" is the mean over segments that overlap by half, each without its mean,
-    as `scipy.signal.welch` has it. The ordinates at zero and at the Nyquist frequency are left out: they have
-    half the bandwidth and one degree of freedom. From the lowest two of the others the straight line or the
-    mean has taken a part, under a Hann window 29 % and 5 % (17 % and 4 %) of white noise.
+    "logarithmic" is one periodogram (3.39) of the entire record without its straight line, averaged over
+    frequency as in table 3.4. "welch" is the mean over segments that overlap by half, each without its mean,
+    as in `scipy.signal.welch`. The ordinates at zero and at the Nyquist frequency are left out: they have
+    half the bandwidth and one degree of freedom. Removing the straight line (the mean) lowers the lowest two
+    of the others, under a Hann window by 29 % and 5 % (17 % and 4 %) for white noise.
 
     Args:
         data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
         rate: sample rate [Hz], for an array only: a recording has its own.
         method: "logarithmic" or "welch".
-        window: a window that `scipy.signal.get_window` knows by this name. "boxcar" is eq. (3.39) as it
-            stands: twice as many degrees of freedom, and leakage from drifts and lines.
-        segment_time: length of Welch's segments [s]; by default as many samples, a power of two, as fit into
-            the record eight times.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
-            densities are in the array's own, whatever that is.
+        window: name of a window of `scipy.signal.get_window`. "boxcar" is eq. (3.39) itself: it has twice as
+            many degrees of freedom, and leakage from drifts and lines.
+        segment_time: length of Welch's segments [s]; by default the largest power of two of samples that fits
+            into the record eight times.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`; without a
+            unit the densities are in the array's own unit.
 
     Raises:
-        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, fewer than 16,
-            an unknown method or window, or segments that do not fit.
+        AllanjaxError: no positive rate, samples that are not finite or constant, fewer than 16 samples, an
+            unknown method or window, or segments that do not fit.
     """
     from scipy.fft import rfft
 
@@ -591,7 +589,7 @@ def power_spectrum(
     if method == "welch":
         length = _segment_length(n, rate, segment_time)
     elif segment_time is not None:
-        raise AllanjaxError("segment_time is for method='welch': the logarithmic average has one segment")
+        raise AllanjaxError("segment_time needs method='welch': the logarithmic average has one segment")
     overlap = length // 2
     weights = window_weights(window, length)
 
@@ -630,7 +628,7 @@ def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
         return max(1 << ((n // _SEGMENTS).bit_length() - 1), _SEGMENTS)
     if not _SEGMENTS <= segment_time * rate <= n:
         raise AllanjaxError(
-            f"a segment_time of {segment_time:g} s does not fit: it must be {_SEGMENTS / rate:g} s, "
-            f"{_SEGMENTS} samples, at least and {n / rate:g} s, the record, at most"
+            f"segment_time must be from {_SEGMENTS / rate:g} s ({_SEGMENTS} samples) to {n / rate:g} s (the "
+            f"record), got {segment_time:g} s"
         )
     return round(segment_time * rate)

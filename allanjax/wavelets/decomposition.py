@@ -1,8 +1,8 @@
 """Multi-resolution decomposition of recordings by wavelets: Hou (2004) section 3.3.2.
 
-The discrete wavelet transform splits a record into details, an octave of frequencies each, and what is
-slower, the approximation. Each is given in the time domain, so that all details and the last approximation
-add up to the record.
+The discrete wavelet transform splits a record into details, each an octave of frequencies, and a slower
+remainder, the approximation. All are in the time domain: the details and the last approximation add up to
+the record.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, models_of
@@ -39,12 +39,12 @@ if TYPE_CHECKING:
 class WaveletDecomposition(ByValue):
     """Decomposition of every axis of a recording into octaves.
 
-    Beyond its ends the record is continued by its reflection: approximations are uncertain there over about
-    the length of the level's filter.
+    Beyond its ends the record is continued by its reflection: near them approximations are uncertain over
+    about the length of the level's filter.
 
     Attributes:
-        recording: what was decomposed.
-        wavelet: its name in PyWavelets.
+        recording: the decomposed recording.
+        wavelet: name of the wavelet in PyWavelets.
         levels: number of levels.
     """
 
@@ -58,9 +58,9 @@ class WaveletDecomposition(ByValue):
         return bands(np.arange(1, self.levels + 1), self.recording.rate)
 
     def approximation(self, level: int) -> Recording:
-        """What is slower than the details of levels 1 to `level`: below rate/2^(level+1) nominally.
+        """The part below the details of levels 1 to `level`: nominally below rate/2^(level+1).
 
-        At the recording's own rate, with the mean in it; level 0 is the recording.
+        At the recording's own rate, including the mean; level 0 is the recording.
 
         Raises:
             AllanjaxError: there is no such level.
@@ -78,13 +78,13 @@ class WaveletDecomposition(ByValue):
         """
         self._check(level, 1)
         low, high = (plain(float(f), 3) for f in self.band[level - 1])
-        told = f"details at level {level} of {self.wavelet}, {low} to {high} Hz"
-        return self._with([self.levels - level + 1], told)
+        note = f"details at level {level} of {self.wavelet}, {low} to {high} Hz"
+        return self._with([self.levels - level + 1], note)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a level: band, and each axis's mean and mean square of the details.
+        """Table with one row per level: band, and each axis's mean and mean square of the details.
 
-        The mean of the details is what the thesis chooses its level by (figures 3.4 and 3.5).
+        The thesis chooses its level by the mean of the details (figures 3.4 and 3.5).
         """
         import pandas as pd
 
@@ -118,13 +118,13 @@ class WaveletDecomposition(ByValue):
     def _check(self, level: int, lowest: int) -> None:
         """Raise AllanjaxError if there is no such level."""
         if not lowest <= level <= self.levels:
-            raise AllanjaxError(f"no level {level}: this decomposition has {lowest} to {self.levels}")
+            raise AllanjaxError(f"no level {level}: this decomposition has levels {lowest} to {self.levels}")
 
-    def _with(self, kept: Sequence[int], told: str) -> Recording:
-        """The recording of what these coefficients alone make, with a note on it."""
+    def _with(self, kept: Sequence[int], note: str) -> Recording:
+        """The recording that these coefficients alone make, with a note."""
         only = [c if k in kept else np.zeros_like(c) for k, c in enumerate(self._coefficients)]
         values = pywavelets().waverec(only, self.wavelet, "symmetric", axis=0)[: self.recording.n]
-        return replace(self.recording, values=values, others=(), notes=(*self.recording.notes, told))
+        return replace(self.recording, values=values, others=(), notes=(*self.recording.notes, note))
 
     def __repr__(self) -> str:
         low, high = (plain(float(f), 3) for f in (self.band[-1, 0], self.band[0, 1]))
@@ -144,15 +144,15 @@ def wavelet_decomposition(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> WaveletDecomposition:
-    """Decompose every axis of a recording into octaves: multi-resolution analysis by PyWavelets.
+    """Decompose every axis of a recording into octaves: multi-resolution analysis with PyWavelets.
 
     Args:
         data: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
         rate: sample rate [Hz], for an array only: a recording has its own.
         wavelet: a discrete wavelet by its name in PyWavelets, such as "haar", "db4" or "sym8".
-        levels: number of levels; by default as many as the record has a coefficient for that its ends do not
-            reach.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them.
+        levels: number of levels; by default all levels with a coefficient that the record's ends do not
+            affect.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`.
 
     Raises:
         AllanjaxError: PyWavelets is not installed; an unknown wavelet; too many levels.
@@ -161,12 +161,12 @@ def wavelet_decomposition(
     recording = as_recording(data, rate, gyro_unit, accel_unit, names)
     if wavelet not in pywt.wavelist(kind="discrete"):
         raise AllanjaxError(
-            f"unknown wavelet {wavelet!r}: give a discrete one of PyWavelets, e.g. haar, db4, sym8"
+            f"unknown wavelet {wavelet!r}: use a discrete wavelet of PyWavelets, e.g. haar, db4, sym8"
         )
     most = pywt.dwt_max_level(recording.n, pywt.Wavelet(wavelet).dec_len)
     if not 1 <= (most if levels is None else levels) <= most:
-        told = f"not {levels}" if levels is not None else "too few"
-        raise AllanjaxError(f"{recording.n} samples have at most {most} levels of {wavelet}, {told}")
+        asked = "" if levels is None else f", not {levels}"
+        raise AllanjaxError(f"{recording.n} samples allow at most {most} levels of {wavelet}{asked}")
     return WaveletDecomposition(recording, wavelet, levels or most)
 
 
@@ -185,13 +185,13 @@ class AxisDenoising(ByValue):
     """Level at which an axis was de-noised, and the variances that it follows from.
 
     Attributes:
-        axis: whose it is.
+        axis: the axis.
         level: details up to this level were taken out; 0 if none.
         cutoff: highest frequency that is left, nominally, rate/2^(level+1) [Hz].
         white: [levels] wavelet variance of white noise and quantization at levels 1, 2, … under the model
             [rate²].
         drift: [levels] the same of all other random terms.
-        reason: why this level, in words.
+        reason: reason for this level, in words.
     """
 
     axis: Axis
@@ -201,8 +201,18 @@ class AxisDenoising(ByValue):
     drift: Float[np.ndarray, " levels"]
     reason: str
 
+    def rows(self) -> list[tuple[str, ...]]:
+        """The row of the printed table: level, band that is left, variances at the level and the next."""
+        scale = square_unit(self.axis)[1]
+        pairs = [
+            [significant(float(x[k]) / scale) if 0 <= k < len(x) else "" for x in (self.white, self.drift)]
+            for k in (self.level - 1, self.level)
+        ]
+        band = f"< {plain(self.cutoff, 3)}" if self.level else "all"
+        return [(self.axis.name, str(self.level), band, *pairs[0], *pairs[1])]
+
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a level: variances of noise and drift, and whether it was taken out."""
+        """Table with one row per level: variances of noise and drift, and whether it was removed."""
         import pandas as pd
 
         unit, scale = square_unit(self.axis)
@@ -218,17 +228,20 @@ class AxisDenoising(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Denoised(ByValue, PerAxis[AxisDenoising]):
-    """A recording of which white noise was taken out, and at which level of each axis.
+    """A recording without white noise, and the level of each axis up to which it was removed.
 
     Attributes:
         recording: the approximations, each axis at its own level.
-        wavelet: the wavelet's name in PyWavelets.
-        results: one an axis.
+        wavelet: name of the wavelet in PyWavelets.
+        results: one per axis.
     """
 
     CALLED: ClassVar[str] = "the de-noised recording"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "level", "what is left", "why")
-    RIGHT: ClassVar[tuple[str, ...]] = ("level",)
+    HEADINGS: ClassVar[tuple[str, ...]] = (
+        *("axis", "level", "band left", "white noise\nat level", "drift\nat level"),
+        *("white noise\nat next level", "drift\nat next level"),
+    )
+    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     recording: Recording
     wavelet: str
@@ -236,13 +249,11 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
 
     def _title(self) -> str:
         name = f"{self.recording.name}: " if self.recording.name else ""
-        return f"{name}de-noised with {self.wavelet} at the level that the model gives"
+        return f"{name}de-noised with {self.wavelet} up to the last level at which white noise prevails"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        return [
-            (r.axis.name, str(r.level), f"below {plain(r.cutoff, 3)} Hz" if r.level else "all", r.reason)
-            for r in self.results
-        ]
+    def _cells(self) -> list[tuple[str, ...]]:
+        units = {r.axis.sensor: square_unit(r.axis)[0] for r in self.results}
+        return by_sensor(self.results, lambda sensor: ("", "Hz", *[units[sensor]] * 4))
 
 
 def denoise(
@@ -255,31 +266,31 @@ def denoise(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> Denoised:
-    """Take out of every axis the octaves in which, by its model, white noise is more than drift.
+    """Remove the octaves of every axis in which, under its model, white noise exceeds drift.
 
-    The level is the highest whose wavelet variance is more that of white noise and quantization than that of
-    all other random terms; lines and ramps count for neither. Beyond it drift prevails.
+    The level is the highest at which the wavelet variance of white noise and quantization exceeds that of all
+    other random terms; lines and ramps do not count. Beyond it drift prevails.
 
     Args:
         data: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
         model: a fit of the recording, or a noise model with values for all axes.
         rate: sample rate [Hz], for an array only: a recording has its own.
         wavelet: an orthogonal wavelet by its name in PyWavelets.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`.
 
     Raises:
         AllanjaxError: a fit without a result for an axis, a model without a value, an unknown wavelet;
             PyWavelets is not installed.
     """
     recording = as_recording(data, rate, gyro_unit, accel_unit, names)
-    found = WaveletFilter.of(wavelet)
+    filters = WaveletFilter.of(wavelet)
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
     models = models_of(model, [axis.name for axis in recording.axes])
-    # One model may be that of all axes.
+    # All axes may have the same model.
     levels, known = decomposition.levels, {}
     for of_axis in models:
         if repr(of_axis) not in known:
-            known[repr(of_axis)] = _variances(of_axis, found, levels, recording)
+            known[repr(of_axis)] = _variances(of_axis, filters, levels, recording)
     results = []
     for axis, of_axis in zip(recording.axes, models, strict=True):
         white, drift = known[repr(of_axis)]
@@ -288,8 +299,8 @@ def denoise(
         cutoff = recording.rate / 2.0 ** (level + 1)
         reason = _reason(axis, level, white, drift)
         results.append(AxisDenoising(axis, level, cutoff, white, drift, reason))
-    told = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
-    notes = (*recording.notes, f"de-noised with {wavelet}: {told}")
+    each = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
+    notes = (*recording.notes, f"de-noised with {wavelet}: {each}")
     at = {r.level: decomposition.approximation(r.level).values for r in results}
     values = np.stack([at[r.level][:, k] for k, r in enumerate(results)], axis=1)
     left = dataclasses.replace(recording, values=values, others=(), notes=notes)
@@ -316,7 +327,7 @@ def _variances(
 def _reason(
     axis: Axis, level: int, white: Float[np.ndarray, " levels"], drift: Float[np.ndarray, " levels"]
 ) -> str:
-    """Why this level, with the variances there and at the next."""
+    """Reason for this level: the variances there and at the next."""
     unit, scale = square_unit(axis)
 
     def at(k: int) -> str:
@@ -324,5 +335,5 @@ def _reason(
         return f"white noise {noise} and drift {slow} {unit} at level {k}"
 
     if level == len(white):
-        return f"{at(level)}, the last: drift prevails nowhere in this record"
+        return f"{at(level)}, the last one: drift prevails nowhere in this record"
     return f"{at(level)}, {at(level + 1)}" if level else f"drift prevails from the start: {at(1)}"

@@ -79,8 +79,7 @@ class WaveletFilter:
         pywt = pywavelets()
         if name not in pywt.wavelist(kind="discrete") or not pywt.Wavelet(name).orthogonal:
             raise AllanjaxError(
-                f"no orthogonal wavelet {name!r}: give a name of PyWavelets, such as haar, db2, db4, sym4, "
-                "coif1"
+                f"{name!r} is not an orthogonal wavelet of PyWavelets; use e.g. haar, db2, db4, sym4, coif1"
             )
         found = pywt.Wavelet(name)
         low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (found.dec_lo, found.dec_hi))
@@ -98,7 +97,7 @@ class WaveletFilter:
         """
         levels = int(np.log2(max((n - 1) / (len(self.low) - 1) + 1.0, 1.0)) + 1e-9)
         if levels < 1:
-            raise AllanjaxError(f"{n} samples are too few for {self.name}: it needs {self.length(1)}")
+            raise AllanjaxError(f"{n} samples are too few for {self.name}, which needs {self.length(1)}")
         return levels
 
     def impulse(self, level: int) -> Float[np.ndarray, " length"]:
@@ -349,9 +348,9 @@ class WaveletVariance(ByValue, OfAxes):
         return moments(as_model(model), WaveletFilter.of(self.wavelet), self.level, self.n, self.rate)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with one row a level: band, and each axis's variance, 68 % interval and degrees of freedom.
+        """Table with one row per level: band, and each axis's variance, 68 % interval and degrees of freedom.
 
-        Headings state the units, (deg/h)² or µg²; variances of an array without units are in its own.
+        Headings state the units, (deg/h)² or µg²; an array without units keeps its own.
         """
         import pandas as pd
 
@@ -412,7 +411,7 @@ def wavelet_variance(
     found, n = WaveletFilter.of(wavelet), len(values)
     most = found.most_levels(n)
     if levels is not None and not 1 <= levels <= most:
-        raise AllanjaxError(f"{n} samples have 1 to {most} levels of {wavelet}, not {levels}")
+        raise AllanjaxError(f"{n} samples allow 1 to {most} levels of {wavelet}, not {levels}")
     level = np.arange(1, (levels or most) + 1)
     variance = np.stack([mean_squares(x, found, level[-1]) for x in values.T], axis=1)
     noise = Model((AngleRandomWalk(1.0),)) if model is None else as_model(model)
@@ -468,9 +467,9 @@ def moments(
     model.check_complete()
     for term in model.terms:
         if term.narrow_band or (term.deterministic and term.oscillates):
-            raise AllanjaxError(f"{term.name()} has no covariance of wavelet variances: leave it out")
+            raise AllanjaxError(f"wavelet variances do not support {term.name()}: leave it out of the model")
     geometry = geometry_of(wavelet, levels, n, rate)
-    mean, covariance = _moments(numbers_as_data(model.sampled(rate).seen), geometry)
+    mean, covariance = _moments(numbers_as_data(model.sampled(rate).processes), geometry)
     m, scale = len(levels), 0.5 if wavelet.name == "haar" else 1.0
     return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[:m, :m]
 

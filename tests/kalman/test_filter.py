@@ -306,11 +306,9 @@ WRONG = [
     (aj.AngleRandomWalk(), {}, "angle_random_walk"), (aj.DriftRamp(1e-3), {}, "noise term"),
     (WHITE, {"constant_std": -1.0}, "constant_std"), (WHITE, {"constant_std": np.inf}, "constant_std"),
     (WHITE, {"missing": np.zeros(3, bool)}, "missing"),
-    (WHITE, {"missing": np.ones(LENGTH, bool)}, "missing"),
+    (WHITE, {"missing": np.ones(LENGTH, bool)}, "all samples are missing"),
     ([QUIET], {}, "two models"), ([QUIET, NOISY], {"switching": 5.0}, "change"),
     ([QUIET, NOISY], {"switching": -0.1}, "change"), ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
-    ([QUIET, NOISY], {"missing": np.zeros(3, bool)}, "missing"),
-    ([QUIET, NOISY], {"missing": np.ones(LENGTH, bool)}, "all samples are missing"),
 ]  # fmt: skip
 
 

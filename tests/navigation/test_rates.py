@@ -103,9 +103,8 @@ def test_it_is_told_drawn_and_exported(results):
     assert_array_equal(frame[["aliased_lower_95", "aliased_upper_95"]], axis.aliased_interval)
     bandwidth = {"value": axis.bandwidth.value, "interval_95": list(axis.bandwidth.interval)}
     assert (document["bandwidth"], document["agree_from"]) == (bandwidth, axis.agree_from)
-    rows = [line.split("│") for line in str(found).splitlines() if " Hz " in line and "%" in line]
-    levels = [float(row[3].split()[0]) for row in rows]
-    assert_allclose(levels, np.sqrt(axis.picked[1:]) * 180.0 / np.pi * 60.0, rtol=6e-3)
+    levels = [float(row[2]) for row in axis.rows()]
+    assert_allclose(levels, np.sqrt(axis.picked) * 180.0 / np.pi * 60.0, rtol=6e-3)
     for how, curves in (("picked", found.picked), ("averaged", found.averaged)):
         for points, curve in zip(found.plot(how=how).axes[0].containers, curves, strict=True):
             assert_allclose(points[0].get_ydata(), curve.deviation[:, 0] * 180.0 / np.pi * 3600.0)

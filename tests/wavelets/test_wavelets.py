@@ -110,16 +110,14 @@ def test_expectation_and_covariance_are_those_of_the_dense_matrix(x, name, case)
 
 # Tolerance relative to the variances: between kinks polynomials are summed exactly, the others nearly.
 OF_HAAR = {
-    "quantization": (model_of(quantization=1.0), 1e-8),
-    "white": (model_of(white=1.0), 1e-8),
-    "walk": (model_of(walk=1.0), 1e-7),
-    "flicker": (model_of(flicker=1.3), 1e-3),
+    "quantization": (model_of(quantization=1.0), 1e-8), "white": (model_of(white=1.0), 1e-8),
+    "walk": (model_of(walk=1.0), 1e-7), "flicker": (model_of(flicker=1.3), 1e-3),
     "all powers": (model_of(quantization=0.5, white=1.0, walk=0.1), 1e-7),
     "white and ramp": (model_of(white=1.0, ramp=0.05), 1e-7),
     "walk and ramp": (model_of(walk=1.0, ramp=0.05), 1e-7),
     "short markov": (model_of(markov=1.0, T_c=0.6), 1e-3),
     "long markov": (model_of(white=1.0, markov=1.0, T_c=15.0), 1e-3),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", OF_HAAR)

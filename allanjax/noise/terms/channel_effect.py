@@ -42,7 +42,7 @@ class ChannelEffect(Transient):
 
     def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
         if self.samples is None:
-            raise AllanjaxError(f"{self.name()} follows {self.channel!r}, whose samples have not been given")
+            raise AllanjaxError(f"{self.name()} needs the samples of {self.channel!r}")
         xp = namespace(self, time)
         at = (xp.arange(len(self.samples)) + 0.5) / self.rate
         return self.sign * (xp.interp(time - self.lag, at, self.samples) - self.reference)

@@ -34,8 +34,8 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
     """
     if duration is None:
         raise AllanjaxError(
-            f"{term.name()} has no finite state space, but one for a limited time: give how long the filter "
-            "runs in s, e.g. state_space(rate, duration=3600.0)"
+            f"{term.name()} has a finite state space only for a limited time: give the duration in s, e.g. "
+            "state_space(rate, duration=3600.0)"
         )
     samples = max(duration * rate, 16.0)
     frequency = rate * np.geomspace(1.0 / samples, 0.5, 160)
@@ -51,8 +51,8 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
             break
     if not worst <= TOLERANCE:
         raise AllanjaxError(
-            f"{term!r} has no sum of Gauss–Markov processes within {TOLERANCE:.0%}: the best is {worst:.0%} "
-            "off; fit bias_instability, rate_random_walk or Markov() instead"
+            f"no sum of Gauss–Markov processes approximates {term!r} to {TOLERANCE:.0%} (the best one to "
+            f"{worst:.0%}); fit bias_instability, rate_random_walk or Markov() instead"
         )
     found = zip(processes, variance, strict=True)
     blocks = [p.replace(amplitude=math.sqrt(v)).state_block(rate, None) for p, v in found if v > 0.0]

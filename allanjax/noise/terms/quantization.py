@@ -40,7 +40,7 @@ class Quantization(NoiseTerm):
         xp, T_z = namespace(self, frequency), self.sample_interval
         if isinstance(T_z, float) and T_z == 0.0:
             raise AllanjaxError(
-                "the PSD of quantization depends on the sample interval: take model.sampled(rate).psd(f)"
+                "the PSD of quantization depends on the sample rate: use model.sampled(rate).psd(f)"
             )
         return 4.0 * self.coefficient**2 / T_z * xp.sin(np.pi * xp.asarray(frequency) * T_z) ** 2
 

@@ -21,7 +21,7 @@ class Sinusoid(NoiseTerm):
     """A line of the rate, Ω0·cos(2πf0·t + φ): σ²(T) = Ω0² [sin²(πf0T)/(πf0T)]² (4.64).
 
     `amplitude` Ω0 in rad/s or m/s²; `frequency` f0 in Hz. (4.64) is for a sensor that averages over its
-    sample interval, as (4.1) says, which damps a line by sin(πf0t0)/(πf0t0). In fits and simulations at a
+    sample interval, as in (4.1), which damps a line by sin(πf0t0)/(πf0t0). In fits and simulations at a
     known rate (`sampled`) Ω0 is the amplitude that the samples show. A simulation draws the phase φ at the
     record's start, unless it has a value [rad]; fits have no use for one.
 

@@ -19,7 +19,7 @@ class Telegraph(NoiseTerm):
 
     `amplitude` is the difference of the levels [rad/s or m/s²], `dwell_time` T_d the mean time in each [s].
     R(t) = (amplitude²/4)·e^{−2|t|/T_d}: to second order it is a Markov process of correlation time T_d/2,
-    from which no spectrum tells it; its simulated paths do jump. Samples are read at their instants.
+    which has the same spectrum; its simulated paths do jump. Samples are read at their instants.
     """
 
     amplitude: Value = parameter("J", time_exponent=0.0)

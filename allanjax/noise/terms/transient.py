@@ -35,8 +35,8 @@ class Transient(NoiseTerm):
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         raise AllanjaxError(
-            f"{self.name()} happens once, and is no noise: subtract amplitude·column(time) from the samples, "
-            f"and leave it out of the filter, model.without(['{self.name()}'])"
+            f"{self.name()} happens once and is not noise: subtract amplitude·column(time) from the samples, "
+            f"and leave the term out, model.without(['{self.name()}'])"
         )
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
