@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
@@ -24,7 +25,6 @@ from allanjax.report.figure import (
     CLUSTER_TIME,
     COLOURS,
     DASHES,
-    MODEL,
     PRECISE,
     Frame,
     KeyEntry,
@@ -34,11 +34,15 @@ from allanjax.report.figure import (
     allan_points,
     drawn_terms,
     facts_of,
+    ink,
     label_in,
+    model_line,
     rows_of,
     term_entries,
     term_style,
     unit_of,
+    verdict_entry,
+    worst_place,
     wrapped,
 )
 
@@ -89,7 +93,7 @@ def plot_allan(
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        frame = Frame(data.name, "by its data sheet", CLUSTER_TIME, True, False, has_points=False)
+        frame = Frame(data.name, "from its data sheet", CLUSTER_TIME, True, False, has_points=False)
         rows = rows_of([*data.models], None, axes)
         return frame.draw([[_panel_of_sheet(data, list(data.models)[k])] for k in rows[0]], path, ax)
     if labels is not None:
@@ -141,18 +145,19 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
     result = fit.results[k]
-    verdict = KeyEntry(wrapped(result.verdict))
+    verdict = verdict_entry(result, "s")
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
     fit = fit.as_for(name)
-    entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)")
+    entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)", _HEIGHT)
 
     def draw(panel: Axes) -> None:
         lines = _draw_model(panel, fit, result, scale)
         draw_slopes(panel)
         write_values(panel, result.coefficients, lines)
 
-    return Panel(name, label, points, draw, [*entries, verdict], _residual(fit, k))
+    residual = _residual(fit, k)
+    return Panel(name, label, points, draw, [*entries, verdict], residual, worst_place(result, "s"))
 
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[str, Line2D]:
@@ -168,7 +173,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
         if label in drawn_terms(result):
             y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
-    panel.plot(time, np.sqrt(total) / scale, **MODEL)
+    panel.plot(time, np.sqrt(total) / scale, **model_line())
     return lines
 
 
@@ -178,8 +183,9 @@ def _residual(fit: Fit, k: int) -> Residual:
     model = fit.model_deviation(result.axis.name, curve.cluster_time)
     measured = allan_points(curve, k)
     points = Points(measured.x, 100.0 * (measured.y / model - 1.0), 100.0 * measured.spread / model)
-    off = result.misfit.rms if result.measured and result.misfit else 0.0
-    return Residual(points, curve.edf[:, k] > 0.5 / PRECISE**2, off)
+    edf = curve.edf[:, k]
+    chance = np.sqrt(quantile(np.array([[0.025], [0.975]]), edf) / edf) - 1.0
+    return Residual(points, edf > 0.5 / PRECISE**2, 100.0 * chance)
 
 
 def _is_transient(term: Process) -> bool:
@@ -198,7 +204,7 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
 
     def draw(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
-        panel.plot(time, total, **MODEL)
+        panel.plot(time, total, **model_line())
         draw_slopes(panel)
         write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)))
 
@@ -291,15 +297,16 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
         draw_slopes(panel)
 
     # What was measured once is drawn once, or the last would hide the others.
-    points = []
+    points, entries = [], []
     for c in curves:
         same = [o for o in curves if np.array_equal(o.curve[name].deviation, c.curve[name].deviation)]
+        entries.append(_entry(c, name, len(same) == 1))
         if c is same[0]:
             own = {"color": c.colour, "fmt": c.marker} if len(same) == 1 else {}
             label = ", ".join(o.label for o in same)
             points.append(dataclasses.replace(allan_points(c.curve[name], 0, scale), label=label, style=own))
     label = label_in(_kind_of(curves[0].curve), unit)
-    return Panel(name, label, points, draw, [_entry(c, name) for c in curves])
+    return Panel(name, label, points, draw, entries)
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
@@ -312,32 +319,42 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     if len(kinds) > 1:
         raise AllanjaxError(f"{' and '.join(sorted(kinds))} deviations do not compare: draw them apart")
     own = [str(getattr(x, "name", "") or k) for k, x in enumerate(data, 1)]
-    # Two of one name would look like one.
-    own = own if len(set(own)) == len(own) else [str(k) for k in range(1, len(own) + 1)]
+    # Two of one name would look like one: they have the first of these after it by which all differ.
+    kinds_of_fits = [[f"{x.objective} fit" if isinstance(x, Fit) else "measured" for x in data]]
+    kinds_of_fits.append([str(x.template) if isinstance(x, Fit) else "measured" for x in data])
+    for more in (*kinds_of_fits, [str(k) for k in range(1, len(own) + 1)]):
+        if len(set(own)) < len(own) == len(set(zip(own, more, strict=True))):
+            own = [f"{name} ({end})" for name, end in zip(own, more, strict=True)]
     return [
         _Curve(str(label), fit, curve, COLOURS[k % 6], _MARKERS[k % 6], ("-", *DASHES)[k % 6])
         for k, (label, (fit, curve)) in enumerate(zip(labels or own, pairs, strict=True))
     ]
 
 
-def _entry(c: _Curve, name: str) -> KeyEntry:
-    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected."""
+def _entry(c: _Curve, name: str, own_points: bool) -> KeyEntry:
+    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected.
+
+    It has a marker if the curve has points of its own, whose colour is the line's.
+    """
     result, text = c.result(name), c.label
     if c.fit is not None and result is None:
         text += ": no result"
     elif result is not None:
-        found = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
-        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
-        text += f": {values or 'nothing detected'}"
-    return KeyEntry(wrapped(text), {**c.line, "marker": c.marker, "markevery": [1], "markersize": 3.5})
+        shown = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
+        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in shown) or "nothing detected"
+        text += f": {values if result.measured else 'not a measurement of this sensor'}"
+    marker: dict[str, Any] = {"marker": c.marker, "markevery": [1], "markersize": 3.5} if own_points else {}
+    return KeyEntry(wrapped(text), {**c.line, **marker})
 
 
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
 """Slopes of quantization, angle random walk, bias instability, rate random walk and ramp, as written."""
 
-# Terms whose coefficient is written on its line, and what of the coefficient the line's height is.
-_WRITTEN = {"angle_random_walk": "", "bias_instability": "0.664 B, ", "rate_random_walk": ""}
-_FAINT, _FAINT_TEXT, _SIZE = "0.78", "0.55", 6.5
+# Terms whose coefficient is written on its line.
+_WRITTEN = ("angle_random_walk", "bias_instability", "rate_random_walk")
+# What the key says of a line whose height at 1 s is not the coefficient's.
+_HEIGHT = {"bias_instability": " (line at 0.664 B)"}
+_SIZE = 7.0
 # Half the mean width of a character, and distance of a text from its line, over the font's size.
 _HALF_WIDTH, _AWAY = 0.3, 0.95
 # Places along a line that are tried, and what must be free around a text [pixels].
@@ -352,11 +369,11 @@ def draw_slopes(panel: Axes) -> None:
         # Where it leaves the panel.
         reach = min((right - left) / 2.0, np.inf if slope == 0.0 else (top - bottom) / 2.0 / abs(slope))
         ends = np.array([-reach, reach])
-        look: dict[str, Any] = {"color": _FAINT, "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
+        look: dict[str, Any] = {"color": ink(0.78), "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
         panel.plot(10.0 ** (x0 + ends), 10.0 ** (y0 + slope * ends), label=f"slope {name}", **look)
         end = 0.93 * reach
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-        style: dict[str, Any] = {"color": _FAINT_TEXT, "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
+        box = {"facecolor": ink(1.0), "edgecolor": "none", "pad": 0.6}
+        style: dict[str, Any] = {"color": ink(0.55), "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
         panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
@@ -364,7 +381,7 @@ def write_values(panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mappi
     """Write N, B and K with their units on the lines `drawn` of their terms, where that hides least."""
     from matplotlib.patheffects import withStroke
 
-    outline = [withStroke(linewidth=1.5, foreground="white")]
+    outline = [withStroke(linewidth=1.5, foreground=ink(1.0))]
     look: dict[str, Any] = {
         "fontsize": _SIZE,
         "rotation_mode": "anchor",
@@ -379,11 +396,11 @@ def write_values(panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mappi
         if c is None or c.term not in _WRITTEN or not c.detected:
             continue
         shown = c.in_unit()
-        text = f"{_WRITTEN[c.term]}{c.symbol} = {without_error(shown.value, shown.std)} {shown.unit}"
+        text = f"{c.symbol} = {without_error(shown.value, shown.std)} {shown.unit}"
         others = np.concatenate([*taken, *(own for other, own in lines.items() if other is not line)])
-        if (found := _place(panel, lines[line], len(text), others)) is None:
+        if (free := _place(panel, lines[line], len(text), others)) is None:
             continue
-        middle, angle, box = found
+        middle, angle, box = free
         x, y = panel.transData.inverted().transform((middle.real, middle.imag))
         at: dict[str, Any] = {"rotation": angle, "ha": "center", "va": "center"}
         panel.text(x, y, text, color=line.get_color(), **at, **look)
