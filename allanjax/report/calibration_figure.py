@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError
 from allanjax.calibration.result import Calibration
 from allanjax.record.units import Sensor, unit_scale
 from allanjax.report.figure import (
     SENSORS,
     Heading,
     Sheet,
+    dots,
     dress,
     ink,
-    marks,
     points_entry,
+    rows_of,
     save_and_close,
     style,
 )
@@ -45,15 +45,13 @@ def plot_calibration(
     Raises:
         AllanjaxError: an axis that there is not.
     """
-    chosen = [axes] if isinstance(axes, str) else axes
-    rows = [
-        (sensor, misfit, [k for k, name in enumerate(misfit.names) if chosen is None or name in chosen])
-        for sensor, misfit in calibration.misfit.items()
-    ]
     names = [name for misfit in calibration.misfit.values() for name in misfit.names]
-    if missing := [name for name in chosen or () if name not in names]:
-        raise AllanjaxError(f"no residuals of {', '.join(missing)} to plot; there are {', '.join(names)}")
-    rows = [row for row in rows if row[2]]
+    chosen = [names[k] for k in rows_of(names, None, axes)[0]]
+    kinds = [
+        (sensor, m, [k for k, n in enumerate(m.names) if n in chosen])
+        for sensor, m in calibration.misfit.items()
+    ]
+    rows = [row for row in kinds if row[2]]
     at = np.arange(len(calibration.positions))
     with style():
         checks = (f"{SENSORS[s]}: {f'p = {m.p_value:.2g}' if m.dof else 'no check'}" for s, m, _ in rows)
@@ -66,7 +64,7 @@ def plot_calibration(
             for column, (k, panel) in enumerate(zip(kept, row, strict=True)):
                 value, spread = misfit.residuals[:, k] / scale, misfit.residual_std[:, k] / scale
                 panel.axhline(0.0, color=ink(), linewidth=1.0)
-                panel.errorbar(at, value, spread, label="residual", **marks(3.5))
+                panel.errorbar(at, value, spread, label="residual", elinewidth=0.8, **dots(3.5))
                 dress(panel, misfit.names[k], y="" if column else f"residual [{_UNITS[sensor]}]")
                 panel.set_ylim(-reach, reach)
                 panel.set_xlim(-0.5, len(at) - 0.5)

@@ -38,7 +38,7 @@ DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0,
 #: Sensors in words, in the order in which they are drawn.
 SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
 #: Style of the mark at the place where a model fits worst.
-WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 0.9, "linestyle": ":"}
+WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 1.2, "linestyle": ":"}
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 50
@@ -65,14 +65,8 @@ def ink(paleness: float = 0.0) -> str:
 
 
 def dots(size: float = 2.4, **more: Any) -> dict[str, Any]:
-    """Style of points without error bars."""
+    """Style of measured points."""
     look = {"marker": "o", "linestyle": "none", "color": ink(0.3), "markersize": size, "markeredgewidth": 0.0}
-    return {**look, **more}
-
-
-def marks(size: float, **more: Any) -> dict[str, Any]:
-    """Style of points with error bars."""
-    look = {"fmt": "o", "color": ink(0.3), "markersize": size, "markeredgewidth": 0.0, "elinewidth": 0.8}
     return {**look, **more}
 
 
@@ -106,7 +100,8 @@ class Points:
 
     def draw(self, panel: Axes) -> None:
         """Draw the points with their error bars."""
-        panel.errorbar(self.x, self.y, self.spread, label=self.label, zorder=3, **marks(2.6, **self.style))
+        look = dots(2.6, label=self.label, zorder=3, elinewidth=0.8, **self.style)
+        panel.errorbar(self.x, self.y, self.spread, **look)
 
 
 def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
@@ -198,10 +193,10 @@ def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
     return figure
 
 
-def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes in a place of the figure [inches]."""
-    whole, total = figure.get_size_inches()
-    return figure.add_axes((left / whole, bottom / total, width / whole, height / total))
+def place_below(panel: Axes, apart: float, height: float) -> Axes:
+    """Add axes below a panel, so far from it and so high [inches]."""
+    box, total = panel.get_position(), panel.figure.bbox.height / panel.figure.dpi
+    return panel.figure.add_axes((box.x0, box.y0 - (apart + height) / total, box.width, height / total))
 
 
 class Heading(NamedTuple):
@@ -276,13 +271,13 @@ class Sheet:
         height = top + self.bottom + len(rows) * (self.height + self.between) - self.between
         figure = (make or plt.figure)(figsize=(width, height))
         heading.draw(figure, self.left, self.right)
-        tops = [height - top - i * (self.height + self.between) for i in range(len(rows))]
-        lefts = [self.left + j * (self.width + self.gap) for j in range(max(rows))]
-        panels = [
-            [place(figure, x, y - self.height, self.width, self.height) for x in lefts[:count]]
-            for y, count in zip(tops, rows, strict=True)
+        lefts = [(self.left + j * (self.width + self.gap)) / width for j in range(max(rows))]
+        bottoms = [
+            1.0 - (top + self.height + i * (self.height + self.between)) / height for i in range(len(rows))
         ]
-        return figure, panels
+        size = self.width / width, self.height / height
+        pairs = zip(bottoms, rows, strict=True)
+        return figure, [[figure.add_axes((x, y, *size)) for x in lefts[:count]] for y, count in pairs]
 
 
 def points_entry(label: str, colour: Any = None) -> Line2D:
@@ -381,9 +376,9 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     """
     if not result.converged:
         return KeyEntry(wrapped(result.verdict))
-    chance = f" (p {'< 1e-300' if result.p_value <= 1e-300 else f'= {result.p_value:.2g}'})"
     text = f"χ² = {result.chi2:.1f} for {result.dof} degrees of freedom"
-    text += chance if np.isfinite(result.p_value) else ""
+    if np.isfinite(result.p_value):
+        text += f" (p = {result.p_value:.2g})" if result.p_value > 1e-300 else " (p < 1e-300)"
     misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
     if own := misfits.get(unit):
         return KeyEntry(wrapped(f"does not fit: {own}; {text}"), WORST if np.isfinite(own.at) else None)
@@ -441,9 +436,8 @@ def label_in(quantity: str, unit: str) -> str:
 
 
 # Inches. Panels have fixed places, so that nothing can overlap however many terms a model has.
-_LEFT, _RIGHT, _BOTTOM = 0.85, 0.2, 0.1
-_PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 3.5, 2.3, 0.8
-_HEADING, _GAP, _X_LABEL, _LINE, _BELOW = 0.3, 0.25, 0.45, 0.165, 0.15
+_PANEL_WIDTH, _STRIP_HEIGHT = 3.5, 0.8
+_HEADING, _X_LABEL, _LINE, _BELOW = 0.3, 0.45, 0.165, 0.25
 #: Estimates with a larger relative error do not set the scale of the residuals: a judgement.
 PRECISE = 0.2
 # Ratio of the largest residual to the largest precise one up to which a strip's scale is linear.
@@ -494,7 +488,7 @@ class Frame:
 
     Attributes:
         title: title of the figure.
-        facts: length and rate of the record.
+        record: its length and rate.
         x_label: label of the horizontal scales.
         has_model: whether a model is drawn.
         has_strip: whether a strip of residuals is below each panel.
@@ -502,7 +496,7 @@ class Frame:
     """
 
     title: str
-    facts: str
+    record: str
     x_label: str
     has_model: bool
     has_strip: bool
@@ -512,40 +506,26 @@ class Frame:
         self, rows: Sequence[Sequence[Panel]], path: str | os.PathLike[str] | None, ax: Axes | None
     ) -> Figure:
         """Draw the panels, saved if there is a path; or the only one of them into `ax`."""
-        import matplotlib.pyplot as plt
-
         with style():
             if ax is not None:
-                return self._draw_into(ax, [panel for row in rows for panel in row], path)
+                # It is the caller's to close.
+                check_single(ax, sum(map(len, rows)))
+                self._draw_row(rows[0], [ax], [])
+                return figure_of(ax, path)
             lines = max(sum(_lines(entry) for entry in panel.key) for row in rows for panel in row)
-            key = _LINE * lines
             strip = _STRIP_HEIGHT if self.has_strip else 0.0
-            row_height = _HEADING + _PANEL_HEIGHT + strip + _X_LABEL + key + (_BELOW if lines else 0.0)
-            columns = max(map(len, rows))
-            width = columns * _PANEL_WIDTH + (columns - 1) * _GAP
-            heading = Heading(self.title, self.facts, self._key())
-            top = heading.height(width) - _HEADING
-            height = top + _BOTTOM + len(rows) * row_height
-            figure = plt.figure(figsize=(_LEFT + width + _RIGHT, height))
-            heading.draw(figure, _LEFT, _RIGHT)
-            for i, row in enumerate(rows):
-                upper, count = height - top - i * row_height, len(row)
-                panels = _cells(figure, count, upper - _HEADING, _PANEL_HEIGHT)
-                strips = _cells(figure, count, upper - (_HEADING + _PANEL_HEIGHT), strip) if strip else []
+            below = strip + _X_LABEL + (_LINE * lines + _BELOW if lines else 0.0)
+            sheet = Sheet(_PANEL_WIDTH, 2.3, gap=0.25, between=below + _HEADING, left=0.85, bottom=below)
+            heading = Heading(self.title, self.record, self._key())
+            figure, places = sheet.draw(heading, [len(row) for row in rows])
+            for row, panels in zip(rows, places, strict=True):
+                strips = [place_below(axes, 0.0, strip) for axes in panels] if strip else []
                 for axes, panel in zip(panels, row, strict=True):
                     axes.set_title(panel.name, loc="left", fontweight="bold")
-                if lines:
-                    keys = _cells(figure, count, upper - (row_height - key - _BELOW), key)
-                    for axes, panel in zip(keys, row, strict=True):
-                        _draw_key(axes, lines, panel.key)
+                    if lines:
+                        _draw_key(place_below(axes, strip + _X_LABEL, _LINE * lines), lines, panel.key)
                 self._draw_row(row, panels, strips)
             return save_and_close(figure, path)
-
-    def _draw_into(self, ax: Axes, panels: Sequence[Panel], path: str | os.PathLike[str] | None) -> Figure:
-        """Draw a panel into the caller's axes; the figure, saved if there is a path, is theirs to close."""
-        check_single(ax, len(panels))
-        self._draw_row(panels, [ax], [])
-        return figure_of(ax, path)
 
     def _draw_row(self, row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
         _set_scales(row, panels, strips)
@@ -553,10 +533,9 @@ class Frame:
             for points in panel.points:
                 points.draw(axes)
             panel.draw(axes)
-        for of in (panels, strips):
-            for panel, axes in zip(row, of, strict=False):
-                if np.isfinite(panel.worst):
-                    axes.axvline(panel.worst, label="worst place", **WORST)
+        for panel, axes in zip([*row, *row], [*panels, *strips], strict=False):
+            if np.isfinite(panel.worst):
+                axes.axvline(panel.worst, label="worst place", **WORST)
         panels[0].set_ylabel(row[0].label)
         if strips:
             _draw_residuals(strips, [panel.residual for panel in row])
@@ -574,12 +553,6 @@ class Frame:
         if self.has_strip:
             key.append(band_entry("95 % by chance if the model is right", ink(0.85)))
         return key
-
-
-def _cells(figure: Figure, count: int, top: float, height: float) -> list[Axes]:
-    """Add axes side by side, whose top is at this height [inches]."""
-    lefts = (_LEFT + column * (_PANEL_WIDTH + _GAP) for column in range(count))
-    return [place(figure, left, top - height, _PANEL_WIDTH, height) for left in lefts]
 
 
 def rows_of(
@@ -625,7 +598,8 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
             continue
         strip.axhline(0.0, color=ink(), linewidth=1.0)
         strip.fill_between(r.points.x, *r.chance, color=ink(0.85), linewidth=0.0, zorder=0, label="chance")
-        strip.errorbar(r.points.x, r.points.y, r.points.spread, label="residual", **marks(2.2))
+        look = dots(2.2, label="residual", elinewidth=0.8)
+        strip.errorbar(r.points.x, r.points.y, r.points.spread, **look)
 
 
 def _round(x: float) -> float:

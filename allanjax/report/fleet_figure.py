@@ -24,10 +24,10 @@ from allanjax.report.figure import (
     Heading,
     Sheet,
     band_entry,
+    dots,
     dress,
     ink,
     literal,
-    marks,
     points_entry,
     save_and_close,
     style,
@@ -260,39 +260,28 @@ def _draw_group(panel: Axes, of: pd.DataFrame, colour: str | None) -> None:
     hollow = {"markerfacecolor": ink(1.0), "markeredgewidth": 0.9, "markersize": 3.8}
     for rows, shown, zorder in ((usual, colour or ink(0.3), 3), (outlying, _OUTLYING, 4)):
         for part, more in ((rows & ~remarked, {}), (rows & remarked, hollow)):
-            look = {**marks(2.6, color=shown, elinewidth=bars, zorder=zorder), **more}
+            look = dots(2.6, color=shown, elinewidth=bars, zorder=zorder, **more)
             panel.errorbar(x[part], y[part], np.maximum(ends[:, part], 0.0), **look)
 
 
 def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     """Write names in a column beside their points, from the lowest up, each clear of the one before."""
+    of = of.sort_values("height")
     points = of[["x", "height"]].to_numpy()
     places = panel.transLimits.transform(panel.transScale.transform(points))
     names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in of["recording"]]
-    # Where there is more room.
-    right = of["x"].mean() <= k
-    step = _NAME_HEIGHT / _SHEET.height
-    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
-    last = 1.0 - _LETTER * max(map(len, names))
-    if right and column > last:
-        # Within the panel, and above the points.
-        column, places = last, places + np.array([0.0, step])
-    order = np.argsort(places[:, 1])[:_NAMED]
-    clear = -np.inf
-    for count, i in enumerate(order):
-        # So low that those above it have a place too.
-        highest = 1.0 - (len(order) - 1 - count + 0.6) * step
-        level = max(min(places[i, 1], highest), clear)
-        clear = level + step
-        more = len(names) - _NAMED
-        panel.annotate(
-            literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
-            points[i],
-            (column, level),
-            textcoords="axes fraction",
-            color=_OUTLYING,
-            fontsize=7,
-            va="center",
-            ha="left" if right else "right",
-            arrowprops={"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2},
-        )
+    if len(names) > _NAMED:
+        names[_NAMED - 1 :] = [f"{names[_NAMED - 1]} and {len(names) - _NAMED} more"]
+    steps = _NAME_HEIGHT / _SHEET.height * np.arange(len(names))
+    level = np.maximum.accumulate(places[: len(names), 1] - steps) + steps
+    # The uppermost is within the panel, too.
+    level -= max(level[-1] - 0.96, 0.0)
+    # On the side where the others are not, if that is within the panel.
+    column = places[:, 0].max() + _BESIDE
+    right = of["x"].mean() <= k and column + _LETTER * max(map(len, names)) < 1.0
+    at = column if right else places[:, 0].min() - _BESIDE
+    arrow = {"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2}
+    look: dict[str, Any] = {"color": _OUTLYING, "fontsize": 7, "va": "center", "arrowprops": arrow}
+    look |= {"ha": "left" if right else "right", "textcoords": "axes fraction"}
+    for name, point, y in zip(names, points, level, strict=False):
+        panel.annotate(literal(name), tuple(point), (at, y), **look)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.kalman.filtering import Adapted, AdaptedAxis
 from allanjax.kalman.result import BiasTracks, FilteredAxis
@@ -24,7 +23,8 @@ from allanjax.report.figure import (
     facts_of,
     ink,
     label_in,
-    place,
+    place_below,
+    rows_of,
     save_and_close,
     style,
 )
@@ -60,7 +60,7 @@ def plot_bias_tracks(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    chosen = [result[name] for name in _names(result.axes, axes)]
+    chosen = [result.results[k] for k in rows_of(result.axes, None, axes)[0]]
     strip: Any
     if isinstance(result, Adapted):
         title, strip, entries = "Adaptive filter", _draw_probabilities, _lines(chosen[0])
@@ -92,14 +92,6 @@ def _lines(result: AdaptedAxis) -> list[Any]:
 
     colours = [COLOURS[(k + 1) % len(COLOURS)] for k in range(len(result.labels))]
     return [Line2D([], [], color=c, label=label) for c, label in zip(colours, result.labels, strict=True)]
-
-
-def _names(there: Sequence[str], chosen: Sequence[str] | str | None) -> list[str]:
-    """Names of the axes to draw."""
-    names = list(there) if chosen is None else [chosen] if isinstance(chosen, str) else list(chosen)
-    if not names or set(names) - set(there):
-        raise AllanjaxError(f"name at least one axis to plot of {', '.join(there)}, not {', '.join(names)}")
-    return names
 
 
 def _some(n: int) -> Any:
@@ -155,8 +147,7 @@ def _figure(
         figure, panels = _SHEET.draw(heading, [1] * len(results))
         for result, (upper,) in zip(results, panels, strict=True):
             unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
-            bottom = upper.get_position().y0 * figure.get_figheight() - _APART - _STRIP
-            lower = place(figure, _SHEET.left, bottom, _SHEET.width, _STRIP)
+            lower = place_below(upper, _APART, _STRIP)
             _draw_bias(upper, result, scale)
             strip(lower, result)
             for panel in (upper, lower):

@@ -110,7 +110,7 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> 
     fit = fit if fit is None or result is None or not result.converged else fit.as_for(result.axis.name)
     walk = _random_walk(spectrum, k) if has_band else None
     key = [] if result is None else [verdict_entry(result, "Hz")]
-    if fit is not None and result is not None:
+    if fit is not None and result is not None and result.converged:
         key = [*term_entries(fit, result, _is_nowhere, " (no density: not drawn)"), *key]
     if has_band:
         key.append(_walk_entry(walk))
@@ -129,17 +129,14 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> 
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
-    name = spectrum.names[k]
+    name, end = spectrum.names[k], "give it the power_spectrum of the recording that was fitted"
     if spectrum.axes is None or name not in fit.axes:
-        raise AllanjaxError(
-            f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; "
-            "give it the power_spectrum of the recording that was fitted"
-        )
+        raise AllanjaxError(f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; {end}")
     if not np.isclose(spectrum.rate, fit.curve.rate, rtol=1e-9):
-        raise AllanjaxError(
-            f"the spectrum's samples come at {spectrum.rate:g} Hz, the fit's at {fit.curve.rate:g} Hz; "
-            "give it the power_spectrum of the recording that was fitted"
+        rates = (
+            f"the spectrum is of samples at {spectrum.rate:g} Hz, the fit of samples at {fit.curve.rate:g} Hz"
         )
+        raise AllanjaxError(f"{rates}; {end}")
     return fit[name]
 
 
