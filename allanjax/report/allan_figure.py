@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
@@ -24,7 +25,6 @@ from allanjax.report.figure import (
     CLUSTER_TIME,
     COLOURS,
     DASHES,
-    MODEL,
     PRECISE,
     Frame,
     KeyEntry,
@@ -34,11 +34,15 @@ from allanjax.report.figure import (
     allan_points,
     drawn_terms,
     facts_of,
+    ink,
     label_in,
+    model_line,
     rows_of,
     term_entries,
     term_style,
     unit_of,
+    verdict_entry,
+    worst_place,
     wrapped,
 )
 
@@ -89,7 +93,7 @@ def plot_allan(
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        frame = Frame(data.name, "by its data sheet", CLUSTER_TIME, True, False, has_points=False)
+        frame = Frame(data.name, "from its data sheet", CLUSTER_TIME, True, False, has_points=False)
         rows = rows_of([*data.models], None, axes)
         return frame.draw([[_panel_of_sheet(data, list(data.models)[k])] for k in rows[0]], path, ax)
     if labels is not None:
@@ -141,22 +145,23 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
     result = fit.results[k]
-    verdict = KeyEntry(wrapped(result.verdict))
+    verdict = verdict_entry(result, "s")
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
     fit = fit.as_for(name)
-    entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)")
+    entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)", _HEIGHT)
 
     def draw(panel: Axes) -> None:
-        lines = _draw_model(panel, fit, result, scale)
+        lines, total = _draw_model(panel, fit, result, scale)
         draw_slopes(panel)
-        write_values(panel, result.coefficients, lines)
+        write_values(panel, result.coefficients, lines, total)
 
-    return Panel(name, label, points, draw, [*entries, verdict], _residual(fit, k))
+    residual = _residual(fit, k)
+    return Panel(name, label, points, draw, [*entries, verdict], residual, worst_place(result, "s"))
 
 
-def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[str, Line2D]:
-    """Draw the model and its terms; returns the lines of the terms, by their labels."""
+def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
+    """Draw the model and its terms; returns the lines of the terms by their labels, and the model's."""
     time = _times_to_draw(fit.curve)
     total = np.zeros(len(time))
     lines = {}
@@ -168,8 +173,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> dict[st
         if label in drawn_terms(result):
             y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
-    panel.plot(time, np.sqrt(total) / scale, **MODEL)
-    return lines
+    return lines, panel.plot(time, np.sqrt(total) / scale, **model_line())[0]
 
 
 def _residual(fit: Fit, k: int) -> Residual:
@@ -178,8 +182,9 @@ def _residual(fit: Fit, k: int) -> Residual:
     model = fit.model_deviation(result.axis.name, curve.cluster_time)
     measured = allan_points(curve, k)
     points = Points(measured.x, 100.0 * (measured.y / model - 1.0), 100.0 * measured.spread / model)
-    off = result.misfit.rms if result.measured and result.misfit else 0.0
-    return Residual(points, curve.edf[:, k] > 0.5 / PRECISE**2, off)
+    edf = curve.edf[:, k]
+    chance = np.sqrt(quantile(np.array([[0.025], [0.975]]), edf) / edf) - 1.0
+    return Residual(points, edf > 0.5 / PRECISE**2, 100.0 * chance)
 
 
 def _is_transient(term: Process) -> bool:
@@ -193,14 +198,14 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     unit, scale = unit_of(axis)
     time = _TIMES_OF_SHEET
     curves = [np.sqrt(np.asarray(term.allan_variance(time))) / scale for term in model.terms]
-    total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"fmt": "none"}
+    total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"marker": "none"}
     styles = [{"color": COLOURS[k], "linestyle": DASHES[k], "linewidth": 1.3} for k in range(len(curves))]
 
     def draw(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
-        panel.plot(time, total, **MODEL)
+        (sum_line,) = panel.plot(time, total, **model_line())
         draw_slopes(panel)
-        write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)))
+        write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
     key = [
         KeyEntry(wrapped(f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}"), look)
@@ -291,15 +296,16 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
         draw_slopes(panel)
 
     # What was measured once is drawn once, or the last would hide the others.
-    points = []
+    points, entries = [], []
     for c in curves:
         same = [o for o in curves if np.array_equal(o.curve[name].deviation, c.curve[name].deviation)]
+        entries.append(_entry(c, name, len(same) == 1))
         if c is same[0]:
-            own = {"color": c.colour, "fmt": c.marker} if len(same) == 1 else {}
+            own = {"color": c.colour, "marker": c.marker} if len(same) == 1 else {}
             label = ", ".join(o.label for o in same)
             points.append(dataclasses.replace(allan_points(c.curve[name], 0, scale), label=label, style=own))
     label = label_in(_kind_of(curves[0].curve), unit)
-    return Panel(name, label, points, draw, [_entry(c, name) for c in curves])
+    return Panel(name, label, points, draw, entries)
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
@@ -312,36 +318,46 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     if len(kinds) > 1:
         raise AllanjaxError(f"{' and '.join(sorted(kinds))} deviations do not compare: draw them apart")
     own = [str(getattr(x, "name", "") or k) for k, x in enumerate(data, 1)]
-    # Two of one name would look like one.
-    own = own if len(set(own)) == len(own) else [str(k) for k in range(1, len(own) + 1)]
+    # Two of one name would look like one: they have the first of these after it by which all differ.
+    kinds_of_fits = [[x.objective if isinstance(x, Fit) else "measured" for x in data]]
+    kinds_of_fits.append([str(x.template) if isinstance(x, Fit) else "measured" for x in data])
+    for more in (*kinds_of_fits, [str(k) for k in range(1, len(own) + 1)]):
+        if len(set(own)) < len(own) == len(set(zip(own, more, strict=True))):
+            own = [f"{name} ({end})" for name, end in zip(own, more, strict=True)]
     return [
         _Curve(str(label), fit, curve, COLOURS[k % 6], _MARKERS[k % 6], ("-", *DASHES)[k % 6])
         for k, (label, (fit, curve)) in enumerate(zip(labels or own, pairs, strict=True))
     ]
 
 
-def _entry(c: _Curve, name: str) -> KeyEntry:
-    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected."""
+def _entry(c: _Curve, name: str, own_points: bool) -> KeyEntry:
+    """Entry of a curve in the key: its label and, of a fit, the coefficients that were detected.
+
+    It has a marker if the curve has points of its own, whose colour is the line's.
+    """
     result, text = c.result(name), c.label
     if c.fit is not None and result is None:
         text += ": no result"
     elif result is not None:
-        found = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
-        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in found)
-        text += f": {values or 'nothing detected'}"
-    return KeyEntry(wrapped(text), {**c.line, "marker": c.marker, "markevery": [1], "markersize": 3.5})
+        shown = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
+        values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in shown) or "nothing detected"
+        text += f": {values if result.measured else 'not a measurement of this sensor'}"
+    marker: dict[str, Any] = {"marker": c.marker, "markevery": [1], "markersize": 3.5} if own_points else {}
+    return KeyEntry(wrapped(text), {**c.line, **marker})
 
 
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
 """Slopes of quantization, angle random walk, bias instability, rate random walk and ramp, as written."""
 
-# Terms whose coefficient is written on its line, and what of the coefficient the line's height is.
-_WRITTEN = {"angle_random_walk": "", "bias_instability": "0.664 B, ", "rate_random_walk": ""}
-_FAINT, _FAINT_TEXT, _SIZE = "0.78", "0.55", 6.5
+# Terms whose coefficient is written on its line.
+_WRITTEN = ("angle_random_walk", "bias_instability", "rate_random_walk")
+# What the key says of a line whose height at 1 s is not the coefficient's.
+_HEIGHT = {"bias_instability": " (line at 0.664 B)"}
+_SIZE = 7.0
 # Half the mean width of a character, and distance of a text from its line, over the font's size.
 _HALF_WIDTH, _AWAY = 0.3, 0.95
-# Places along a line that are tried, and what must be free around a text [pixels].
-_PLACES, _FREE = 60, 3.0
+# Distances from a text to other lines, and to other texts, that are as good as larger ones [pixels].
+_CLEAR, _APART = 45.0, 110.0
 
 
 def draw_slopes(panel: Axes) -> None:
@@ -352,74 +368,53 @@ def draw_slopes(panel: Axes) -> None:
         # Where it leaves the panel.
         reach = min((right - left) / 2.0, np.inf if slope == 0.0 else (top - bottom) / 2.0 / abs(slope))
         ends = np.array([-reach, reach])
-        look: dict[str, Any] = {"color": _FAINT, "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
+        look: dict[str, Any] = {"color": ink(0.78), "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
         panel.plot(10.0 ** (x0 + ends), 10.0 ** (y0 + slope * ends), label=f"slope {name}", **look)
         end = 0.93 * reach
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-        style: dict[str, Any] = {"color": _FAINT_TEXT, "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
+        box = {"facecolor": ink(1.0), "edgecolor": "none", "pad": 0.6}
+        style: dict[str, Any] = {"color": ink(0.55), "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
         panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
-def write_values(panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mapping[str, Line2D]) -> None:
-    """Write N, B and K with their units on the lines `drawn` of their terms, where that hides least."""
+def write_values(
+    panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mapping[str, Line2D], total: Line2D
+) -> None:
+    """Write N, B and K with their units on the lines `drawn` of their terms, away from the other terms.
+
+    A text is on that side of its line where the model's is not.
+    """
     from matplotlib.patheffects import withStroke
 
-    outline = [withStroke(linewidth=1.5, foreground="white")]
-    look: dict[str, Any] = {
-        "fontsize": _SIZE,
-        "rotation_mode": "anchor",
-        "path_effects": outline,
-        "zorder": 4,
-    }
-    lines = {line: _pixels(panel, line.get_xydata()) for line in panel.get_lines() if line.get_zorder() > 1.0}
-    bars = [bar for of in panel.collections if hasattr(of, "get_segments") for bar in of.get_segments()]
-    taken = [_pixels(panel, np.linspace(bar[0], bar[-1], 7)) for bar in bars]
-    for label, line in drawn.items():
+    look: dict[str, Any] = {"fontsize": _SIZE, "rotation_mode": "anchor", "ha": "center", "va": "center"}
+    look |= {"path_effects": [withStroke(linewidth=1.5, foreground=ink(1.0))], "zorder": 4}
+    size = _SIZE * panel.figure.dpi / 72.0
+    lower, upper = complex(*panel.bbox.p0), complex(*panel.bbox.p1)
+    lines = {label: _pixels(panel, line) for label, line in drawn.items()}
+    model, texts = _pixels(panel, total), [np.complex128(1e9)]
+    for label, z in lines.items():
         c = coefficients.get(label)
         if c is None or c.term not in _WRITTEN or not c.detected:
             continue
         shown = c.in_unit()
-        text = f"{_WRITTEN[c.term]}{c.symbol} = {without_error(shown.value, shown.std)} {shown.unit}"
-        others = np.concatenate([*taken, *(own for other, own in lines.items() if other is not line)])
-        if (found := _place(panel, lines[line], len(text), others)) is None:
-            continue
-        middle, angle, box = found
-        x, y = panel.transData.inverted().transform((middle.real, middle.imag))
-        at: dict[str, Any] = {"rotation": angle, "ha": "center", "va": "center"}
-        panel.text(x, y, text, color=line.get_color(), **at, **look)
-        taken.append(box)
+        text = f"{c.symbol} = {without_error(shown.value, shown.std)} {shown.unit}"
+        turn = np.gradient(z)
+        turn = turn / abs(turn)
+        middle = z + 1j * turn * np.where(model.imag >= z.imag, -_AWAY, _AWAY) * size
+        half = _HALF_WIDTH * len(text) * size * turn
+        ends = np.stack([middle - half - lower, middle + half - lower])
+        ends = np.concatenate([ends, upper - lower - ends])
+        inside = np.minimum(ends.real, ends.imag).min(axis=0) > size
+        others = np.concatenate([own for other, own in lines.items() if other != label] or [np.array(texts)])
+        score = np.minimum(abs(middle[:, None] - others).min(axis=1), _CLEAR)
+        score += np.minimum(abs(middle[:, None] - np.array(texts)).min(axis=1), _APART)
+        score -= 0.1 * abs(middle.real - (lower + upper).real / 2.0)
+        if inside.any():
+            texts.append(at := middle[k := np.argmax(np.where(inside, score, -np.inf))])
+            x, y = panel.transData.inverted().transform((at.real, at.imag))
+            angle = float(np.degrees(np.angle(turn[k])))
+            panel.text(x, y, text, color=drawn[label].get_color(), rotation=angle, **look)
 
 
-def _pixels(panel: Axes, points: Any) -> Complex[np.ndarray, " _"]:
-    """Points on the screen, x + iy in pixels, without those that are not on a logarithmic scale."""
-    xy = np.asarray(points, float)
-    return panel.transData.transform(xy[(xy > 0.0).all(axis=1)]) @ (1.0, 1.0j)
-
-
-def _place(
-    panel: Axes, line: Complex[np.ndarray, " _"], letters: int, others: Complex[np.ndarray, " _"]
-) -> tuple[complex, float, Complex[np.ndarray, " _"]] | None:
-    """Middle, angle [deg] and points of a text beside a line, where fewest of the others' points are.
-
-    None if there is no place inside the panel.
-    """
-    size = _SIZE * panel.figure.dpi / 72.0
-    half = _HALF_WIDTH * letters * size
-    u, v = np.meshgrid(np.linspace(-half, half, 25), np.linspace(-0.5, 0.5, 3) * size)
-    lower, upper = complex(*panel.bbox.p0), complex(*panel.bbox.p1)
-    along = np.concatenate([[0.0], np.cumsum(abs(np.diff(line)))])
-    best: tuple[float, Any] = (np.inf, None)
-    for at in np.linspace(half, along[-1] - half, _PLACES) if along[-1] > 2.0 * half else ():
-        start, point, end = (complex(np.interp(at + s, along, line)) for s in (-half, 0.0, half))
-        turn = (end - start) / abs(end - start)
-        for away in (_AWAY, -_AWAY):
-            middle = point + away * size * 1.0j * turn
-            box = middle + turn * (u + 1.0j * v).ravel()
-            gaps = np.concatenate([box - lower, upper - box])
-            near = (others - middle) / turn
-            hits = np.sum((abs(near.real) < half + _FREE) & (abs(near.imag) < 0.5 * size + _FREE))
-            # Of places that are alike, the one in the middle.
-            badness = float(hits) + abs(at / along[-1] - 0.5)
-            if min(gaps.real.min(), gaps.imag.min()) > _FREE and badness < best[0]:
-                best = badness, (middle, float(np.degrees(np.angle(turn))), box)
-    return best[1]
+def _pixels(panel: Axes, line: Line2D) -> Complex[np.ndarray, " points"]:
+    """Points of a line on the screen, x + iy in pixels."""
+    return panel.transData.transform(np.asarray(line.get_xydata())) @ (1.0, 1.0j)

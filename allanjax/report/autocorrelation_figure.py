@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.wording import plain
 from allanjax.report.figure import (
-    POINTS,
-    add_grid,
-    check_room,
+    Heading,
+    Sheet,
+    check_single,
+    dress,
     facts_of,
     figure_of,
+    ink,
     label_in,
-    place,
     rows_of,
     save_and_close,
     style,
-    write_title,
 )
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 
@@ -29,12 +30,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inches.
-_LEFT, _RIGHT, _WIDTH, _HEIGHT, _GAP, _TOP, _BELOW = 1.1, 0.2, 3.6, 2.2, 0.75, 0.9, 0.75
+_SHEET = Sheet(3.4, 2.2, left=1.1)
 
 
 def plot_autocorrelation(
-    found: Autocorrelation,
+    result: Autocorrelation,
     axes: Sequence[str] | str | None = None,
     path: str | os.PathLike[str] | None = None,
     *,
@@ -46,7 +46,7 @@ def plot_autocorrelation(
     lag zero over e, and the lag at which the curve comes there.
 
     Args:
-        found: what `autocorrelation` returns.
+        result: what `autocorrelation` returns.
         axes: names of the axes to draw; all of them by default.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
         ax: matplotlib axes to draw a single axis into, without title.
@@ -54,43 +54,35 @@ def plot_autocorrelation(
     Raises:
         AllanjaxError: there is no such axis, or `ax` is given for more than one axis.
     """
-    import matplotlib.pyplot as plt
-
-    rows = rows_of(found.names, found.axes, axes)
-    check_room(ax, sum(map(len, rows)))
+    rows = rows_of(result.names, result.axes, axes)
+    check_single(ax, sum(map(len, rows)))
     if ax is not None:
-        _draw(ax, found, rows[0][0])
+        _draw(ax, result, rows[0][0])
         return figure_of(ax, path)
     with style():
-        columns = max(map(len, rows))
-        width = _LEFT + columns * (_WIDTH + _GAP) - _GAP + _RIGHT
-        height = _TOP + len(rows) * (_HEIGHT + _BELOW)
-        figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, "Autocorrelation", facts_of(found.n, found.rate))
-        for i, row in enumerate(rows):
-            for column, k in enumerate(row):
-                bottom = height - _TOP - (i + 1) * (_HEIGHT + _BELOW) + _BELOW
-                panel = place(figure, _LEFT + column * (_WIDTH + _GAP), bottom, _WIDTH, _HEIGHT)
-                panel.set_title(found.names[k], loc="left", fontweight="bold")
-                _draw(panel, found, k)
-                if column:
+        heading = Heading("Autocorrelation", facts_of(result.n, result.rate))
+        figure, panels = _SHEET.draw(heading, [len(row) for row in rows])
+        for row, axes_of in zip(rows, panels, strict=True):
+            for k, panel in zip(row, axes_of, strict=True):
+                _draw(panel, result, k)
+                panel.set_title(result.names[k], loc="left", fontweight="bold")
+                if panel is not axes_of[0]:
                     panel.set_ylabel("")
         return save_and_close(figure, path)
 
 
-def _draw(panel: Axes, found: Autocorrelation, k: int) -> None:
-    unit, scale = ("", 1.0) if found.axes is None else square_unit(found.axes[k])
-    value, error = found.value[:, k] / scale, found.standard_error[:, k] / scale
+def _draw(panel: Axes, result: Autocorrelation, k: int) -> None:
+    unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+    value, error = result.value[:, k] / scale, result.standard_error[:, k] / scale
     if np.isfinite(error).all():
-        band: dict[str, Any] = {"color": "0.85", "linewidth": 0.0, "label": "95 % under the model"}
-        panel.fill_between(found.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
-    panel.plot(found.lag, value, color=POINTS, linewidth=1.0, label="estimate")
+        band: dict[str, Any] = {"color": ink(0.85), "linewidth": 0.0, "label": "95 % under the model"}
+        panel.fill_between(result.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
+    panel.plot(result.lag, value, color=ink(0.3), linewidth=1.0, label="estimate")
     below = np.flatnonzero(math.e * value < value[0])
     if below.size:
-        dotted: dict[str, Any] = {"color": "0.5", "linewidth": 0.8, "linestyle": ":"}
+        dotted: dict[str, Any] = {"color": ink(0.5), "linewidth": 0.8, "linestyle": ":"}
         panel.axhline(value[0] / math.e, **dotted)
-        panel.axvline(found.lag[below[0]], **dotted)
-    panel.set_xlim(-0.02 * found.lag[-1], found.lag[-1])
-    panel.set_xlabel("lag [s]")
-    panel.set_ylabel(label_in("autocorrelation", unit))
-    add_grid(panel)
+        panel.axvline(result.lag[below[0]], **dotted)
+    panel.set_xlim(-0.02 * result.lag[-1], result.lag[-1])
+    panel.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
+    dress(panel, x="lag [s]", y=label_in("autocorrelation", unit))

@@ -14,6 +14,7 @@ from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
@@ -34,19 +35,22 @@ from allanjax.report.critique_story import (
 from allanjax.report.figure import (
     CLUSTER_TIME,
     COLOURS,
-    DOTS,
     FONT_SIZE,
     FREQUENCY,
-    POINTS,
-    add_grid,
+    TIME,
+    Heading,
+    Sheet,
+    band_entry,
+    dots,
+    dress,
     facts_of,
+    ink,
     label_in,
     literal,
-    mark_2_and_5,
+    mark_off_scale,
     save,
     style,
     unit_of,
-    write_title,
 )
 from allanjax.spectrum.psd import density_unit
 
@@ -64,11 +68,11 @@ class Job(NamedTuple):
 
 
 def jobs(critique: Critique) -> list[Job]:
-    """Figures of the findings in their order, of axes without, and of what findings of several axes tell."""
-    told = critique.findings
+    """Figures of the findings in their order, of axes without, and of parts of findings of several axes."""
+    listed = critique.findings
     clean = [Job(None, axis.axis.name) for axis in critique.results if not axis.findings]
-    extra = [Job(f, f.axes[0], True) for axis in critique.results for f in axis.findings if f not in told]
-    return [*(Job(f, f.shown) for f in told), *clean, *extra]
+    extra = [Job(f, f.axes[0], True) for axis in critique.results for f in axis.findings if f not in listed]
+    return [*(Job(f, f.shown) for f in listed), *clean, *extra]
 
 
 def figure_names(critique: Critique) -> tuple[str, ...]:
@@ -94,16 +98,16 @@ _AFTER, _SPAN, _BEFORE = COLOURS[0], COLOURS[1], COLOURS[3]
 _BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.0}
 # A record, what is said of it, its colour and its marker.
 _Stage = tuple[StageResiduals, str, str, str]
-# Width and height of a figure and height of its title [inches], and characters in a line of its text.
-_SIZE, _HEADING = (10.0, 7.0), 0.65
-_COLUMNS = 66
+_SHEET = Sheet(3.9, 2.5, gap=1.0, between=1.0)
+# Characters in a line of the text.
+_COLUMNS = 58
 # Points that a series is thinned to.
 _POINTS = 600
 # Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
 _MARGIN = 4.0
 _EVERYWHERE = 0.95
 # Most discrepancies that are listed of those that a finding removed.
-_TOLD = 3
+_LISTED = 3
 # Samples that are shown one by one, and blocks whose means are shown.
 _SHOWN_SAMPLES, _BLOCKS = 150, 200
 # Correlations are drawn in bins of so many of `octave_bins`, which have so many coefficients at least.
@@ -117,10 +121,10 @@ def plot_critique(
     path: str | os.PathLike[str] | None = None,
     findings: Collection[Finding] | None = None,
 ) -> tuple[Figure, ...]:
-    """Draw a figure for every finding, and one for each axis without findings.
+    """Draw one figure per finding, and one for each axis without findings.
 
     Panels: Allan deviation and power spectral density, measured (points) and where 95 % of simulations lie
-    (bands), before the finding and after; the place of the effect; and what is said about it. Allan
+    (bands), before the finding and after; the place of the effect; and its description. Allan
     deviations are those of the record continued by its mirror image (the total deviation), without a ramp.
 
     A finding in several axes is drawn in that in which it matters most. The figures are not pyplot's, so that
@@ -193,91 +197,100 @@ def _of_finding(
 def _of_shared(critique: Critique, finding: Finding) -> Figure:
     """Figure of a finding that axes share, with the curves of the first axis."""
     records = [_record(critique, critique[name], -1) for name in finding.axes]
-    figure, allan, effect = _four_panels(critique, finding, [(records[0], "", _AFTER, "o")])
-    allan.set_title(finding.axes[0], fontweight="bold", loc="left")
+    figure, _, effect = _four_panels(critique, finding, [(records[0], "", _AFTER, "o")])
     _draw_correlation(effect, records)
     return figure
 
 
 def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], StageResiduals]) -> Figure:
-    record = stage(0)
-    figure = _new_figure((_SIZE[0], _SIZE[1] / 2.0))
-    panels = figure.subplots(1, 2)
-    _title(figure, critique, f"{axis.axis.name}: nothing found", record)
-    _draw_curves(panels, [(record, "", _AFTER, "o")], axis.axis)
+    stages = [(stage(0), "", _AFTER, "o")]
+    figure, (panels,) = _panels(critique, f"{axis.axis.name}: no finding", stages, [2])
+    _draw_curves(panels, stages, axis.axis)
     return figure
 
 
 def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage]) -> tuple[Figure, Axes, Axes]:
-    """Figure with both curves and what is said; its Allan panel, and the empty one for the effect."""
-    figure = _new_figure(_SIZE)
-    (allan, psd), (effect, text) = figure.subplots(2, 2)
+    """Figure with both curves and the description; its Allan panel, and the empty one for the effect."""
     record = stages[0][0]
-    cause, name = finding.named(finding.cause), record.axis.name
-    several = len(finding.axes) > 1
-    _title(
-        figure,
-        critique,
-        f"{', '.join(finding.axes)}: {cause}{f', here in {name}' if several else ''}",
-        record,
-    )
+    title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
+    figure, ((allan, psd), (effect, text)) = _panels(critique, title, stages, [2, 2])
     _draw_curves((allan, psd), stages, record.axis)
     _draw_text(text, finding, record.axis)
     return figure, allan, effect
 
 
-def _new_figure(size: tuple[float, float]) -> Figure:
-    """Figure that pyplot knows nothing of."""
-    figure = Figure(figsize=size)
-    figure.set_layout_engine("constrained", rect=(0.0, 0.0, 1.0, 1.0 - _HEADING / size[1]))
+def _panels(
+    critique: Critique, title: str, stages: Sequence[_Stage], rows: Sequence[int]
+) -> tuple[Figure, list[list[Axes]]]:
+    """Figure that pyplot knows nothing of, with its heading and the key of the curves, and its panels."""
+    key = []
+    for _, label, colour, marker in stages:
+        end = f" {label}" if label else ""
+        key += [_measured(label, colour, marker), band_entry(f"95 % of simulations{end}", colour, 0.25)]
+    record = stages[0][0]
+    name = f"{critique.name}, {title}" if critique.name else title
+    figure, panels = _SHEET.draw(Heading(name, facts_of(record.n, critique.rate), key), rows, Figure)
     FigureCanvasAgg(figure)
-    return figure
+    return figure, panels
 
 
-def _title(figure: Figure, critique: Critique, text: str, record: StageResiduals) -> None:
-    name = f"{critique.name}, {text}" if critique.name else text
-    write_title(figure, 0.12, name, facts_of(record.n, critique.rate))
+def _measured(label: str, colour: str, marker: str) -> Line2D:
+    """Entry of the key for the measured points of a stage."""
+    end = f" {label}" if label else ""
+    shown = colour if label == "after" else ink(0.3)
+    return Line2D([], [], label=f"measured{end}", **dots(marker=marker, color=shown))
 
 
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (unit_of(axis), density_unit(axis))
     names = ((CLUSTER_TIME, "Allan deviation"), (FREQUENCY, "one-sided PSD"))
-    medians = []
+    for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
+        name = axis.name if panel is panels[0] else ""
+        dress(panel, name, x_label, label_in(y_label, unit), log="xy")
+    medians, points = [], []
     for record, label, colour, marker in stages:
-        end = f" {label}" if label else ""
-        look = {**DOTS, "marker": marker, "color": colour if label == "after" else POINTS}
+        entry = _measured(label, colour, marker)
+        look = dots(marker=marker, color=entry.get_color(), label=entry.get_label(), zorder=3)
         for panel, (_, scale), curve in zip(panels, units, summaries(record), strict=True):
-            x, median = curve.place, curve.median / scale
-            band = {"color": colour, "label": f"95 % of simulations{end}", **_BAND}
-            panel.fill_between(x, curve.low / scale, curve.high / scale, **band)
+            x, median, y = curve.place, curve.median / scale, curve.measured / scale
+            panel.fill_between(x, curve.low / scale, curve.high / scale, color=colour, **_BAND)
             panel.plot(x, median, color=colour, linewidth=1.0)
-            panel.plot(x, curve.measured / scale, label=f"measured{end}", zorder=3, **look)
+            panel.plot(x, y, **look)
         medians.append(median)
+        points.append((x, y, entry.get_color()))
     # Those of the PSD limit its vertical scale.
     low, high = panels[1].get_ylim()
-    median = np.concatenate(medians)
-    panels[1].set_ylim(max(low, median.min() / _BELOW), min(high, median.max() * _ABOVE))
-    for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
-        panel.set(xscale="log", yscale="log", xlabel=x_label, ylabel=label_in(y_label, unit))
-        mark_2_and_5(panel.xaxis, panel.yaxis)
-        _add_legend(panel)
+    middle = np.concatenate(medians)
+    panels[1].set_ylim(max(low, middle.min() / _BELOW), min(high, middle.max() * _ABOVE))
+    for x, y, shown in points:
+        mark_off_scale(panels[1], x, y, shown)
 
 
-def _add_legend(panel: Axes) -> None:
-    add_grid(panel)
-    panel.legend(frameon=False, fontsize=FONT_SIZE - 1.0)
+def _add_key(panel: Axes) -> None:
+    """Write the key of a panel above it."""
+    panel.legend(
+        frameon=False,
+        fontsize=FONT_SIZE - 1.0,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=4,
+        borderaxespad=0.2,
+        borderpad=0.0,
+        columnspacing=1.2,
+        handlelength=1.5,
+    )
 
 
-def _around(span: tuple[float, float], whole: float, least: float = 0.0) -> tuple[float, float]:
-    """What is shown around a span, whose width is taken to be `least` at least, within the whole."""
+def _around(span: tuple[float, float], end: float, least: float = 0.0) -> tuple[float, float]:
+    """What is shown around a span, whose width is taken to be `least` at least, between 0 and the end."""
     margin = _MARGIN * max(span[1] - span[0], least)
-    return max(span[0] - margin, 0.0), min(span[1] + margin, whole)
+    return max(span[0] - margin, 0.0), min(span[1] + margin, end)
 
 
-def _shade(panel: Axes, span: tuple[float, float], whole: float) -> None:
+def _shade(panel: Axes, span: tuple[float, float], total: float) -> None:
     """Mark the span of an effect, unless that is nearly everywhere."""
-    if span[1] - span[0] < _EVERYWHERE * whole:
+    if span[1] - span[0] < _EVERYWHERE * total:
         panel.axvspan(*span, color=_SPAN, label="effect", zorder=0, **_BAND)
 
 
@@ -288,8 +301,8 @@ def _blocks(length: int, most: int) -> tuple[Int[np.ndarray, " blocks"], Int[np.
 
 
 def _finish(panel: Axes, ylabel: str) -> None:
-    panel.set(xlabel="time since start [s]", ylabel=ylabel)
-    _add_legend(panel)
+    dress(panel, x=TIME, y=ylabel)
+    _add_key(panel)
 
 
 def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -301,7 +314,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
     edges, length = _blocks(len(e), _POINTS)
     time = (first + edges + 0.5 * length) / record.rate
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
-    panel.fill_between(time, low, high, color="0.75", linewidth=0.5, label="range of samples")
+    panel.fill_between(time, low, high, color=ink(0.75), linewidth=0.5, label="range of samples")
     panel.plot(time, np.add.reduceat(e, edges) / length, color=_AFTER, linewidth=0.9, label="mean")
     if "times" in finding.details:
         t = np.array(values_of(finding.details["times"])[0], float)
@@ -320,9 +333,9 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     spread = TWO_SIDED_95 * np.sqrt(0.5 / length)
     band = {"color": _AFTER, "label": "95 % of simulations", **_BAND}
     panel.fill_between(time, 1.0 - spread, 1.0 + spread, **band)
-    panel.plot(time, rms, label="measured", **DOTS)
+    panel.plot(time, rms, label="measured", **dots())
     _shade(panel, finding.span, record.n / record.rate)
-    _finish(panel, label_in("rms of whitened residuals", "σ"))
+    _finish(panel, label_in("rms of\nwhitened residuals", "σ"))
 
 
 def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -334,8 +347,8 @@ def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, fi
     first = int(np.argmax(same[length - 1 :] - same[: record.n - length + 1]))
     time = np.arange(first, first + length) / record.rate
     y = (x[first : first + length] - x.mean()) / scale
-    panel.step(time, y, where="mid", color="0.75", linewidth=0.7)
-    panel.plot(time, y, label="samples as recorded", **DOTS)
+    panel.step(time, y, where="mid", color=ink(0.75), linewidth=0.7)
+    panel.plot(time, y, label="samples as recorded", **dots())
     _finish(panel, label_in("samples − mean", unit))
 
 
@@ -345,8 +358,8 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
-    name = f"means of {before.n / len(edges) / before.rate:.2g} s, before"
-    panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **DOTS)
+    name = f"means of {before.n / len(edges) / before.rate:.2g} s"
+    panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **dots())
     some = np.arange(before.n)[:: max(before.n // 5000, 1)]
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
     quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
@@ -364,13 +377,13 @@ def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, f
     # Where many coefficients share a point, the largest of a line: it must not be averaged away.
     line = finding.cause == "sinusoid"
     shown = np.maximum.reduceat(power, edges) if line else np.add.reduceat(power, edges) / length
-    panel.plot(f[edges], shown, color=POINTS, linewidth=0.8, label="measured before")
+    panel.plot(f[edges], shown, color=ink(0.3), linewidth=0.8, label="measured")
     panel.axhline(1.0, color=_AFTER, linewidth=1.0, label="simulated, mean")
     _shade(panel, finding.span, nyquist)
-    label = f"power over its expectation{', largest' if line else ''} [1]"
-    panel.set(xlabel=FREQUENCY, ylabel=label, yscale="log")
+    panel.set_yscale("log")
     panel.set_ylim(bottom=max(panel.get_ylim()[0], 0.1))
-    _add_legend(panel)
+    dress(panel, x=FREQUENCY, y=f"{'largest ' if line else ''}power\nover its expectation", log="y")
+    _add_key(panel)
 
 
 # What shows a cause, if not means of samples or a spectrum.
@@ -398,9 +411,9 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
         r = (cross / np.sqrt(power * other_power))[enough]
         name = f"{one.axis.name}, {other.axis.name}"
         panel.plot(frequency, r, "o-", markersize=2.4, linewidth=0.8, label=name)
-    panel.axhline(0.0, color="0.5", linewidth=0.6)
-    panel.set(xscale="log", xlabel=FREQUENCY, ylabel="correlation of whitened residuals [1]")
-    _add_legend(panel)
+    panel.axhline(0.0, color=ink(0.5), linewidth=0.6)
+    dress(panel, x=FREQUENCY, y="correlation\nof whitened residuals", log="x")
+    _add_key(panel)
 
 
 def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
@@ -408,11 +421,12 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
     lines = [sentence(finding), ""]
     if finding.cause != "unexplained":
         evidence = "" if finding.evidence is None else f"evidence {finding.evidence:,.0f} nats"
-        lines.append(", ".join(text for text in (significance(finding), evidence) if text))
+        test = significance(finding)
+        lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
         lines += changes(finding, axis)
         mended = [pair for pair in finding.discrepancies if pair[0].p_value < UNEXPLAINED]
         lines += ["", "before → after:"] if mended else []
-        for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_TOLD]:
+        for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
             lines.append(f"{what(before)} → {format_remainder(before, after)}")
     text = literal("\n".join(wrap(line, _COLUMNS) for line in lines))
     written = panel.text(0.0, 1.0, text, va="top", transform=panel.transAxes, linespacing=1.35)

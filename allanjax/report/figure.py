@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 import textwrap
 import warnings
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration, plain, significant
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.estimate import title_of
+from allanjax.inspection.facts import why_no_measurement
+from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
@@ -28,34 +30,49 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
-# Okabe and Ito's colours, for the colour-blind; the dashes tell terms apart in black and white.
+# Okabe and Ito's colours, for the colour-blind; the dashes distinguish terms in black and white.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
 DASHES: tuple[Any, ...] = ("--", "-.", (0, (1, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (3, 1)))
-POINTS = "0.3"
-#: Style of single points without error bars.
-DOTS: dict[str, Any] = {
-    "marker": "o",
-    "linestyle": "none",
-    "color": POINTS,
-    "markersize": 2.4,
-    "markeredgewidth": 0.0,
-}
 #: Sensors in words, in the order in which they are drawn.
 SENSORS: dict[Sensor, str] = {"gyro": "gyros", "accel": "accelerometers"}
-#: Style of a model's line, the sum of its terms.
-MODEL: dict[str, Any] = {"color": "black", "linewidth": 1.4, "label": "model", "zorder": 2.5}
-#: Style of what the terms are corrected for: filter, resonances and lines.
-FURTHER: dict[str, Any] = {"color": "0.55", "linewidth": 0.8, "linestyle": (0, (1, 1))}
+#: Style of the mark at the place where a model fits worst.
+WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 1.2, "linestyle": ":"}
 
 # Characters in a line of the key, as many as fit below a panel.
-_KEY_COLUMNS = 62
-FONT_SIZE = 8.5
+_KEY_COLUMNS = 50
+# Spaces at which no line is broken: in "N = 1.3 ± 0.2 deg/√h", "< 3 arcsec" and "95 %".
+_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<→]) |(?<=\d) (?=[A-Za-zµσ(×²/°])")
+FONT_SIZE = 9.0
 CLUSTER_TIME = "cluster time T [s]"
 FREQUENCY = "frequency f [Hz]"
+TIME = "time since start [s]"
+_FORMATS = ("png", "svg", "pdf")
 _WINDOWLESS = frozenset({"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"})
 # The figure that was drawn last where there are no windows, if it was not saved.
 _waiting: weakref.WeakSet[Figure] = weakref.WeakSet()
+
+
+def ink(paleness: float = 0.0) -> str:
+    """Colour between that of text (0) and that of the background (1), in light and in dark styles."""
+    from matplotlib import rcParams
+    from matplotlib.colors import to_hex, to_rgb
+
+    text, paper = (np.array(to_rgb(rcParams[name])) for name in ("text.color", "axes.facecolor"))
+    red, green, blue = text + paleness * (paper - text)
+    return to_hex((red, green, blue))
+
+
+def dots(size: float = 2.4, **more: Any) -> dict[str, Any]:
+    """Style of measured points."""
+    look = {"marker": "o", "linestyle": "none", "color": ink(0.3), "markersize": size, "markeredgewidth": 0.0}
+    return {**look, **more}
+
+
+def model_line(label: str = "model") -> dict[str, Any]:
+    """Style of a model's line, the sum of its terms."""
+    return {"color": ink(), "linewidth": 1.4, "label": label, "zorder": 2.5}
 
 
 @dataclass(frozen=True)
@@ -83,8 +100,8 @@ class Points:
 
     def draw(self, panel: Axes) -> None:
         """Draw the points with their error bars."""
-        style = {**marks(2.6), **self.style}
-        panel.errorbar(self.x, self.y, self.spread, label=self.label, zorder=3, **style)
+        look = dots(2.6, label=self.label, zorder=3, elinewidth=0.8, **self.style)
+        panel.errorbar(self.x, self.y, self.spread, **look)
 
 
 def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
@@ -94,10 +111,11 @@ def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
 
 
 class KeyEntry(NamedTuple):
-    """Entry of a panel's key: a term with the style of its curve, or only a remark."""
+    """Entry of a panel's key: a term with the style of its curve, or only a remark, and the text's colour."""
 
     text: str
     style: dict[str, Any] | None = None
+    colour: Any = None
 
 
 def style() -> AbstractContextManager[None]:
@@ -113,7 +131,14 @@ def literal(text: str) -> str:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Save a figure, whatever characters are in its names."""
+    """Save a figure as PNG, SVG or PDF by the path's suffix, whatever characters are in its names.
+
+    Raises:
+        AllanjaxError: another suffix.
+    """
+    suffix = os.path.splitext(path)[1].removeprefix(".").lower()
+    if suffix and suffix not in _FORMATS:
+        raise AllanjaxError(f"{os.fspath(path)!r}: a figure is saved as .png, .svg or .pdf, not .{suffix}")
     with warnings.catch_warnings():
         # The font may lack some of them.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
@@ -153,10 +178,10 @@ def _close(figure: Figure) -> None:
     FigureCanvasAgg(figure)
 
 
-def check_room(ax: Axes | None, count: int) -> None:
+def check_single(ax: Axes | None, count: int) -> None:
     """Raise AllanjaxError if so many panels are to be drawn into the caller's axes."""
     if ax is not None and count > 1:
-        raise AllanjaxError('ax= has room for one axis: name it, e.g. axes="gyro_x"')
+        raise AllanjaxError('ax= takes a single axis: name it, e.g. axes="gyro_x"')
 
 
 def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
@@ -168,94 +193,213 @@ def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
     return figure
 
 
-def place(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Add axes in a place of the figure [inches]."""
-    whole, total = figure.get_size_inches()
-    return figure.add_axes((left / whole, bottom / total, width / whole, height / total))
+def place_below(panel: Axes, apart: float, height: float) -> Axes:
+    """Add axes below a panel, so far from it and so high [inches]."""
+    box, total = panel.get_position(), panel.figure.bbox.height / panel.figure.dpi
+    return panel.figure.add_axes((box.x0, box.y0 - (apart + height) / total, box.width, height / total))
 
 
-def write_title(figure: Figure, left: float, title: str, facts: str, **style: Any) -> None:
-    """Write a title and, below it in grey, facts; so far from the left edge [inches]."""
-    width, height = figure.get_size_inches()
-    at: dict[str, Any] = {"x": left / width, "va": "top"}
-    figure.text(y=1.0 - 0.12 / height, s=literal(title), fontsize=13, fontweight="bold", **at)
-    figure.text(y=1.0 - 0.4 / height, s=literal(facts), color="0.35", **{"fontsize": 9.5, **at, **style})
+class Heading(NamedTuple):
+    """Title of a figure, with the record below it in grey, and the key of the whole figure."""
+
+    title: str
+    subtitle: str
+    key: Sequence[Artist] = ()
+
+    def _lines(self, width: float) -> tuple[str, list[str], int, int]:
+        """The title, the lines below it, and columns and lines of the key, on so many inches."""
+        most = int(width * 8)
+        title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
+        lines = textwrap.wrap(self.subtitle, int(width * 12.5), break_on_hyphens=False) or [""]
+        widths = [0.6 + 0.065 * len(str(entry.get_label())) for entry in self.key] or [0.0]
+        columns = len(widths) if sum(widths) < width else max(int(width / max(widths)), 1)
+        return title, lines, columns, -(-len(self.key) // columns)
+
+    def height(self, width: float) -> float:
+        """Height from the upper edge to the first panels [inches]; `width` is that of the panels together."""
+        _, lines, _, entries = self._lines(width)
+        return 0.45 + 0.17 * len(lines) + 0.2 * entries + _HEADING
+
+    def draw(self, figure: Figure, left: float, right: float = 0.2) -> None:
+        """Write it, so far from the left and the right edge [inches]."""
+        width, height = figure.get_size_inches()
+        title, lines, columns, _ = self._lines(width - left - right)
+        at: dict[str, Any] = {"x": left / width, "va": "top"}
+        figure.text(y=1.0 - 0.12 / height, s=literal(title), fontsize=13, fontweight="bold", **at)
+        text = literal("\n".join(lines))
+        figure.text(y=1.0 - 0.4 / height, s=text, color=ink(0.35), fontsize=FONT_SIZE, **at)
+        figure.legend(
+            handles=list(self.key),
+            loc="upper left",
+            bbox_to_anchor=(left / width, 1.0 - (0.43 + 0.17 * len(lines)) / height),
+            frameon=False,
+            borderpad=0.0,
+            borderaxespad=0.0,
+            ncols=columns,
+            columnspacing=1.4,
+        )
 
 
-def add_legend(
-    figure: Figure, handles: Sequence[Artist], loc: Any, x: float, top: float, **style: Any
-) -> None:
-    """Add a key to a figure, whose corner `loc` is at x, and so far from the upper edge [inches]."""
-    width, height = figure.get_size_inches()
-    figure.legend(
-        handles=list(handles),
-        loc=loc,
-        bbox_to_anchor=(x / width, 1.0 - top / height),
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.0,
-        **style,
-    )
+@dataclass(frozen=True)
+class Sheet:
+    """Places of panels in a figure [inches], fixed so that nothing can overlap.
+
+    Attributes:
+        width, height: of a panel.
+        gap, between: between columns and between rows.
+        left, right, bottom: margins.
+    """
+
+    width: float
+    height: float
+    gap: float = 0.75
+    between: float = 0.85
+    left: float = 0.95
+    right: float = 0.2
+    bottom: float = 0.55
+
+    def draw(
+        self, heading: Heading, rows: Sequence[int], make: Callable[..., Figure] | None = None
+    ) -> tuple[Figure, list[list[Axes]]]:
+        """Figure with so many panels in each row, and the panels; by pyplot unless `make` makes it."""
+        import matplotlib.pyplot as plt
+
+        inner = max(rows) * (self.width + self.gap) - self.gap
+        # A title needs some width.
+        width = self.left + self.right + max(inner, 3.0)
+        top = heading.height(width - self.left - self.right)
+        height = top + self.bottom + len(rows) * (self.height + self.between) - self.between
+        figure = (make or plt.figure)(figsize=(width, height))
+        heading.draw(figure, self.left, self.right)
+        lefts = [(self.left + j * (self.width + self.gap)) / width for j in range(max(rows))]
+        bottoms = [
+            1.0 - (top + self.height + i * (self.height + self.between)) / height for i in range(len(rows))
+        ]
+        size = self.width / width, self.height / height
+        pairs = zip(bottoms, rows, strict=True)
+        return figure, [[figure.add_axes((x, y, *size)) for x in lefts[:count]] for y, count in pairs]
 
 
-def points_entry(label: str, colour: str = POINTS) -> Line2D:
+def points_entry(label: str, colour: Any = None) -> Line2D:
     """Entry of a figure's key for points with error bars."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], color=colour, marker="o", markersize=3, linewidth=0.8, label=label)
+    return Line2D([], [], color=colour or ink(0.3), marker="o", markersize=3, linewidth=0.8, label=label)
 
 
-def add_grid(panel: Axes) -> None:
-    """Add a faint grid below the curves; ticks point inwards."""
-    panel.grid(True, which="major", color="0.88", linewidth=0.6)
-    panel.set_axisbelow(True)
-    panel.tick_params(which="both", direction="in")
+def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Patch:
+    """Entry of a figure's key for a band."""
+    from matplotlib.patches import Patch
+
+    return Patch(color=colour, alpha=alpha, linewidth=0.0, label=label)
 
 
-def mark_2_and_5(*axes: Any) -> None:
-    """Mark 2 and 5 times powers of ten on logarithmic axes, without numbers."""
+def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") -> None:
+    """Give a panel its name, labels, logarithmic axes (of "xy"), faint grid and ticks that point inwards."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    for axis in axes:
-        axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-        axis.set_minor_formatter(NullFormatter())
+    for letter, axis in (("x", panel.xaxis), ("y", panel.yaxis)):
+        if letter in log:
+            axis.axes.set(**{f"{letter}scale": "log"})
+            # 2 and 5 times powers of ten are marked without numbers.
+            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+            axis.set_minor_formatter(NullFormatter())
+    panel.grid(True, which="major", color=ink(0.88), linewidth=0.6)
+    panel.set_axisbelow(True)
+    panel.tick_params(which="both", direction="in")
+    for text, write in ((x, panel.set_xlabel), (y, panel.set_ylabel)):
+        if text:
+            write(text)
+    if name:
+        panel.set_title(name, loc="left", fontweight="bold")
 
 
-def marks(size: float) -> dict[str, Any]:
-    """Style of points with error bars."""
-    return {"fmt": "o", "color": POINTS, "markersize": size, "markeredgewidth": 0.0, "elinewidth": 0.8}
+def mark_off_scale(panel: Axes, x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"], colour: Any) -> None:
+    """Mark points beyond the ends of a panel's vertical scale by triangles at its edges."""
+    low, high = panel.get_ylim()
+    for beyond, at, marker in ((y > high, 0.97, "^"), (y < low, 0.03, "v")):
+        look = dots(3.5, marker=marker, color=colour, label="off scale")
+        panel.plot(x[beyond], np.full(beyond.sum(), at), transform=panel.get_xaxis_transform(), **look)
 
 
 def term_entries(
-    fit: Fit, result: AxisFit, hidden: Callable[[NoiseTerm], bool], remark: str
+    fit: Fit, result: AxisFit, hidden: Callable[[NoiseTerm], bool], remark: str, notes: Mapping[str, str] = {}
 ) -> list[KeyEntry]:
-    """Entries of all terms with their coefficients, detected or not; a remark on those found but hidden."""
-    entries = []
+    """Entries of all terms, those not detected together in one; a remark on terms that are not drawn.
+
+    `notes` are what is written after the coefficients of some terms.
+    """
+    entries, absent = [], []
+    if not result.measured:
+        why = "the model does not fit" if result.is_far_off else why_no_measurement(result.not_measured)
+        text = f"not a measurement of this sensor: {why}; values of the fitted curve:"
+        entries.append(KeyEntry(wrapped(text), colour=COLOURS[3]))
     for term, kind in zip(fit.template.term_labels, fit.template.terms, strict=True):
         if term in result.further:
             continue
-        found = [c.in_unit() for c in result.coefficients.values() if c.term == term]
-        amplitude, name = found[0], title_of(term, result.axis.sensor)
-        if amplitude.detected and len(found) > 1:
-            text = f"{name}: " + ", ".join(f"{c.symbol} = {c.describe()}" for c in found)
-        else:
-            text = f"{name}{'' if amplitude.detected else ':'} {amplitude.describe()}"
+        own = [c.in_unit() for c in result.coefficients.values() if c.term == term]
+        amplitude, name = own[0], title_of(term, result.axis.sensor)
+        limit = amplitude.upper_limit if amplitude.measured and not amplitude.detected else None
+        if limit is not None and not amplitude.rivals:
+            absent.append(f"{name} < {significant(limit)} {amplitude.unit}")
+            continue
+        if not amplitude.measured and not amplitude.value > 0.0:
+            continue
         is_hidden = hidden(kind)
-        if is_hidden and term in result.term_labels:
-            text += remark
+        if amplitude.detected or not amplitude.measured:
+            text = f"{name} " + ", ".join(f"{c.symbol} = {_amount(c)}" for c in own) + notes.get(term, "")
+        else:
+            text = f"{name} {amplitude.describe()}"
+        text += remark if is_hidden and term in result.term_labels else ""
         drawn = term in drawn_terms(result) and not is_hidden
         entries.append(KeyEntry(wrapped(text), term_style(fit, result, term) if drawn else None))
+    if absent:
+        entries.append(KeyEntry(wrapped(f"not detected (95 % limits): {', '.join(absent)}")))
     if result.correction:
-        entries.append(KeyEntry(wrapped(result.correction), FURTHER))
+        entries.append(KeyEntry(wrapped(result.correction), _further()))
     elif (response := fit.template.response) is not None:
         own = [c.in_unit() for c in result.coefficients.values() if c.term == response.name()]
-        values = ", ".join(f"{c.symbol} = {c.describe()}" for c in own)
+        values = ", ".join(f"{c.symbol} = {_amount(c)}" for c in own)
         entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis.sensor)}: {values}"), None))
     return entries
 
 
+def _amount(c: Estimate) -> str:
+    """A coefficient with its error, or the bare value where it is not a measurement."""
+    return c.describe() if c.measured else f"{significant(c.value)} {c.unit}"
+
+
+def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
+    """How well the model fits the curve that is drawn, over cluster times [s] or frequencies [Hz].
+
+    What is wrong with the other curve is in the figure of that.
+    """
+    if not result.converged:
+        return KeyEntry(wrapped(result.verdict))
+    text = f"χ² = {result.chi2:.1f} for {result.dof} degrees of freedom"
+    if np.isfinite(result.p_value):
+        text += f" (p = {result.p_value:.2g})" if result.p_value > 1e-300 else " (p < 1e-300)"
+    misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
+    if own := misfits.get(unit):
+        return KeyEntry(wrapped(f"does not fit: {own}; {text}"), WORST if np.isfinite(own.at) else None)
+    if misfits:
+        other = "Allan deviation" if unit == "Hz" else "power spectral density"
+        return KeyEntry(wrapped(f"does not fit the {other} (see its figure); {text}"))
+    return KeyEntry(wrapped(f"{'does not fit' if result.discrepancy > 0.0 else 'fits'}: {text}"))
+
+
+def worst_place(result: AxisFit, unit: Literal["s", "Hz"]) -> float:
+    """Where the model fits the curve that is drawn worst; nan if it fits."""
+    return next((m.at for m in (result.misfit, result.allan_misfit) if m and m.unit == unit), np.nan)
+
+
+def _further() -> dict[str, Any]:
+    """Style of what the terms are corrected for: filter, resonances and lines."""
+    return {"color": ink(0.55), "linewidth": 0.8, "linestyle": (0, (1, 1))}
+
+
 def drawn_terms(result: AxisFit) -> set[str]:
-    """Labels of the terms of a fitted model that have lines: not those that cannot be told from none."""
+    """Labels of the terms of a fitted model that have lines: those detected, and those that have rivals."""
     of_terms = [c for c in result.coefficients.values() if c.is_amplitude]
     hidden = {c.term for c in of_terms if c.measured and not (c.detected or c.rivals)}
     return set(result.term_labels) - hidden
@@ -264,14 +408,15 @@ def drawn_terms(result: AxisFit) -> set[str]:
 def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
     """Style of a term's line, the same in every panel."""
     if term_label in result.further:
-        return FURTHER
+        return _further()
     i = fit.template.term_labels.index(term_label)
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
 
 
 def wrapped(text: str) -> str:
-    """Text in lines of the key's width, not broken between a number and its per cent."""
-    lines = textwrap.wrap(text.replace(" %", "\u00a0%"), _KEY_COLUMNS, break_long_words=False)
+    """Text in lines of the key's width, not broken within a word, or between a number and its unit."""
+    kept = _TOGETHER.sub("\u00a0", text)
+    lines = textwrap.wrap(kept, _KEY_COLUMNS, break_long_words=False, break_on_hyphens=False)
     return "\n".join(lines).replace("\u00a0", " ")
 
 
@@ -291,11 +436,12 @@ def label_in(quantity: str, unit: str) -> str:
 
 
 # Inches. Panels have fixed places, so that nothing can overlap however many terms a model has.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.85, 0.2, 0.9, 0.1
-_PANEL_WIDTH, _PANEL_HEIGHT, _STRIP_HEIGHT = 4.1, 2.5, 0.8
-_HEADING, _GAP, _X_LABEL, _LINE, _BELOW = 0.3, 0.25, 0.45, 0.155, 0.15
+_PANEL_WIDTH, _STRIP_HEIGHT = 3.5, 0.8
+_HEADING, _X_LABEL, _LINE, _BELOW = 0.3, 0.45, 0.165, 0.25
 #: Estimates with a larger relative error do not set the scale of the residuals: a judgement.
 PRECISE = 0.2
+# Ratio of the largest residual to the largest precise one up to which a strip's scale is linear.
+_LINEAR = 4.0
 
 
 @dataclass(frozen=True)
@@ -305,12 +451,12 @@ class Residual:
     Attributes:
         points: residuals over cluster times or frequencies.
         precise: whether the strip's scale is made for each of them.
-        off: relative error of the model itself.
+        chance: where 95 % of each would lie by chance if the model were right.
     """
 
     points: Points
     precise: Bool[np.ndarray, " m"]
-    off: float = 0.0
+    chance: Float[np.ndarray, "2 m"]
 
 
 @dataclass(frozen=True)
@@ -324,6 +470,7 @@ class Panel:
         draw: draws all else into axes whose scales are set.
         key: entries of the key below.
         residual: None for an axis that has no result.
+        worst: where the model fits worst, which is marked; nan for nowhere.
     """
 
     name: str
@@ -332,6 +479,7 @@ class Panel:
     draw: Callable[[Axes], None]
     key: Sequence[KeyEntry]
     residual: Residual | None = None
+    worst: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -340,7 +488,7 @@ class Frame:
 
     Attributes:
         title: title of the figure.
-        facts: length and rate of the record.
+        record: its length and rate.
         x_label: label of the horizontal scales.
         has_model: whether a model is drawn.
         has_strip: whether a strip of residuals is below each panel.
@@ -348,7 +496,7 @@ class Frame:
     """
 
     title: str
-    facts: str
+    record: str
     x_label: str
     has_model: bool
     has_strip: bool
@@ -358,38 +506,26 @@ class Frame:
         self, rows: Sequence[Sequence[Panel]], path: str | os.PathLike[str] | None, ax: Axes | None
     ) -> Figure:
         """Draw the panels, saved if there is a path; or the only one of them into `ax`."""
-        import matplotlib.pyplot as plt
-
         with style():
             if ax is not None:
-                return self._draw_into(ax, [panel for row in rows for panel in row], path)
+                # It is the caller's to close.
+                check_single(ax, sum(map(len, rows)))
+                self._draw_row(rows[0], [ax], [])
+                return figure_of(ax, path)
             lines = max(sum(_lines(entry) for entry in panel.key) for row in rows for panel in row)
-            key = _LINE * lines
             strip = _STRIP_HEIGHT if self.has_strip else 0.0
-            row_height = _HEADING + _PANEL_HEIGHT + strip + _X_LABEL + key + (_BELOW if lines else 0.0)
-            columns = max(map(len, rows))
-            width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
-            height = _TOP + _BOTTOM + len(rows) * row_height
-            figure = plt.figure(figsize=(width, height))
-            self._draw_title(figure)
-            for i, row in enumerate(rows):
-                top, count = height - _TOP - i * row_height, len(row)
-                panels = _cells(figure, count, top - _HEADING, _PANEL_HEIGHT)
-                strips = _cells(figure, count, top - (_HEADING + _PANEL_HEIGHT), strip) if strip else []
+            below = strip + _X_LABEL + (_LINE * lines + _BELOW if lines else 0.0)
+            sheet = Sheet(_PANEL_WIDTH, 2.3, gap=0.25, between=below + _HEADING, left=0.85, bottom=below)
+            heading = Heading(self.title, self.record, self._key())
+            figure, places = sheet.draw(heading, [len(row) for row in rows])
+            for row, panels in zip(rows, places, strict=True):
+                strips = [place_below(axes, 0.0, strip) for axes in panels] if strip else []
                 for axes, panel in zip(panels, row, strict=True):
                     axes.set_title(panel.name, loc="left", fontweight="bold")
-                if lines:
-                    keys = _cells(figure, count, top - (row_height - key - _BELOW), key)
-                    for axes, panel in zip(keys, row, strict=True):
-                        _draw_key(axes, lines, panel.key)
+                    if lines:
+                        _draw_key(place_below(axes, strip + _X_LABEL, _LINE * lines), lines, panel.key)
                 self._draw_row(row, panels, strips)
             return save_and_close(figure, path)
-
-    def _draw_into(self, ax: Axes, panels: Sequence[Panel], path: str | os.PathLike[str] | None) -> Figure:
-        """Draw a panel into the caller's axes; the figure, saved if there is a path, is theirs to close."""
-        check_room(ax, len(panels))
-        self._draw_row(panels, [ax], [])
-        return figure_of(ax, path)
 
     def _draw_row(self, row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
         _set_scales(row, panels, strips)
@@ -397,6 +533,9 @@ class Frame:
             for points in panel.points:
                 points.draw(axes)
             panel.draw(axes)
+        for panel, axes in zip([*row, *row], [*panels, *strips], strict=False):
+            if np.isfinite(panel.worst):
+                axes.axvline(panel.worst, label="worst place", **WORST)
         panels[0].set_ylabel(row[0].label)
         if strips:
             _draw_residuals(strips, [panel.residual for panel in row])
@@ -404,23 +543,16 @@ class Frame:
         for lowest in strips or panels:
             lowest.set_xlabel(self.x_label)
 
-    def _draw_title(self, figure: Figure) -> None:
-        """Write the title, the facts about the record, and the key of points and model."""
+    def _key(self) -> list[Artist]:
+        """Entries for points, model and band."""
         from matplotlib.lines import Line2D
 
-        most = int(figure.get_figwidth() * 8)
-        title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
-        write_title(figure, _LEFT, title, self.facts)
-        handles = [points_entry("measured, 68 % interval")] if self.has_points else []
+        key: list[Artist] = [points_entry("measured, 68 % interval")] if self.has_points else []
         if self.has_model:
-            handles.append(Line2D([], [], **{**MODEL, "label": "model, sum of its terms"}))
-        add_legend(figure, handles, "upper left", _LEFT, 0.65, ncols=2)
-
-
-def _cells(figure: Figure, count: int, top: float, height: float) -> list[Axes]:
-    """Add axes side by side, whose top is at this height [inches]."""
-    lefts = (_LEFT + column * (_PANEL_WIDTH + _GAP) for column in range(count))
-    return [place(figure, left, top - height, _PANEL_WIDTH, height) for left in lefts]
+            key.append(Line2D([], [], **model_line("model, sum of its terms")))
+        if self.has_strip:
+            key.append(band_entry("95 % by chance if the model is right", ink(0.85)))
+        return key
 
 
 def rows_of(
@@ -441,18 +573,22 @@ def rows_of(
 
 
 def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]) -> None:
-    """Draw the strips, in the same scale along the row: linear for precise values, logarithmic beyond."""
+    """Draw the strips, in the same scale along the row, which shows all points.
+
+    It is linear, or only for precise values if others are much larger, and logarithmic beyond.
+    """
     from matplotlib.ticker import NullLocator
 
     there = [r for r in residuals if r is not None]
-    precise = [abs(r.points.y[r.precise]).max(initial=100.0 * r.off) for r in there]
-    reach = _round(max([2.0, *precise]))
+    reach = _round(max([2.0, *(abs(r.points.y[r.precise]).max(initial=0.0) for r in there)]))
     ends = [end for r in there for end in (r.points.y.min(), r.points.y.max())]
     high, low = _round(max([reach, *ends])), -min(_round(max([reach, *(-end for end in ends)])), 100.0)
+    linear = max(high, -low) <= _LINEAR * reach
     # The ends of the linear part, where their labels are clear of the others.
-    inner = [end for end, of in ((-reach, low), (reach, high)) if of / end >= 3.0]
+    inner = [end for end, of in ((-reach, low), (reach, high)) if of / end >= (2.0 if linear else 3.0)]
     for strip, r in zip(strips, residuals, strict=True):
-        strip.set_yscale("symlog", linthresh=reach)
+        if not linear:
+            strip.set_yscale("symlog", linthresh=reach)
         strip.set_ylim(1.1 * low, 1.1 * high)
         strip.set_yticks([low, *inner, 0.0, high])
         strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
@@ -460,10 +596,10 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
         if r is None:
             strip.text(0.5, 0.5, "no result", transform=strip.transAxes, ha="center", va="center")
             continue
-        strip.axhline(0.0, color="black", linewidth=1.0)
-        if r.off > 0.0:
-            strip.axhspan(-100.0 * r.off, 100.0 * r.off, color="0.88", zorder=0)
-        strip.errorbar(r.points.x, r.points.y, r.points.spread, label="residual", **marks(2.2))
+        strip.axhline(0.0, color=ink(), linewidth=1.0)
+        strip.fill_between(r.points.x, *r.chance, color=ink(0.85), linewidth=0.0, zorder=0, label="chance")
+        look = dots(2.2, label="residual", elinewidth=0.8)
+        strip.errorbar(r.points.x, r.points.y, r.points.spread, **look)
 
 
 def _round(x: float) -> float:
@@ -479,15 +615,12 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
     )
     positive = y[y > 0.0]
     for axes in (*panels, *strips):
-        axes.set_xscale("log")
+        dress(axes, log="xy" if axes in panels else "x")
         axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
-        add_grid(axes)
         axes.tick_params(which="both", labelleft=axes in (*panels[:1], *strips[:1]))
     for panel in panels:
-        panel.set_yscale("log")
         panel.set_ylim(positive.min(initial=1e6) / 3.0, positive.max(initial=1e-6) * 2.0)
         panel.tick_params(labelbottom=not strips)
-    mark_2_and_5(*(axes.xaxis for axes in (*panels, *strips)), *(panel.yaxis for panel in panels))
 
 
 def _draw_key(key: Axes, lines: int, entries: Sequence[KeyEntry]) -> None:
@@ -499,7 +632,7 @@ def _draw_key(key: Axes, lines: int, entries: Sequence[KeyEntry]) -> None:
     for entry in entries:
         if entry.style is not None:
             key.plot([0.0, 0.32], [y + 0.5] * 2, **entry.style)
-        colour = "black" if entry.style is not None else "0.4"
+        colour = entry.colour or ink(0.4 if entry.style is None else 0.0)
         key.text(0.42, y, entry.text, va="top", color=colour, linespacing=1.25, fontsize=FONT_SIZE - 0.5)
         y += _lines(entry)
 

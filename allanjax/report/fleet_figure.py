@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-import textwrap
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from allanjax.base.errors import AllanjaxError
@@ -22,29 +20,27 @@ from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
 from allanjax.report.figure import (
     COLOURS,
-    POINTS,
     SENSORS,
-    add_legend,
+    Heading,
+    Sheet,
+    band_entry,
+    dots,
+    dress,
+    ink,
     literal,
-    marks,
-    place,
     points_entry,
     save_and_close,
     style,
-    write_title,
 )
 
 _BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = COLOURS
-_MEDIAN, _OUTLYING, _LIMIT = _BLUE, _RED, "0.6"
-# Points of axes with remarks.
-_HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markeredgewidth": 0.9, "markersize": 3.8}
-# Colours of each group's points; the first one if there is a single group.
-_GROUPS = (POINTS, _GREEN, _PURPLE, _ORANGE, _SKY, "0.5")
+_MEDIAN, _OUTLYING = _BLUE, _RED
+# Colours of each group's points, by turns; None is the usual one.
+_GROUPS = (None, _GREEN, _PURPLE, _ORANGE, _SKY)
 
-# Inches: places are fixed, so that nothing can overlap.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.75, 0.2, 0.85, 0.1
-_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 5.2, 2.3, 0.95, 0.65
-_NAME_HEIGHT = 0.125
+_SHEET = Sheet(4.6, 2.1, gap=0.95, between=0.75, left=0.85, bottom=0.45)
+# Height of a unit's name beside its point, and length of a letter of those below the axis [inches].
+_NAME_HEIGHT, _TICK_LETTER = 0.125, 0.06
 # Most letters of a unit's name beside its point, the last ones; width of a letter as a share of the panel.
 _LONGEST, _LETTER = 18, 0.0115
 # Half the width of an axis's units as a share of the distance between axes; distance from points to names as
@@ -53,12 +49,10 @@ _SPREAD = 0.38
 _BESIDE = 0.02
 # Most outlying units that are named in a panel on each axis; the table names all.
 _NAMED = 12
-# Most units, and most lines, that the title names from left to right.
-_LISTED, _MOST_LINES = 12, 4
+# Most units, and most letters of each, that are named below the axis.
+_LISTED, _LETTERS = 12, 14
 # Empty places between two groups as a share of all places; one at least.
 _APART = 0.05
-# Heights of a line of the key and of the title [inches]; letters, and entries of the key, to an inch.
-_LINE_HEIGHT, _TITLE_LINE, _LETTERS, _ENTRIES = 0.2, 0.16, 12.0, 0.5
 # Distance from the outermost points of a group to the ends of its band, as a share of that between axes.
 _BESIDE_POINTS = 0.04
 # Units from which on error bars are thin.
@@ -72,15 +66,15 @@ _BAND = (0.05, 0.95)
 
 
 def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw each coefficient of every unit, a panel a coefficient, gyros beside accelerometers.
+    """Draw each coefficient of every unit, one panel per coefficient, gyros beside accelerometers.
 
     Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
     of each in the order of the table; hollow triangles are the 95 % limits of units in which the coefficient
     was not detected. Hollow circles are of axes with remarks (corrected, incomplete, partly left out); grey
     crosses are not a measurement of the sensor, and in no statistic. Outlying units are red and named. Blue
-    are the median of the others' estimates in their group and the band of 90 % of them. Coefficients that no
-    unit determines, or that were held, have no panel. The recordings of up to twelve units are named in the
-    title.
+    are the median of the others' estimates in their group and the band of 90 % of them. Coefficients that
+    were detected in no unit, or were held, have no panel. Up to twelve units are named below the axes,
+    without the beginning that all names have in common.
 
     Args:
         table: of a fleet's coefficients, `FleetResult.table`.
@@ -101,26 +95,19 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     sensors = [sensor for sensor in SENSORS if (drawn["sensor"] == sensor).any()]
     coefficients = list(drawn["coefficient"].unique())
     rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
-    width = _LEFT + _RIGHT + columns * _PANEL_WIDTH + (columns - 1) * _GAP
-    facts = _facts(table, int(_LETTERS * (width - _LEFT - _RIGHT)))
-    keys = _key(table)
-    key_columns = max(int(_ENTRIES * (width - _LEFT - _RIGHT)), 1)
-    top = _TOP + _TITLE_LINE * (len(facts) - 1) + _LINE_HEIGHT * (1 + -(-len(keys) // key_columns))
-    height = top + _BOTTOM + rows * (_PANEL_HEIGHT + _ROW_GAP)
+    names = _short_names(table)
+    below = _TICK_LETTER * max(map(len, names.values()), default=0)
+    sheet = dataclasses.replace(_SHEET, between=_SHEET.between + below, bottom=_SHEET.bottom + below)
     with style():
-        figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, f"{table['recording'].nunique()} units", "\n".join(facts))
-        below = 0.42 + _LINE_HEIGHT + _TITLE_LINE * (len(facts) - 1)
-        add_legend(figure, keys, "upper left", _LEFT, below, ncols=key_columns, columnspacing=1.2)
-        for row, coefficient in enumerate(coefficients):
-            for column, sensor in enumerate(sensors):
+        heading = Heading(f"{table['recording'].nunique()} units", _remarks(table, drawn), _key(table))
+        figure, panels = sheet.draw(heading, [columns] * rows if coefficients else [0])
+        for coefficient, row in zip(coefficients, panels, strict=False):
+            for sensor, panel in zip(sensors, row, strict=True):
                 of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
                 if of.empty:
+                    panel.remove()
                     continue
-                left = _LEFT + column * (_PANEL_WIDTH + _GAP)
-                bottom = height - top - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
-                panel = place(figure, left, bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
-                _draw_panel(panel, of, groups)
+                _draw_panel(panel, of, groups, names)
         return save_and_close(figure, path)
 
 
@@ -130,69 +117,91 @@ def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = 
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows with an interval, a limit, or no measurement; `height` is where they are drawn."""
+    """Rows with an interval, a limit, or no measurement; `height` is where they are drawn.
+
+    Limits are drawn beside what was detected in another unit only.
+    """
     height = np.where(table["detected"] | ~table["measured"], table["value"], table["upper_limit_95"])
     # Neither a value that was held nor one without an error is an estimate; zero is no fitted value.
     estimated = table["lower_95"] < table["upper_95"]
     shown = np.where(table["measured"], estimated | ~table["detected"], table["value"] != 0.0)
-    return table.assign(height=height)[np.isfinite(height) & shown]
+    drawn = table.assign(height=height)[np.isfinite(height) & shown]
+    limits = drawn["measured"] & ~drawn["detected"]
+    some = (~limits).groupby([drawn["coefficient"], drawn["sensor"]]).transform("any").astype(bool)
+    return drawn[some]
 
 
-def _group_colours(table: pd.DataFrame) -> list[tuple[str, str]]:
+def _short_names(table: pd.DataFrame) -> dict[str, str]:
+    """Names of the units that are written below the axes, none if there are many."""
+    units = [str(name) for name in table["recording"].unique()]
+    if not 1 < len(units) <= _LISTED:
+        return {}
+    # The beginning that all have in common ends after a sign such as "_".
+    starts = (k + 1 for k, letter in enumerate(units[0]) if not letter.isalnum())
+    start = max((k for k in starts if all(name[:k] == units[0][:k] for name in units)), default=0)
+    ends = {name: name[start:] for name in units}
+    return {name: end if len(end) <= _LETTERS else f"…{end[1 - _LETTERS :]}" for name, end in ends.items()}
+
+
+def _group_colours(table: pd.DataFrame) -> list[tuple[str, str | None]]:
     """Text of the key for the points of each group, and their colour."""
     groups = list(table["group"].unique())
     if len(groups) < 2:
         return [("estimate, 95 % interval", _GROUPS[0])]
     if len(groups) > len(_GROUPS):
-        return [("estimates, 95 % intervals: a colour a group", _GROUPS[0])]
+        return [("estimates, 95 % intervals; one colour per group", _GROUPS[0])]
     counts = table.groupby("group")["recording"].nunique()
     return [(literal(f"group {g} ({counts[g]})"), colour) for g, colour in zip(groups, _GROUPS, strict=False)]
 
 
-def _facts(table: pd.DataFrame, letters: int) -> list[str]:
-    """Lines on how many units are outlying, and which units there are if that does not take many."""
-    units = table["recording"].nunique()
-    if not units:
-        return ["no results"]
-    facts = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
-    parts = [of["recording"].unique() for _, of in table.groupby("group", sort=False)]
-    named = f"{facts}; left to right: {' | '.join(', '.join(names) for names in parts)}"
-    lines = textwrap.wrap(named, letters, break_on_hyphens=False)
-    return lines if units <= _LISTED and len(lines) <= _MOST_LINES else [facts]
+def _remarks(table: pd.DataFrame, drawn: pd.DataFrame) -> str:
+    """How many units are outlying, and which coefficients have no panel."""
+    if table.empty:
+        return "no results"
+    text = f"{table.loc[table['outlying'], 'recording'].nunique() or 'none'} of them outlying"
+    left = table[table["measured"] & ~table["detected"]]
+    kinds = set(zip(drawn["coefficient"], drawn["sensor"], strict=True))
+    pairs = dict.fromkeys(zip(left["coefficient"], left["sensor"], strict=True))
+    for sensor, name in SENSORS.items():
+        if absent := [title_of(c, s) for c, s in pairs if s == sensor and (c, s) not in kinds]:
+            text += f"; {name}: no unit has {', '.join(absent)}"
+    return text
 
 
 def _key(table: pd.DataFrame) -> list[Any]:
     """Entries of the key for points, lines and bands."""
     no_line: dict[str, Any] = {"markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
     remarked = (table["measured"] & (table["remarks"] != "")).any()
-    hollow = Line2D([], [], color=POINTS, marker="o", label="with a remark", **{**no_line, "linewidth": 0.8})
-    cross = Line2D([], [], color=_LIMIT, marker="x", label="not a measurement", **no_line)
+    hollow = Line2D([], [], color=ink(0.3), marker="o", label="with a remark", **no_line | {"linewidth": 0.8})
+    cross = Line2D([], [], color=ink(0.6), marker="x", label="not a measurement", **no_line)
     return [
         *(points_entry(name, colour) for name, colour in _group_colours(table)),
         *([hollow] if remarked else []),
         *([] if table["measured"].all() else [cross]),
-        Line2D([], [], color=_LIMIT, marker="v", label="not detected: 95 % limit", **no_line),
+        Line2D([], [], color=ink(0.6), marker="v", label="not detected: 95 % limit", **no_line),
         points_entry("outlying", _OUTLYING),
         Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
-        Patch(color=_MEDIAN, alpha=0.15, linewidth=0.0, label="90 % of them"),
+        band_entry("90 % of them", _MEDIAN, 0.15),
     ]
 
 
-def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str]) -> None:
+def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str], names: dict[str, str]) -> None:
     """Draw a coefficient of one kind of sensor."""
     coefficient, sensor, unit = of[["coefficient", "sensor", "unit"]].iloc[0]
     axes = list(of["axis"].unique())
     title = title_of(coefficient, sensor)
-    panel.set_title(f"{SENSORS[sensor]}: {title}", loc="left", fontweight="bold")
-    panel.set_ylabel(title if unit == "1" else f"{title} [{unit}]")
+    dress(panel, f"{SENSORS[sensor]}: {title}", y=title if unit == "1" else f"{title}\n[{unit}]")
     panel.set_xticks(range(len(axes)), axes)
     panel.set_xlim(-0.5, len(axes) - 0.5)
-    panel.tick_params(axis="x", length=0.0)
-    panel.grid(True, axis="y", which="major", color="0.88", linewidth=0.6)
-    panel.set_axisbelow(True)
+    pad = 72.0 * _TICK_LETTER * max(map(len, names.values()), default=0)
+    panel.tick_params(axis="x", length=0.0, pad=6.0 + pad)
+    panel.tick_params(axis="x", which="minor", length=2.0, pad=2.0, labelsize=6.5, labelrotation=90)
+    panel.grid(False, axis="x")
     _set_scale(panel, of)
-    for k, axis in enumerate(axes):
-        _draw_axis(panel, k, of[of["axis"] == axis], groups)
+    ticks = [_draw_axis(panel, k, of[of["axis"] == axis], groups, names) for k, axis in enumerate(axes)]
+    units = pd.concat(ticks)
+    if names:
+        panel.set_xticks(units["x"], [literal(names[str(u)]) for u in units["recording"]], minor=True)
 
 
 def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
@@ -213,8 +222,13 @@ def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
     panel.yaxis.set_minor_locator(NullLocator())
 
 
-def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: list[str]) -> None:
-    """Draw the units' values on one axis about x = k, side by side, with a gap between groups."""
+def _draw_axis(
+    panel: Axes, k: int, of: pd.DataFrame, groups: list[str], names: dict[str, str]
+) -> pd.DataFrame:
+    """Draw the units' values on one axis about x = k, side by side, with a gap between groups.
+
+    Returns the rows with their places `x`.
+    """
     of = of.sort_values("group", key=lambda names: names.map(groups.index), kind="stable")
     number = of["group"].map(groups.index).to_numpy()
     apart = max(1, round(_APART * len(of)))
@@ -223,10 +237,11 @@ def _draw_axis(panel: Axes, k: int, of: pd.DataFrame, groups: list[str]) -> None
     for g in np.unique(number):
         _draw_group(panel, of[number == g], _GROUPS[g % len(_GROUPS)])
     if of["outlying"].any():
-        _name_units(panel, k, of[of["outlying"]])
+        _name_units(panel, k, of[of["outlying"]].replace({"recording": names}))
+    return of
 
 
-def _draw_group(panel: Axes, of: pd.DataFrame, colour: str) -> None:
+def _draw_group(panel: Axes, of: pd.DataFrame, colour: str | None) -> None:
     """Draw the values of a group's units on one axis, and the band of most of them."""
     x, y, detected, outlying = (of[name].to_numpy() for name in ("x", "height", "detected", "outlying"))
     measured, remarked = of["measured"].to_numpy(), (of["remarks"] != "").to_numpy()
@@ -237,46 +252,36 @@ def _draw_group(panel: Axes, of: pd.DataFrame, colour: str) -> None:
         panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
     limit = ~detected & measured
-    panel.plot(x[limit], y[limit], "v", color=_LIMIT, mfc="none", markersize=3.5, mew=0.7)
-    panel.plot(x[~measured], y[~measured], "x", color=_LIMIT, markersize=4.0, mew=0.9)
+    panel.plot(x[limit], y[limit], "v", color=ink(0.6), mfc="none", markersize=3.5, mew=0.7)
+    panel.plot(x[~measured], y[~measured], "x", color=ink(0.6), markersize=4.0, mew=0.9)
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
     ends = np.nan_to_num(np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y]), posinf=0.0)
-    for rows, shown, zorder in ((usual, colour, 3), (outlying, _OUTLYING, 4)):
-        for part, more in ((rows & ~remarked, {}), (rows & remarked, _HOLLOW)):
-            look = {**marks(2.6), "color": shown, "elinewidth": bars, "zorder": zorder, **more}
+    hollow = {"markerfacecolor": ink(1.0), "markeredgewidth": 0.9, "markersize": 3.8}
+    for rows, shown, zorder in ((usual, colour or ink(0.3), 3), (outlying, _OUTLYING, 4)):
+        for part, more in ((rows & ~remarked, {}), (rows & remarked, hollow)):
+            look = dots(2.6, color=shown, elinewidth=bars, zorder=zorder, **more)
             panel.errorbar(x[part], y[part], np.maximum(ends[:, part], 0.0), **look)
 
 
 def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     """Write names in a column beside their points, from the lowest up, each clear of the one before."""
+    of = of.sort_values("height")
     points = of[["x", "height"]].to_numpy()
     places = panel.transLimits.transform(panel.transScale.transform(points))
     names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in of["recording"]]
-    # Where there is more room.
-    right = of["x"].mean() <= k
-    step = _NAME_HEIGHT / _PANEL_HEIGHT
-    column = places[:, 0].max() + _BESIDE if right else places[:, 0].min() - _BESIDE
-    last = 1.0 - _LETTER * max(map(len, names))
-    if right and column > last:
-        # Within the panel, and above the points.
-        column, places = last, places + np.array([0.0, step])
-    order = np.argsort(places[:, 1])[:_NAMED]
-    clear = -np.inf
-    for count, i in enumerate(order):
-        # So low that those above it have a place too.
-        highest = 1.0 - (len(order) - 1 - count + 0.6) * step
-        level = max(min(places[i, 1], highest), clear)
-        clear = level + step
-        more = len(names) - _NAMED
-        panel.annotate(
-            literal(names[i] if count < _NAMED - 1 or more <= 0 else f"{names[i]} and {more} more"),
-            points[i],
-            (column, level),
-            textcoords="axes fraction",
-            color=_OUTLYING,
-            fontsize=7,
-            va="center",
-            ha="left" if right else "right",
-            arrowprops={"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2},
-        )
+    if len(names) > _NAMED:
+        names[_NAMED - 1 :] = [f"{names[_NAMED - 1]} and {len(names) - _NAMED} more"]
+    steps = _NAME_HEIGHT / _SHEET.height * np.arange(len(names))
+    level = np.maximum.accumulate(places[: len(names), 1] - steps) + steps
+    # The uppermost is within the panel, too.
+    level -= max(level[-1] - 0.96, 0.0)
+    # On the side where the others are not, if that is within the panel.
+    column = places[:, 0].max() + _BESIDE
+    right = of["x"].mean() <= k and column + _LETTER * max(map(len, names)) < 1.0
+    at = column if right else places[:, 0].min() - _BESIDE
+    arrow = {"arrowstyle": "-", "color": _OUTLYING, "linewidth": 0.4, "shrinkA": 1, "shrinkB": 2}
+    look: dict[str, Any] = {"color": _OUTLYING, "fontsize": 7, "va": "center", "arrowprops": arrow}
+    look |= {"ha": "left" if right else "right", "textcoords": "axes fraction"}
+    for name, point, y in zip(names, points, level, strict=False):
+        panel.annotate(literal(name), tuple(point), (at, y), **look)

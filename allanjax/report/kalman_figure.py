@@ -8,31 +8,34 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.kalman.filtering import Adapted, AdaptedAxis
 from allanjax.kalman.result import BiasTracks, FilteredAxis
 from allanjax.record.units import rate_unit_of
 from allanjax.report.figure import (
     COLOURS,
-    DOTS,
-    add_grid,
-    add_legend,
+    TIME,
+    Heading,
+    Sheet,
+    band_entry,
+    dots,
+    dress,
     facts_of,
+    ink,
     label_in,
-    place,
+    place_below,
+    rows_of,
     save_and_close,
     style,
-    write_title,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.2, 1.15, 0.5, 0.1
-_WIDTH, _BIAS_HEIGHT, _STRIP_HEIGHT, _BETWEEN = 7.6, 1.8, 0.9, 0.6
+# Inches: the strip is below the panel.
+_STRIP, _APART = 0.9, 0.1
+_SHEET = Sheet(6.2, 1.8, between=_APART + _STRIP + 0.6, left=1.1, bottom=_APART + _STRIP + 0.55)
 # Most points that are drawn of a record, others being left out at even distances; and of its means.
 _MOST, _MEANS = 4000, 300
 _BLUE = COLOURS[0]
@@ -57,7 +60,7 @@ def plot_bias_tracks(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    chosen = [result[name] for name in _names(result.axes, axes)]
+    chosen = [result.results[k] for k in rows_of(result.axes, None, axes)[0]]
     strip: Any
     if isinstance(result, Adapted):
         title, strip, entries = "Adaptive filter", _draw_probabilities, _lines(chosen[0])
@@ -68,9 +71,9 @@ def plot_bias_tracks(
 
 def _draw_innovations(panel: Axes, result: FilteredAxis) -> None:
     some = _some(len(result.samples))
-    panel.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color="0.9", linewidth=0.0)
-    panel.plot(result.time[some], result.standardized[some], **DOTS)
-    panel.set_ylabel("innovation\nover its std")
+    panel.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color=ink(0.9), linewidth=0.0)
+    panel.plot(result.time[some], result.standardized[some], **dots())
+    panel.set_ylabel("innovation\n[σ]")
 
 
 def _draw_probabilities(panel: Axes, result: AdaptedAxis) -> None:
@@ -91,33 +94,21 @@ def _lines(result: AdaptedAxis) -> list[Any]:
     return [Line2D([], [], color=c, label=label) for c, label in zip(colours, result.labels, strict=True)]
 
 
-def _names(there: Sequence[str], chosen: Sequence[str] | str | None) -> list[str]:
-    """Names of the axes to draw."""
-    names = list(there) if chosen is None else [chosen] if isinstance(chosen, str) else list(chosen)
-    if not names or set(names) - set(there):
-        raise AllanjaxError(f"name at least one axis to plot of {', '.join(there)}, not {', '.join(names)}")
-    return names
-
-
 def _some(n: int) -> Any:
     """Indices of the samples that are drawn."""
     return np.unique(np.linspace(0, n - 1, min(n, _MOST)).round().astype(int))
 
 
 def _samples() -> dict[str, Any]:
-    return {**DOTS, "color": "0.6", "markersize": 2.0, "label": "samples, in means"}
+    return dots(2.0, color=ink(0.6), label="means of samples")
 
 
 def _key() -> list[Any]:
     """Entries of the key for samples, bias and band."""
     from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
-    return [
-        Line2D([], [], **_samples()),
-        Line2D([], [], color=_BLUE, label="bias"),
-        Patch(color=_BLUE, alpha=0.3, linewidth=0.0, label="95 % interval"),
-    ]
+    lines = [Line2D([], [], **_samples()), Line2D([], [], color=_BLUE, label="bias")]
+    return [*lines, band_entry("95 % interval", _BLUE, 0.3)]
 
 
 def _draw_bias(panel: Axes, result: FilteredAxis | AdaptedAxis, scale: float) -> None:
@@ -151,28 +142,17 @@ def _figure(
     path: str | os.PathLike[str] | None,
 ) -> Figure:
     """Figure of a panel and a strip for each axis, one below the other."""
-    import matplotlib.pyplot as plt
-
-    row = _BIAS_HEIGHT + _STRIP_HEIGHT + _GAP
-    width = _LEFT + _WIDTH + _RIGHT
-    height = _TOP + len(results) * (row + _BETWEEN) + _BOTTOM - _BETWEEN
     with style():
-        figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, title, facts_of(len(results[0].samples), results[0].rate))
-        add_legend(figure, key, "upper left", _LEFT, 0.62, ncols=len(key))
-        for k, result in enumerate(results):
-            top = height - _TOP - k * (row + _BETWEEN)
+        heading = Heading(title, facts_of(len(results[0].samples), results[0].rate), key)
+        figure, panels = _SHEET.draw(heading, [1] * len(results))
+        for result, (upper,) in zip(results, panels, strict=True):
             unit, scale = rate_unit_of(result.axis.unit, result.axis.sensor)
-            upper = place(figure, _LEFT, top - _BIAS_HEIGHT, _WIDTH, _BIAS_HEIGHT)
-            lower = place(figure, _LEFT, top - row, _WIDTH, _STRIP_HEIGHT)
+            lower = place_below(upper, _APART, _STRIP)
             _draw_bias(upper, result, scale)
             strip(lower, result)
             for panel in (upper, lower):
                 panel.set_xlim(0.0, max(float(result.time[-1]), 1.0 / result.rate))
-                add_grid(panel)
-            upper.set_title(result.axis.name, loc="left", fontweight="bold")
-            upper.set_ylabel(label_in("bias", unit))
+            dress(upper, result.axis.name, y=label_in("bias", unit))
+            dress(lower, x=TIME if upper is panels[-1][0] else "")
             upper.tick_params(labelbottom=False)
-            if k == len(results) - 1:
-                lower.set_xlabel("time [s]")
         return save_and_close(figure, path)

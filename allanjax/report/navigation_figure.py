@@ -12,22 +12,21 @@ from allanjax.navigation.navigator import SHOWN, ErrorGrowth, Navigation
 from allanjax.report.figure import (
     COLOURS,
     DASHES,
-    MODEL,
-    add_grid,
-    add_legend,
-    place,
+    TIME,
+    Heading,
+    Sheet,
+    dress,
+    ink,
+    model_line,
     save_and_close,
     style,
-    write_title,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inches.
-_LEFT, _RIGHT, _TOP, _BOTTOM, _LINE = 0.85, 0.2, 0.95, 0.1, 0.2
-_WIDTH, _HEIGHT, _GAP, _ROW = 2.9, 2.1, 0.55, 0.65
+_SHEET = Sheet(2.9, 2.1, gap=0.55)
 # Causes below this share of the error at all times are not drawn.
 _DRAWN = 0.05
 
@@ -43,36 +42,30 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
         result: what `navigate` returned.
         path: a file to save the picture to, by its suffix .png, .svg or .pdf.
     """
-    import matplotlib.pyplot as plt
     from matplotlib.lines import Line2D
 
     growths = list(result.values())
     columns = list(dict.fromkeys(channel for growth in growths for channel in growth.channels))
     styles = _styles(growths)
-    lines = -(-(len(styles) + 1) // max(len(columns), 1))
-    width = _LEFT + _RIGHT + len(columns) * (_WIDTH + _GAP) - _GAP
-    height = _TOP + len(growths) * (_HEIGHT + _ROW) + _BOTTOM + lines * _LINE
     with style():
-        figure = plt.figure(figsize=(width, height))
-        write_title(figure, _LEFT, result.name or "Errors of a navigator at rest", _facts(result))
-        for i, growth in enumerate(growths):
-            for j, channel in enumerate(columns):
-                if channel in growth.channels:
-                    bottom = height - _TOP - (i + 1) * (_HEIGHT + _ROW) + _ROW
-                    panel = place(figure, _LEFT + j * (_WIDTH + _GAP), bottom, _WIDTH, _HEIGHT)
-                    _draw(panel, growth, channel, styles)
-                    if growth.time[-1] > result.quarter_period:
-                        panel.axvline(result.quarter_period, color="0.4", linewidth=0.8, linestyle=":")
-        # Models that are taken as exact have none.
+        # Models that are taken as exact have no interval.
         interval = ", with its 95 % interval" if np.isfinite(growths[0].lower).any() else ""
-        handles = [Line2D([], [], **{**MODEL, "label": f"error, 1σ{interval}"})]
-        handles += [Line2D([], [], label=name, **of) for name, of in styles.items()]
-        place_of_key = height - _BOTTOM - lines * _LINE
-        add_legend(figure, handles, "upper left", _LEFT, place_of_key, ncols=len(columns))
+        key = [Line2D([], [], **model_line(f"error, 1σ{interval}"))]
+        key += [Line2D([], [], label=name, **of) for name, of in styles.items()]
+        heading = Heading(result.name or "Errors of a navigator at rest", _conditions(result), key)
+        figure, panels = _SHEET.draw(heading, [len(columns)] * len(growths))
+        for growth, row in zip(growths, panels, strict=True):
+            for channel, panel in zip(columns, row, strict=True):
+                if channel not in growth.channels:
+                    panel.remove()
+                    continue
+                _draw(panel, growth, channel, styles)
+                if growth.time[-1] > result.quarter_period:
+                    panel.axvline(result.quarter_period, color=ink(0.4), linewidth=0.8, linestyle=":")
         return save_and_close(figure, path)
 
 
-def _facts(result: Navigation) -> str:
+def _conditions(result: Navigation) -> str:
     loop = "Schuler loop included" if result.schuler else "short-term"
     return f"biases averaged over {duration(result.calibration)} at rest, {result.rate:g} Hz, {loop}"
 
@@ -106,12 +99,11 @@ def _kind(cause: str) -> str:
 def _draw(panel: Axes, growth: ErrorGrowth, channel: str, styles: dict[str, dict[str, Any]]) -> None:
     unit, scale = SHOWN[growth.quantity]
     k, error = growth.channels.index(channel), growth.of(channel)
-    panel.set(xscale="log", yscale="log", xlabel="time since the start [s]")
-    panel.set_title(f"{growth.quantity} {channel} [{unit}]", loc="left", fontweight="bold")
-    add_grid(panel)
-    panel.fill_between(growth.time, growth.lower[k] / scale, growth.upper[k] / scale, color="0.85", zorder=1)
+    dress(panel, f"{growth.quantity} {channel} [{unit}]", TIME, log="xy")
+    lower, upper = growth.lower[k] / scale, growth.upper[k] / scale
+    panel.fill_between(growth.time, lower, upper, color=ink(0.85), zorder=1)
     for cause, part in growth.causes[channel].items():
         if (part**2 >= _DRAWN * error**2).any():
             panel.plot(growth.time, part / scale, label=cause, **styles[_kind(cause)])
-    panel.plot(growth.time, error / scale, **MODEL)
+    panel.plot(growth.time, error / scale, **model_line())
     panel.set_ylim(error.min() / scale / 3.0, error.max() / scale * 3.0)

@@ -7,13 +7,11 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from scipy.ndimage import gaussian_filter
 
@@ -27,19 +25,23 @@ from allanjax.record.units import unit_scale
 from allanjax.report.figure import (
     CLUSTER_TIME,
     COLOURS,
-    DOTS,
     FONT_SIZE,
-    add_grid,
-    add_legend,
+    FREQUENCY,
+    Heading,
+    Sheet,
     allan_points,
-    mark_2_and_5,
-    place,
+    band_entry,
+    dots,
+    dress,
+    facts_of,
+    ink,
+    label_in,
+    mark_off_scale,
     points_entry,
     rows_of,
     save_and_close,
     style,
     unit_of,
-    write_title,
 )
 from allanjax.spectrum.psd import density_unit
 
@@ -48,11 +50,8 @@ _COLOUR = COLOURS[0]
 _Draws = Float[np.ndarray, " draws"]
 _Ends = tuple[float, float]
 
-# Inches: places are fixed, so that nothing can overlap.
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.95, 0.2, 0.95, 0.55
-_PANEL_WIDTH, _PANEL_HEIGHT, _GAP, _ROW_GAP = 4.1, 2.6, 1.0, 0.75
-_CORNER_LEFT, _CORNER_TOP, _CORNER_BOTTOM = 1.15, 0.85, 0.75
-_CORNER_PANEL, _CORNER_GAP = 1.7, 0.12
+_SHEET = Sheet(3.5, 2.3, gap=0.95)
+_CORNER = Sheet(1.7, 1.7, gap=0.3, between=0.12, left=1.15, bottom=0.75)
 
 # Draws that a band is made of, and points of a curve of either kind.
 _DRAWS = 300
@@ -81,19 +80,14 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     scales = np.array([unit_scale(m.usual_unit, m.axis.sensor) for m in marginals])
     draws = posterior.draws / scales
     ranges = [_range(x) for x in draws.T]
-    step = _CORNER_PANEL + _CORNER_GAP
     count = len(marginals)
-    side = count * _CORNER_PANEL + (count - 1) * _CORNER_GAP
-    # One parameter leaves no room for the title.
-    width = max(_CORNER_LEFT + side + _RIGHT, 4.0)
     with style():
-        figure = plt.figure(figsize=(width, _CORNER_TOP + side + _CORNER_BOTTOM))
-        key = "line: median and 68 %; broken: prior; contours: 68 and 95 %"
-        remark = key if posterior.converged else f"NOT CONVERGED. {key}"
-        write_title(figure, 0.12, f"{posterior.axis.name}: posterior", remark, fontsize=FONT_SIZE)
+        lines = "lines: median and 68 % interval, prior (broken); contours: 68 and 95 %"
+        remark = lines if posterior.converged else f"NOT CONVERGED. {lines}"
+        heading = Heading(f"{posterior.axis.name}: posterior", remark)
+        figure, panels = _CORNER.draw(heading, range(1, count + 1))
         for row, column in [(i, j) for i in range(count) for j in range(i + 1)]:
-            corner = _CORNER_LEFT + column * step, _CORNER_BOTTOM + (count - 1 - row) * step
-            panel = place(figure, *corner, _CORNER_PANEL, _CORNER_PANEL)
+            panel = panels[row][column]
             if row == column:
                 prior = posterior.priors[posterior.labels[row]]
                 _draw_margin(panel, draws[:, row], ranges[row], prior, scales[row])
@@ -109,7 +103,7 @@ def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) ->
     last = row == len(marginals) - 1
     left = column == 0 and row > 0
     panel.tick_params(which="both", direction="in", labelbottom=last, labelleft=left)
-    panel.xaxis.set_major_locator(MaxNLocator(3, prune="both"))
+    panel.xaxis.set_major_locator(MaxNLocator(2))
     if row != column:
         panel.yaxis.set_major_locator(MaxNLocator(3, prune="both"))
     for axis in (panel.xaxis, panel.yaxis):
@@ -134,7 +128,7 @@ def _heading(m: Estimate) -> str:
     shown = m.in_unit()
     if m.detected:
         return format_with_error(shown.value, shown.std) if shown.is_normal else shown.describe_interval()
-    return "not detected" if shown.upper_limit is None else f"below {significant(shown.upper_limit)} (95 %)"
+    return "not detected" if shown.upper_limit is None else f"< {significant(shown.upper_limit)} (95 %)"
 
 
 def _range(x: _Draws) -> _Ends:
@@ -155,11 +149,11 @@ def _draw_margin(panel: Axes, x: _Draws, ends: _Ends, prior: Prior, scale: float
     panel.stairs(density, edges, color=_COLOUR, linewidth=1.0)
     some = np.linspace(*ends, 200)
     prior_density = np.exp(np.asarray(prior.log_density(some * scale))) * scale
-    panel.plot(some, prior_density, color="0.45", linewidth=1.0, linestyle="--", label="prior")
+    panel.plot(some, prior_density, color=ink(0.3), linewidth=1.0, linestyle="--", label="prior")
     low, median, high = np.quantile(x, [0.16, 0.5, 0.84])
-    panel.axvline(median, color="black", linewidth=1.2)
+    panel.axvline(median, color=ink(), linewidth=1.2)
     for end in (low, high):
-        panel.axvline(end, color="black", linewidth=0.7)
+        panel.axvline(end, color=ink(), linewidth=0.7)
     panel.set_xlim(ends)
     panel.set_ylim(0.0, 1.08 * density.max())
     panel.set_yticks([])
@@ -190,7 +184,7 @@ def plot_posterior(
 ) -> Figure:
     """Draw the models' Allan deviation and, beside it, their PSD, with 68 and 95 % of the posterior as bands.
 
-    One row an axis. Points are the Allan deviations measured, with 68 % intervals, and the measured PSD if
+    One row per axis. Points are the Allan deviations measured, with 68 % intervals, and the measured PSD if
     it is given. The bands are those of the model curve under the posterior, at each time or frequency by
     itself; terms that were not sampled are left out. PSDs are one-sided, with the aliases of the samples.
 
@@ -209,34 +203,21 @@ def plot_posterior(
     """
     chosen = [posterior.results[k] for k in rows_of(posterior.axes, None, axes)[0]]
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
-    width = _LEFT + 2.0 * _PANEL_WIDTH + _GAP + _RIGHT
-    height = _TOP + len(chosen) * _PANEL_HEIGHT + (len(chosen) - 1) * _ROW_GAP + _BOTTOM
     with style():
-        figure = plt.figure(figsize=(width, height))
-        name = posterior.fit.name or "posterior"
-        facts = f"{measured.n:,} samples at {measured.rate:g} Hz; model under the posterior"
-        write_title(figure, _LEFT, name if len(name) < 70 else f"{name[:69]}…", facts)
-        handles = [
+        key = [
             points_entry("measured, 68 % interval"),
-            Line2D([], [], color=_COLOUR, linewidth=1.2, label="model, median"),
-            Patch(color=_COLOUR, alpha=0.45, linewidth=0.0, label="68 %"),
-            Patch(color=_COLOUR, alpha=0.2, linewidth=0.0, label="95 %"),
+            Line2D([], [], color=_COLOUR, linewidth=1.2, label="median of the model's curves"),
+            band_entry("68 % of them", _COLOUR, 0.45),
+            band_entry("95 %", _COLOUR, 0.2),
         ]
-        add_legend(figure, handles, "upper right", width - _RIGHT, 0.38, ncols=4)
-        for row, result in enumerate(chosen):
-            bottom = height - _TOP - row * (_PANEL_HEIGHT + _ROW_GAP) - _PANEL_HEIGHT
-            left, right = (
-                place(figure, x, bottom, _PANEL_WIDTH, _PANEL_HEIGHT)
-                for x in (_LEFT, _LEFT + _PANEL_WIDTH + _GAP)
-            )
+        heading = Heading(posterior.fit.name or "Posterior", facts_of(measured.n, measured.rate), key)
+        figure, panels = _SHEET.draw(heading, [2] * len(chosen))
+        for result, (left, right) in zip(chosen, panels, strict=True):
             _draw_deviation(left, result, measured)
             _draw_density(right, result, spectrum, measured.n)
             state = "" if result.converged else ", NOT CONVERGED"
-            left.set_title(f"{result.axis.name}{state}", loc="left", fontweight="bold")
-            for panel in (left, right):
-                panel.set(xscale="log", yscale="log")
-                add_grid(panel)
-                mark_2_and_5(panel.xaxis, panel.yaxis)
+            dress(left, f"{result.axis.name}{state}", log="xy")
+            dress(right, log="xy")
         return save_and_close(figure, path)
 
 
@@ -259,7 +240,7 @@ def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation) -
     positive = points.y[points.y > 0.0]
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
     panel.set_ylim(positive.min(initial=np.inf) / 2.5, positive.max(initial=0.0) * 2.0)
-    panel.set(xlabel=CLUSTER_TIME, ylabel=f"Allan deviation [{unit}]")
+    panel.set(xlabel=CLUSTER_TIME, ylabel=label_in("Allan deviation", unit))
 
 
 def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> None:
@@ -269,10 +250,11 @@ def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> 
     if spectrum is not None:
         density, frequency = spectrum[result.axis.name].density[:, 0] / scale, spectrum.frequency
         shown = (frequency > 0.0) & (density > 0.0)
-        look: dict[str, Any] = {**DOTS, "markersize": 2.0, "alpha": 0.6}
-        panel.plot(frequency[shown], density[shown], label="measured", **look)
+        panel.plot(frequency[shown], density[shown], label="measured", **dots(2.0, alpha=0.6))
     _draw_band(panel, f, curves)
     # Single ordinates scatter over decades below the density; a few of them leave the panel.
     panel.set_xlim(f[0] / 1.4, f[-1] * 1.4)
     panel.set_ylim(curves.min() / 30.0, curves.max() * 5.0)
-    panel.set(xlabel="frequency [Hz]", ylabel=f"one-sided PSD [{unit}]")
+    if spectrum is not None:
+        mark_off_scale(panel, frequency[shown], density[shown], ink(0.3))
+    panel.set(xlabel=FREQUENCY, ylabel=label_in("one-sided PSD", unit))

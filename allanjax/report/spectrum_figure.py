@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.base.chi_squared import chi_squared_factors
+from allanjax.base.chi_squared import chi_squared_factors, quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
@@ -17,7 +17,6 @@ from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.parameter import Parametrized
 from allanjax.report.figure import (
     FREQUENCY,
-    MODEL,
     PRECISE,
     Frame,
     KeyEntry,
@@ -26,10 +25,14 @@ from allanjax.report.figure import (
     Residual,
     drawn_terms,
     facts_of,
+    ink,
     label_in,
+    model_line,
     rows_of,
     term_entries,
     term_style,
+    verdict_entry,
+    worst_place,
     wrapped,
 )
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
@@ -44,7 +47,6 @@ if TYPE_CHECKING:
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4
-_BAND = "0.93"
 
 
 def plot_psd(
@@ -107,34 +109,34 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> 
     result = None if fit is None else _result(spectrum, fit, k)
     fit = fit if fit is None or result is None or not result.converged else fit.as_for(result.axis.name)
     walk = _random_walk(spectrum, k) if has_band else None
-    key = [] if fit is None or result is None else _fit_entries(fit, result)
+    key = [] if result is None else [verdict_entry(result, "Hz")]
+    if fit is not None and result is not None and result.converged:
+        key = [*term_entries(fit, result, _is_nowhere, " (no density: not drawn)"), *key]
     if has_band:
         key.append(_walk_entry(walk))
 
     def draw(panel: Axes) -> None:
         if walk is not None and walk.band is not None:
-            panel.axvspan(*walk.band, color=_BAND, linewidth=0.0, zorder=0, label="flat part")
+            panel.axvspan(*walk.band, color=ink(0.93), linewidth=0.0, zorder=0, label="flat part")
         if fit is not None and result is not None and result.converged:
             _draw_model(panel, spectrum, fit, result, scale)
 
     ends = [end[:, k] for end in spectrum.confidence_interval(0.68)]
     points = [Points.of(spectrum.frequency, spectrum.density[:, k], ends, scale)]
     residual = _residual(spectrum, k, result) if result is not None and result.converged else None
-    return Panel(spectrum.names[k], label_in("one-sided PSD", unit), points, draw, key, residual)
+    worst = worst_place(result, "Hz") if residual is not None and result is not None else np.nan
+    return Panel(spectrum.names[k], label_in("one-sided PSD", unit), points, draw, key, residual, worst)
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
-    name = spectrum.names[k]
+    name, end = spectrum.names[k], "give it the power_spectrum of the recording that was fitted"
     if spectrum.axes is None or name not in fit.axes:
-        raise AllanjaxError(
-            f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; "
-            "give it the power_spectrum of the recording that was fitted"
-        )
+        raise AllanjaxError(f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; {end}")
     if not np.isclose(spectrum.rate, fit.curve.rate, rtol=1e-9):
-        raise AllanjaxError(
-            f"the spectrum's samples come at {spectrum.rate:g} Hz, the fit's at {fit.curve.rate:g} Hz; "
-            "give it the power_spectrum of the recording that was fitted"
+        rates = (
+            f"the spectrum is of samples at {spectrum.rate:g} Hz, the fit of samples at {fit.curve.rate:g} Hz"
         )
+        raise AllanjaxError(f"{rates}; {end}")
     return fit[name]
 
 
@@ -165,7 +167,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
         elif drawn:
             for line in _line_of(term):
                 panel.axvline(line, **style)
-    panel.plot(frequency, total / scale, **MODEL)
+    panel.plot(frequency, total / scale, **model_line())
 
 
 def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
@@ -200,7 +202,8 @@ def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
         100.0 * (ratio - 1.0),
         100.0 * np.maximum(spread, 0.0),
     )
-    return Residual(points, (dof > 2.0 / PRECISE**2) & ~has_line)
+    chance = 100.0 * (quantile(np.array([[0.025], [0.975]]), dof) / dof - 1.0)
+    return Residual(points, (dof > 2.0 / PRECISE**2) & ~has_line, chance)
 
 
 def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
@@ -216,22 +219,15 @@ def _line_of(term: Process) -> list[float]:
     return [float(getattr(term, p.name)) for p in term.parameters() if p.kind == "line"]
 
 
-def _fit_entries(fit: Fit, result: AxisFit) -> list[KeyEntry]:
-    """Entries of every term with its coefficients."""
-    if not result.converged:
-        return [KeyEntry(wrapped(result.verdict))]
-    return term_entries(fit, result, _is_nowhere, " (no density: not drawn)")
-
-
 def _is_nowhere(term: NoiseTerm) -> bool:
     """Whether a term is neither a density nor a line."""
     return term.deterministic and not any(p.kind == "line" for p in term.parameters())
 
 
 def _walk_entry(walk: Estimate | None) -> KeyEntry:
-    """Entry of N by the flat part."""
+    """Entry of N from the flat part, by (3.41)."""
     if walk is None or walk.band is None:
-        return KeyEntry(wrapped("N by eq. (3.41): nowhere flat over an octave"))
+        return KeyEntry(wrapped("no N from the PSD: it is nowhere flat over an octave"))
     low, high = walk.band
-    text = f"N by eq. (3.41): {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
-    return KeyEntry(wrapped(text), {"color": _BAND, "linewidth": 7.0, "solid_capstyle": "butt"})
+    text = f"N from the flat part: {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
+    return KeyEntry(wrapped(text), {"color": ink(0.93), "linewidth": 7.0, "solid_capstyle": "butt"})

@@ -11,18 +11,20 @@ import numpy as np
 from allanjax.base.wording import plain
 from allanjax.report.figure import (
     COLOURS,
+    TIME,
     Frame,
+    Heading,
     Panel,
     Points,
-    add_grid,
+    Sheet,
+    dress,
     facts_of,
+    ink,
     label_in,
-    place,
     rows_of,
     save_and_close,
     style,
     unit_of,
-    write_title,
 )
 from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.wavelets.decomposition import WaveletDecomposition
@@ -32,8 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inches.
-_WIDTH, _LEFT, _RIGHT, _TOP, _BOTTOM, _PANEL, _GAP = 8.4, 1.5, 0.2, 0.75, 0.5, 0.85, 0.12
+_SHEET = Sheet(5.6, 0.8, between=0.12, left=1.6)
 # More samples than this are drawn as the range of each of so many stretches.
 _DRAWN = 4000
 
@@ -90,8 +91,6 @@ def plot_decomposition(
     Raises:
         AllanjaxError: there is no such axis or level.
     """
-    import matplotlib.pyplot as plt
-
     recording = decomposition.recording
     k = rows_of(recording.names, None, axis)[0][0]
     name = recording.names[k]
@@ -104,30 +103,23 @@ def plot_decomposition(
     lowest = plain(float(decomposition.band[shown[-1] - 1, 0]), 2)
     parts.append((f"below\n{lowest} Hz", decomposition.approximation(shown[-1])))
     with style():
-        height = _TOP + _BOTTOM + len(parts) * (_PANEL + _GAP)
-        figure = plt.figure(figsize=(_WIDTH, height))
-        write_title(
-            figure,
-            _LEFT,
-            f"{name}, wavelet decomposition",
-            f"{decomposition.wavelet}, {facts_of(recording.n, recording.rate)}, in {unit}",
-        )
-        for row, (label, part) in enumerate(parts):
-            bottom = height - _TOP - (row + 1) * (_PANEL + _GAP) + _GAP
-            panel = place(figure, _LEFT, bottom, _WIDTH - _LEFT - _RIGHT, _PANEL)
+        record = f"{decomposition.wavelet}, {facts_of(recording.n, recording.rate)}"
+        heading = Heading(f"{name}, wavelet decomposition [{unit}]", record)
+        figure, panels = _SHEET.draw(heading, [1] * len(parts))
+        for row, ((label, part), (panel,)) in enumerate(zip(parts, panels, strict=True)):
+            dress(panel)
             _draw_range(panel, part.values[:, k] / scale, recording.rate, row in (0, len(parts) - 1))
             panel.set_ylabel(label, rotation=0, ha="right", va="center")
-            panel.yaxis.set_label_coords(-0.07, 0.5)
-            add_grid(panel)
+            panel.yaxis.set_label_coords(-0.11, 0.5)
             panel.set_xlim(0.0, recording.n / recording.rate)
             panel.tick_params(labelbottom=row == len(parts) - 1)
-        panel.set_xlabel("time [s]")
+        panel.set_xlabel(TIME)
         return save_and_close(figure, path)
 
 
-def _draw_range(panel: Axes, x: Any, rate: float, whole: bool) -> None:
+def _draw_range(panel: Axes, x: Any, rate: float, measured: bool) -> None:
     """Draw samples over time, of a long record the range of each stretch."""
-    colour = "0.3" if whole else COLOURS[0]
+    colour = ink(0.3) if measured else COLOURS[0]
     if len(x) <= _DRAWN:
         panel.plot(np.arange(len(x)) / rate, x, color=colour, linewidth=0.7)
         return

@@ -215,7 +215,7 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     # One unit's crosses, and hollow circles of all units, which are short.
     (panel, *_) = told.plot().axes
     assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "x") == 1
-    hollow = [line for line in panel.lines if line.get_markerfacecolor() == "white"]
+    hollow = [line for line in panel.lines if line.get_markerfacecolor() == "#ffffff"]
     assert sum(len(line.get_xdata()) for line in hollow) == 9
 
 
@@ -361,7 +361,7 @@ def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
 
 
 @pytest.mark.usefixtures("no_windows")
-def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkeypatch):
+def test_the_picture_has_a_panel_per_coefficient_and_names_units(fleet, monkeypatch):
     monkeypatch.undo()
     values = np.column_stack([1.0 + 0.02 * np.arange(9), 2.0 + 0.02 * np.arange(9)])
     values[8, 1] = 30.0
@@ -370,8 +370,10 @@ def test_the_picture_has_a_panel_a_coefficient_and_names_odd_units(fleet, monkey
     fleet.out.mkdir()
     result = fleet.judged(*parts, ("gyro", "bias_instability", 1.0 + values[:, :1], 0.05, limits))
     walk, _, instability = result.plot().axes
-    assert [text.get_text() for text in walk.texts] == ["unit_8"]
+    # Without what all names begin with.
+    assert [text.get_text() for text in walk.texts] == ["8"]
     assert [label.get_text() for label in walk.get_xticklabels()] == ["gyro_x", "gyro_y"]
+    assert [label.get_text() for label in walk.get_xticklabels(minor=True)] == [*"012345678"] * 2
     (marks,) = [line for line in instability.lines if line.get_marker() == "v"]
     np.testing.assert_allclose(marks.get_ydata(), limits[5:, 0])
     (panel,) = fleet.judged(("gyro", ARW, values[:8], 0.05), group=["a"] * 3 + ["b"] * 5).plot().axes

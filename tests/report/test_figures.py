@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 
 import bench
 import numpy as np
@@ -10,6 +11,7 @@ from altered_fits import with_terms, without_result
 from figures import check_texts_apart, lines_of, panels, points_of, strip_of, texts
 from matplotlib import pyplot as plt
 from refusals import refuses
+from scipy.stats import chi2
 
 import allanjax as aj
 
@@ -124,6 +126,7 @@ def test_strips_show_measured_over_model_in_per_cent():
     np.testing.assert_allclose(points, 100.0 * (ratio - 1.0), atol=1e-9)
     low, high = strip.get_ylim()
     assert low < points.min() < points.max() < high, "all of them are shown"
+    residual = points
     points = points_of(strip_of(aj.plot_psd(spectrum, fit, "gyro_y")))["residual"][0].get_ydata()
     model = fit["gyro_y"].model.sampled(100.0)
     ratio = spectrum.density[:, 1] / (2.0 * np.asarray(model.sampled_psd(spectrum.frequency, 100.0)))
@@ -133,20 +136,40 @@ def test_strips_show_measured_over_model_in_per_cent():
     last = np.floor(4 * np.log2(ordinate)) == np.floor(4 * np.log2(ordinate[-1]))
     expected = np.average(ratio[last], weights=spectrum.count[last]) - 1.0
     assert points[-1] == pytest.approx(100.0 * expected, rel=1e-9)
+    low, high = ends_of(strip, "chance")
+    edf = fit.curve.edf[:, 1]
+    # A deviation is the root of a χ² variate over its degrees of freedom.
+    np.testing.assert_allclose(low, 100.0 * (np.sqrt(chi2.ppf(0.025, edf) / edf) - 1.0), rtol=1e-6)
+    assert np.mean((low < residual) & (residual < high)) > 0.9
+
+
+def test_a_misfit_is_marked_in_the_figure_of_its_curve():
     fit = bench.fit("line", "N + K")
-    strip, off = strip_of(fit.plot()), 100.0 * fit["gyro_x"].misfit.rms
-    (band,) = strip.patches
-    np.testing.assert_allclose(band.get_path().get_extents(band.get_patch_transform()).intervaly, [-off, off])
-    assert 3.0 < off < strip.get_ylim()[1]
+    misfit = fit["gyro_x"].misfit
+    figure = fit.plot()
+    for panel in (panels(figure)["gyro_x"], strip_of(figure)):
+        assert set(lines_of(panel)["worst place"].get_xdata()) == {misfit.at}
+    shown = " ".join(" ".join(texts(figure)).split())
+    assert str(misfit) in shown
+    other = aj.plot_psd(aj.power_spectrum(bench.recording("line")), fit)
+    assert "worst place" not in lines_of(panels(other)["gyro_x"])
+    assert "does not fit the Allan deviation" in " ".join(" ".join(texts(other)).split())
+    (result,) = fit.results
+    moving = dataclasses.replace(fit, results=(result.unmeasured(not_measured=("at rest",)),))
+    shown = " ".join(" ".join(texts(moving.plot())).split())
+    assert shown.count("not a measurement") == 1
 
 
-def test_keys_tell_every_coefficient_or_limit():
+def test_keys_show_every_coefficient_or_limit():
     """Detected ones beside their lines, too, to 6 % of a deviation; of a spectrum alone N with its band."""
     fit, spectrum = bench.fit("small"), of_small(aj.power_spectrum)
     for figure in (aj.plot_allan(fit), aj.plot_psd(spectrum, fit)):
         shown = " ".join(" ".join(texts(figure)).split())
         for result in fit.results:
-            assert all(c.in_unit().describe() in shown for c in result.coefficients.values())
+            for c in (c.in_unit() for c in result.coefficients.values()):
+                limit = re.search(r"(?:below|<) (\S+ [^ ,]+)", c.describe())
+                text = c.describe() if limit is None or c.rivals else f"{c.title} < {limit[1]}"
+                assert text in shown
         assert "3.41" not in shown, "a picture has one N"
     figure = spectrum.plot()
     shown = " ".join(" ".join(texts(figure)).split())
@@ -157,11 +180,11 @@ def test_keys_tell_every_coefficient_or_limit():
         (flat,) = [p for p in panels(figure)[name].patches if p.get_label() == "flat part"]
         assert (flat.get_x(), flat.get_x() + flat.get_width()) == pytest.approx(walk.band)
     tiny = aj.fit(aj.simulate_recording({"gyro_x": "N=5e-5 deg/√h"}, 5000, 100.0, 1), "N + K")
-    for of, symbol, begin in ((fit, "N", "N = "), (fit, "B", "0.664 B, B = "), (tiny, "N", "N = ")):
+    for of, symbol, begin in ((fit, "N", "N = "), (fit, "B", "B = "), (tiny, "N", "N = ")):
         panel, c = panels(of["gyro_x"].plot())["gyro_x"], of["gyro_x"][symbol].in_unit()
-        (told,) = [t.get_text().removeprefix(begin) for t in panel.texts if t.get_text().startswith(begin)]
-        assert told.split(" ")[1] == c.unit
-        assert abs(float(told.split(" ")[0]) - c.value) < 0.06 * c.std
+        (written,) = [t.get_text().removeprefix(begin) for t in panel.texts if t.get_text().startswith(begin)]
+        assert written.split(" ")[1] == c.unit
+        assert abs(float(written.split(" ")[0]) - c.value) < 0.06 * c.std
 
 
 @pytest.mark.parametrize("plot", ["allan", "psd"])
@@ -259,6 +282,7 @@ def test_figures_do_not_pile_up_and_one_is_rendered(tmp_path):
     figure = dataclasses.replace(fit, name="[/red] x $a$ :smile: <b>&").plot("gyro_x")
     type(figure).savefig.original(figure, tmp_path / "real.png")
     assert 5_000 < (tmp_path / "real.png").stat().st_size < 500_000
+    refuses(".gif", fit.plot, path=tmp_path / "a.gif")
 
 
 @pytest.fixture(scope="module")
@@ -300,8 +324,8 @@ def test_the_corner_shows_densities_medians_intervals_and_priors_in_display_unit
 def test_bands_are_quantiles_of_the_draws_curves(posterior):
     """Sixty draws against three hundred: three standard errors of a median, four of the ends of 68 %."""
     deviation, density = posterior.plot().axes[2:4]
-    assert (deviation.get_xlabel(), deviation.get_ylabel()) == ("cluster time T [s]", "Allan deviation [µg]")
-    assert (density.get_xlabel(), density.get_ylabel()) == ("frequency [Hz]", "one-sided PSD [µg²/Hz]")
+    assert (deviation.get_xlabel(), deviation.get_ylabel()) == (ALLAN[0], ALLAN[2])
+    assert (density.get_xlabel(), density.get_ylabel()) == (PSD[0], PSD[2])
     models = [m.sampled(100.0) for m in posterior["accel_z"].models(60)]
     for panel, at in (
         (deviation, lambda m, x: np.sqrt(np.asarray(m.allan_variance(x))) / MICRO_G),
