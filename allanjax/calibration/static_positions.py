@@ -139,7 +139,7 @@ def _places(
         first = 0.0
         if seen.stretch is not None:
             first, last = seen.stretch
-            notes.append(f"{name}: {seen.said}; {first:g} to {last:g} s used")
+            notes.append(f"{name}: {seen.left_out}; {first:g} to {last:g} s used")
         kept.append(seen.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
     return tuple(places), kept, notes
