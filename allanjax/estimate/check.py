@@ -502,10 +502,11 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
     head = ", ".join(f"{axes} {state}" for axes, state in zip(names, states, strict=True))
     if "unknown" in states:
         return head
-    longest = max((x for of in states.values() for x in of), key=lambda x: x.seconds or math.inf)
+    left = [x for of in states.values() for x in of]
+    longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = " at the limit" * (states.keys() == {"not detected"})
     needs = duration(longest.seconds) if longest.seconds else "more than a month"
-    where = f" ({longest.coefficient.axis.name})" * (len(lengths) > 1)
+    where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
     return f"{head}: {_TARGET_WORDS}{at_limit} needs {needs}{where}"
 
 

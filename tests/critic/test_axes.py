@@ -187,7 +187,7 @@ def test_what_is_left_of_an_event_is_told_with_it_and_another_event_within_a_lou
     assert dict(zip(table.value > 300.0, table.limit, strict=True)) == {True: "above", False: ""}
     # It is no advice to do again what was done, and nobody asked to keep what was found.
     assert "allanjax critique" not in "".join((found.details(), *found.to_dict()["warnings"]))
-    assert "as asked" not in str(found.refit())
+    assert "all samples are used" not in str(found.refit())
 
 
 def test_single_samples_of_several_axes_at_one_time_are_an_event_and_the_others_stay_outliers():

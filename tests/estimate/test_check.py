@@ -63,7 +63,7 @@ KNOCK = (abs(t - 40.5) <= 0.5) * RNG(1).normal(size=N)
 # sample repeats the one before; rounding is to 1.25 times the noise; jitter of a tenth of the interval makes
 # differences of stamps vary by 14 %; a gyro follows the temperature by twice the noise over its range.
 WRONG = {
-    "constant": (lambda d: {Y: 0.25}, "dead axes", "stop", "gyro_y: constant, 0.25 deg/s"),
+    "constant": (lambda d: {Y: 0.25}, "dead axes", "stop", "gyro_y: constant at 0.25 deg/s"),
     "saturated": (lambda d: {X: np.clip(d[X], None, 0.35)}, "saturation", "stop", "gyro_x is at 0.35 deg/s"),
     "held": (lambda d: {X: d[X][::2].repeat(2).array}, "repeated samples", "look", "gyro_x: 5"),
     "coarse": (lambda d: {X: np.round(d[X])}, "resolution", "stop", "1 deg/s"),
@@ -74,7 +74,7 @@ WRONG = {
     "jittering": (lambda d: {TIME: t + RNG(1).normal(0.0, 1e-3, N)}, "jitter", "look", "14 %"),
     "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "stop", "0.00366 s"),
     "gap": (lambda d: {TIME: t + 2.0 * (t >= 81.92)}, "gaps", "stop", "2.01 s"),
-    "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "coefficients are of"),
+    "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "estimated from 0.0–39.8 s"),
     "warm": (lambda d: {X: d[X] + 0.2 * (d[WARM] - 25.0) / np.ptp(d[WARM])}, "temperature", "look", "gyro_x"),
     "holes": (lambda d: {WARM: d[WARM].where(abs(t - 1.5) > 0.5)}, "temperature", "look", "are missing"),
     "short": (lambda d: d[:2048], "length", "look", "too short for B and K"),
@@ -95,7 +95,7 @@ def test_one_thing_wrong_is_told_in_its_line(what):
     assert nothing_wrong()[name].verdict == "fine"
 
 
-def test_without_time_stamps_rate_and_gaps_cannot_be_seen():
+def test_without_time_stamps_rate_and_gaps_cannot_be_checked():
     found = aj.check(clean(2048).drop(columns=TIME), rate=RATE)
     assert {found[name].verdict for name in ("rate", "jitter", "gaps")} == {"look"}
     line = aj.check(recording(clean(2048)[X], 50.0, time=t[:2048]))["rate"]
@@ -110,9 +110,9 @@ def test_the_rate_is_compared_with_the_bandwidth():
     """
     line = aj.check(bench.recording("one_pole"))["bandwidth"]
     assert line.verdict == "fine"
-    told, _, rest = line.reason.partition(" Hz (gyro_x), the rate is ")
-    assert float(told) == pytest.approx(18.0, rel=0.08)
-    assert float(rest.partition(" times")[0]) == pytest.approx(RATE / float(told), rel=0.02)
+    width, _, rest = line.reason.partition(" Hz (gyro_x), the rate is ")
+    assert float(width) == pytest.approx(18.0, rel=0.08)
+    assert float(rest.partition(" times")[0]) == pytest.approx(RATE / float(width), rel=0.02)
     w, z = np.exp(-0.8 * np.pi), np.random.default_rng(3).standard_normal(N)
     x = 1e-4 * lfilter([1.0 - w], [1.0, -w], z)
     assert aj.check(recording(x, RATE))["bandwidth"].verdict == "look"

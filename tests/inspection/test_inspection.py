@@ -1,4 +1,4 @@
-"""What is seen in a recording before its coefficients are estimated."""
+"""What an inspection reports of a recording before its coefficients are estimated."""
 
 import json
 import re
@@ -73,33 +73,33 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     touched = x + SIGMA * done((x - LEVEL) / SIGMA, TIME[:, None])
     if kind == "silent":
         touched[27_000:, 4] = 0.123
-    seen = aj.inspect(own(touched))
-    (event,) = (event for event in seen.events if event.matters)
+    result = aj.inspect(own(touched))
+    (event,) = (event for event in result.events if event.matters)
     unit, slow = 1.0 if kind == "noisier" else SIGMA[axis], kind in ("warm-up", "shift")
     assert (event.kind, event.axis, event.size / unit) == (kind, axis, pytest.approx(size, rel=close))
     # To a few windows of 0.32 s, and what is slow to its faint end.
     assert event.first / RATE == pytest.approx(first, abs=5.0)
     assert event.last / RATE == pytest.approx(last, abs=40.0 if slow else 2.0)
     assert event.share > 0.005 or kind == "silent"
-    start, stop = seen.stretch
+    start, stop = result.stretch
     assert stop <= first + 0.01 or start >= last - 0.01
     # The longer side, but for some seconds beside the event.
     assert stop - start > max(first, 300.0 - last) - (45.0 if slow else 6.0)
-    (told,) = seen.about("disturbances")
-    assert told.startswith(seen.said)
+    (told,) = result.about("disturbances")
+    assert told.startswith(result.left_out)
     sizes = [f"{abs(event.size) / DEG:.2g} deg/s"] * (kind in ("step", "spike", "shift"))
     for word in (f"{start:g}", f"{stop:g}", *sizes, *([NAMES[axis]] * (kind != "noisier"))):
         assert word in told
     # Of what is left: mean and rms by definition, but for windows at its ends.
     rows = slice(round(start * RATE), round(stop * RATE))
-    assert_allclose((seen.mean - touched[rows].mean(axis=0)) / SIGMA, 0.0, atol=0.02)
-    assert_allclose(seen.rms, touched[rows].std(axis=0), rtol=0.01)
-    assert seen.quiet(own(touched)).n == rows.stop - rows.start
+    assert_allclose((result.mean - touched[rows].mean(axis=0)) / SIGMA, 0.0, atol=0.02)
+    assert_allclose(result.rms, touched[rows].std(axis=0), rtol=0.01)
+    assert result.quiet(own(touched)).n == rows.stop - rows.start
     asked = aj.inspect(own(touched), as_is=True)
     assert (asked.stretch, asked.refusal, bool(asked.about("disturbances"))) == (None, "", True)
     # What is accumulated cannot be cut any more: a refusal that names the stretch to read.
-    assert seen.uncut().stretch is None
-    assert f"start={start:g}, stop={stop:g}" in seen.uncut().refusal
+    assert result.uncut().stretch is None
+    assert f"start={start:g}, stop={stop:g}" in result.uncut().refusal
     moved = aj.inspect(own(touched), may_move=True).stretch
     assert (moved is None) == (kind in ("step", "shift", "warm-up"))
 
@@ -107,20 +107,20 @@ def test_what_happened_is_named_measured_and_left_out(kind):
 def test_what_changes_no_coefficient_is_a_note():
     x = values(6)
     x[15_000] += 12.0 * SIGMA
-    seen = aj.inspect(recording(x))
-    assert (seen.warnings, seen.stretch, seen.refusal, len(seen.notes)) == ((), None, "", 1)
-    assert [(event.kind, event.matters) for event in seen.events] == [("spike", False)]
+    result = aj.inspect(recording(x))
+    assert (result.warnings, result.stretch, result.refusal, len(result.notes)) == ((), None, "", 1)
+    assert [(event.kind, event.matters) for event in result.events] == [("spike", False)]
 
 
 def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_quiet():
     for count, refused in ((4, False), (50, True)):
         at = [300.0 * (k + 0.5) / count for k in range(count)]
         x = values(7) + 300.0 * SIGMA * sum(ringing(time, TIME[:, None]) for time in at)
-        seen = aj.inspect(recording(x))
-        assert (bool(seen.refusal), len(seen.parts)) == (refused, 0 if refused else count + 1)
-        for first, last in seen.parts:
+        result = aj.inspect(recording(x))
+        assert (bool(result.refusal), len(result.parts)) == (refused, 0 if refused else count + 1)
+        for first, last in result.parts:
             assert all(time < first or time > last for time in at)
-        quiet = seen.quiet(recording(x))
+        quiet = result.quiet(recording(x))
         # But for a few seconds around each knock, cut to whole ones.
         assert refused or quiet.n + sum(map(len, quiet.others)) > RATE * (300.0 - 6.0 * count)
     failed = aj.fit(recording(x[:, :3]), "N + K")["gyro_x"]
@@ -129,9 +129,9 @@ def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_
     for until, louder, refused in ((6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)):
         x, more = values(8), np.random.default_rng(8).standard_normal((N - until, 6))
         x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * more
-        seen = aj.inspect(recording(x))
-        (event,) = seen.events
-        assert (bool(seen.refusal), event.kind) == (refused, "quieter")
+        result = aj.inspect(recording(x))
+        (event,) = result.events
+        assert (bool(result.refusal), event.kind) == (refused, "quieter")
         # The largest ratio at any scale and axis.
         assert event.size == pytest.approx(louder, rel=0.3)
         assert event.last == pytest.approx(until, abs=200)
@@ -139,8 +139,8 @@ def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_
 
 def test_noise_of_any_colour_is_nothing_unusual():
     for name in (*PLAIN, *SHAPED, *CLEAN):
-        seen = aj.inspect(bench.recording(name))
-        assert (seen.said, seen.at_rest, seen.events) == ("", True, ()), name
+        result = aj.inspect(bench.recording(name))
+        assert (result.left_out, result.at_rest, result.events) == ("", True, ()), name
 
 
 def test_what_is_unlike_the_rest():
@@ -200,10 +200,10 @@ def test_motion_is_what_no_sensor_does(axis, path, limit):
     for share, moving in ((0.9, ()), (1.1, (axis,))):
         x = values(11)
         x[:, axis] += share * limit * path
-        seen = aj.inspect(recording(x))
-        assert (seen.moving, seen.refusal) == (moving, "")
-        assert (not seen.at_rest, bool(seen.about("at rest"))) == (bool(moving), bool(moving))
-    assert NAMES[axis] in seen.about("at rest")[0]
+        result = aj.inspect(recording(x))
+        assert (result.moving, result.refusal) == (moving, "")
+        assert (not result.at_rest, bool(result.about("at rest"))) == (bool(moving), bool(moving))
+    assert NAMES[axis] in result.about("at rest")[0]
     # Meant to be.
     assert aj.inspect(recording(x), vibrating=True).about("at rest") == ()
     # Two axes that move are a moving platform.
@@ -232,10 +232,10 @@ def test_units_that_can_and_cannot_be():
         factors = np.repeat([change.get("gyro", 1.0), change.get("accel", 1.0)], 3)
         x = (values(12) + change.get("bias", 0.0) * DEG * np.eye(6)[0]) * factors
         units = {name: unit for name, unit in change.items() if name.endswith("_unit")}
-        seen = aj.inspect(recording(x, **units))
+        result = aj.inspect(recording(x, **units))
         kind = "accel unit" if any("accel" in key for key in change) else "gyro unit"
-        assert [fact.kind for fact in seen.facts] == [kind] * bool(option), change
-        assert all(option in fact.text and fact.grave for fact in seen.facts), change
+        assert [fact.kind for fact in result.facts] == [kind] * bool(option), change
+        assert all(option in fact.text and fact.grave for fact in result.facts), change
         if len(words := option.split()) == 2:
             followed = units | {words[0][2:].replace("-", "_"): words[1]}
             rate = float(followed.pop("rate", RATE))
@@ -289,9 +289,9 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
         (3.0, {(kind, "not a measurement")}),
     ):
         x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
-        seen = aj.inspect(recording(x))
-        assert {(fact.kind, fact.consequence) for fact in seen.facts} == subjects
-        for k, fact in enumerate(fact for fact in seen.facts if fact.kind == "resolution"):
+        result = aj.inspect(recording(x))
+        assert {(fact.kind, fact.consequence) for fact in result.facts} == subjects
+        for k, fact in enumerate(fact for fact in result.facts if fact.kind == "resolution"):
             assert fact.axes == (NAMES[k],)
             # The rms of differences of rounded noise, over the root of two, in steps.
             assert fact.size == pytest.approx(
