@@ -10,11 +10,8 @@ class renamed:  # noqa: N801
     def __init__(self, new: str) -> None:
         self._new = new
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self._old = f"{owner.__name__}.{name}"
-
     def __get__(self, of: Any, owner: type) -> Any:
         if of is None:
             return self
-        warnings.warn(f"{self._old} is now called {self._new}", DeprecationWarning, stacklevel=2)
+        warnings.warn(f"this attribute is now called {self._new}", DeprecationWarning, stacklevel=2)
         return getattr(of, self._new)

@@ -59,7 +59,7 @@ _TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
 #: Longest recording that is proposed [s]: a month.
 LONGEST = 30.0 * 86400.0
 # Coefficients for which a length is reported.
-_ASKED: tuple[type[NoiseTerm], ...] = (AngleRandomWalk, BiasInstability, RateRandomWalk)
+_ASKED: dict[str, type[NoiseTerm]] = {"N": AngleRandomWalk, "B": BiasInstability, "K": RateRandomWalk}
 # Levels up to this one count individually, further ones in so many groups per octave.
 _SINGLE, _PER_OCTAVE = 256, 32
 # Step of the logarithm of a parameter in a derivative, downwards because some bandwidths have an upper bound.
@@ -72,7 +72,6 @@ _FEWEST = 64
 _HEADINGS = ("check", "verdict", "reason")
 # Characters of a finding in the table; a longer one is cut, and printed in full below.
 _CELL = 71
-_SYMBOLS = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
 
 
 def rough_fits(recording: Recording, below: Float[np.ndarray, " axes"]) -> tuple[AxisFit, ...]:
@@ -189,9 +188,7 @@ class NeededLength(ByValue):
 
     def describe(self) -> str:
         """Return what is known and how long to record, in words, without the name of the axis."""
-        needed = (
-            f"{duration(self.seconds) if self.seconds else 'more than a month'} would give {_TARGET_WORDS}"
-        )
+        needed = f"{_in_words(self.seconds)} would give {_TARGET_WORDS}"
         if not math.isnan(self.relative_std):
             known = f"known to ±{plain(100.0 * self.relative_std, 2)} %"
             return known if self.known else f"{known}, {self.reason or needed}"
@@ -211,7 +208,7 @@ def needed_lengths(result: AxisFit, n: int, rate: float) -> tuple[NeededLength, 
     """
     if not result.converged:
         return ()
-    wanted = (term.name() for term in _ASKED)
+    wanted = (term.name() for term in _ASKED.values())
     return tuple(_needed(result, result[label], n, rate) for label in wanted if label in result.coefficients)
 
 
@@ -232,7 +229,7 @@ def _needed(result: AxisFit, c: Estimate, n: int, rate: float) -> NeededLength:
         return NeededLength(c, std, now, length_for(result.model, c.label, rate, target))
     if c.upper_limit is None or not c.upper_limit > 0.0:
         return NeededLength(c, math.nan, now, None, "there is no upper limit")
-    term = next(term for term in _ASKED if term.name() == c.term)
+    term = next(term for term in _ASKED.values() if term.name() == c.term)
     name = term.amplitude_parameter().name
     there = result.model.without([c.term]) if c.term in result.model.term_labels else result.model
     at_limit = there + term().replace(**{name: c.upper_limit})
@@ -354,22 +351,15 @@ class Check(ByValue):
 
     def summary(self) -> str:
         """Return one line of text: which checks read stop or look, and how many are fine."""
-        named = [
-            (verdict, ", ".join(line.name for line in self._of(verdict))) for verdict in ("stop", "look")
-        ]
-        parts = [f"{verdict}: {names}" for verdict, names in named if names]
+        parts = [f"{verdict}: {names}" for verdict in ("stop", "look") if (names := self._names(verdict))]
         return "; ".join([*parts, f"{len(self._of('fine'))} of {len(self.lines)} checks are fine"])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain dictionaries, lists, numbers and strings, for JSON."""
+        seconds = self.n / self.rate if self.rate else 0.0
         return {
             "schema_version": SCHEMA_VERSION,
-            "recording": {
-                "name": self.name,
-                "n": self.n,
-                "rate_hz": self.rate,
-                "duration_s": self.n / self.rate if self.rate else 0.0,
-            },
+            "recording": {"name": self.name, "n": self.n, "rate_hz": self.rate, "duration_s": seconds},
             "verdict": self.verdict,
             "lines": [dataclasses.asdict(line) for line in self.lines],
             "lengths": [_length(length) for length in self.lengths],
@@ -384,6 +374,9 @@ class Check(ByValue):
     def _of(self, verdict: str) -> list[Line]:
         return [line for line in self.lines if line.verdict == verdict]
 
+    def _names(self, verdict: str) -> str:
+        return ", ".join(line.name for line in self._of(verdict))
+
     def __str__(self) -> str:
         rows, below = [], []
         for line in (*self._of("stop"), *self._of("look")):
@@ -393,7 +386,7 @@ class Check(ByValue):
             # The lengths of all axes are in `lengths`, and in JSON.
             if more and not line.name.startswith("length for"):
                 below.append(f"{line.name}: {more}")
-        below.append(f"fine: {', '.join(line.name for line in self._of('fine')) or 'none'}")
+        below.append(f"fine: {self._names('fine') or 'none'}")
         head = f"{text_table(self._title(), _HEADINGS, rows)}\n" if rows else self._title()
         return "\n".join([head, *(textwrap.fill(printable(x), WIDTH, subsequent_indent="  ") for x in below)])
 
@@ -401,8 +394,7 @@ class Check(ByValue):
 
     def _repr_html_(self) -> str:
         rows = [(x.name, x.verdict, x.reason) for verdict in ("stop", "look") for x in self._of(verdict)]
-        rows.append(("all others", "fine", ", ".join(line.name for line in self._of("fine"))))
-        return html_table(self._title(), _HEADINGS, rows)
+        return html_table(self._title(), _HEADINGS, [*rows, ("all others", "fine", self._names("fine"))])
 
 
 def check(
@@ -474,13 +466,12 @@ def _lengths(
 
 def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:
     """Yield lines on the length needed for N, B and K."""
-    for label, symbol in _SYMBOLS.items():
-        own = [length for length in lengths if length.coefficient.label == label]
+    for symbol, term in _ASKED.items():
+        own = [length for length in lengths if length.coefficient.label == term.name()]
         name = f"length for {symbol}"
         if not own:
             short = f"fewer than {_FEWEST} samples"
-            why = "there are no coefficients (see disturbances)" if inspection.refusal else short
-            yield Line(name, "look", f"unknown, {why}")
+            yield Line(name, "look", f"unknown, {'see disturbances' if inspection.refusal else short}")
         elif all(length.known for length in own):
             poorest = max(own, key=lambda length: length.relative_std)
             yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
@@ -505,9 +496,12 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
     left = [x for of in states.values() for x in of]
     longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = " at the limit" * (states.keys() == {"not detected"})
-    needs = duration(longest.seconds) if longest.seconds else "more than a month"
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
-    return f"{head}: {_TARGET_WORDS}{at_limit} needs {needs}{where}"
+    return f"{head}: {_TARGET_WORDS}{at_limit} needs {_in_words(longest.seconds)}{where}"
+
+
+def _in_words(seconds: float | None) -> str:
+    return duration(seconds) if seconds else "more than a month"
 
 
 def _length(length: NeededLength) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class Inspection(ByValue):
     @property
     def stretch(self) -> tuple[float, float] | None:
         """Start and end [s] of the longest part to estimate from; None for the whole recording."""
-        return _longest(self.parts)
+        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -211,7 +211,7 @@ def look(
     events, quiet = quiet_parts(windows, sensors, may_move)
     treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
-    stretch = _longest(parts)
+    stretch = max(parts, key=lambda part: part[1] - part[0], default=None)
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
@@ -365,11 +365,6 @@ def _spike_facts(
         text = f"{single} on {axis.name}{share}, up to {size} off; at {where}: left out and filled in"
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
         yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
-
-
-def _longest(parts: Iterable[tuple[float, float]]) -> tuple[float, float] | None:
-    """Return the longest part; None if there is none."""
-    return max(parts, key=lambda part: part[1] - part[0], default=None)
 
 
 def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Recording:

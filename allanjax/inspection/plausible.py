@@ -66,8 +66,7 @@ _LOOKED_AT = 1 << 14
 _HIDDEN = 0.6
 # Share of equal neighbours, beyond those due to rounding, that shows that samples are repeated.
 _HELD = 0.1
-# Rms of the noise in steps below which rounding hides it, and below which users are warned: the variance of
-# rounding, a twelfth of a squared step, is then a third of the total, or 2 %.
+# Rms of the noise in steps below which rounding, a third or 2 % of the variance, hides it or is reported.
 _TOO_FEW, _FEW_STEPS = 0.5, 2.0
 # Jitter, as a share of the interval, up to which samples count as evenly spaced; readers refuse a fifth.
 _JITTER = 0.05
@@ -359,12 +358,10 @@ def saturated(axes: Sequence[Axis], ends: Ends, steps: Float[np.ndarray, " axes"
 
 def sampling_facts(recording: Recording) -> Iterator[Fact]:
     """Yield facts about times, missing samples and dead axes."""
-    if (share := jitter_share(recording)) is not None and share > _JITTER:
-        remedy = (
-            "samples are treated as evenly spaced; if the jitter is real, use the sensor's own time stamps"
-        )
-        text = f"{describe_jitter(recording)}; {remedy}"
-        yield Fact("jitter", text, recording.names, size=recording.jitter, unit="s")
+    if (jitter := recording.jitter) is not None and jitter * recording.rate > _JITTER:
+        then = "samples count as evenly spaced; if the jitter is real, use the sensor's own time stamps"
+        text = f"{describe_jitter(recording)}; {then}"
+        yield Fact("jitter", text, recording.names, size=jitter, unit="s")
     if recording.gaps:
         yield _gaps(recording)
     yield from dead_facts(recording.dead)
@@ -390,11 +387,6 @@ def _gaps(recording: Recording) -> Fact:
     wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
     text = f"{text}; they are filled in, which widens the intervals by {plain(wider, 2)} %"
     return Fact("gaps", text, drawn, "widened", lost / rate, "s", spans)
-
-
-def jitter_share(recording: Recording) -> float | None:
-    """Return the rms jitter of the time stamps as a share of the interval; None without stamps."""
-    return None if recording.jitter is None else recording.jitter * recording.rate
 
 
 def describe_jitter(recording: Recording) -> str:

@@ -40,8 +40,7 @@ DEG = np.pi / 180.0
 AT_REST = {"gyro": 0.3 * DEG, "accel": 0.15}
 # Cluster times [s] that are tested: vibration and quantization are large below them, and drift above.
 _SHORTEST, _LONGEST = 0.3, 10.0
-# Largest range of the mean at rest [rad/s or m/s²]: zero-rate levels drift by less than 3 deg/s once a sensor
-# runs, and 0.5 m/s² is a tilt of 3 degrees.
+# Largest range of the mean at rest [rad/s or m/s²]: biases drift by less; 0.5 m/s² is a tilt of 3 degrees.
 WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
 # Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
 SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
@@ -236,13 +235,11 @@ def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
     """
     # The strongest of each sensor, which is the last.
     reasons = {axes[m.axis].sensor: m.words for m in moving}
-    option = (
-        "--vibrating --as-is (vibrating=True, as_is=True)" if disturbed else "--vibrating (vibrating=True)"
-    )
+    too = (" --as-is", ", as_is=True") if disturbed else ("", "")
     return (
         f"{'; '.join(reasons.values())}. This is not a static recording, and the coefficients describe the "
         "motion, not the sensor: record it at rest, or select a part at rest with --start and --stop; if the "
-        f"motion is intended, pass {option}"
+        f"motion is intended, pass --vibrating{too[0]} (vibrating=True{too[1]})"
     )
 
 

@@ -18,15 +18,13 @@ from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
 _SEGMENT, _FEWEST, _SHORTEST = 4096, 8, 64
-# Bins on either side with which the level of a line is compared: beyond the first number up to the second;
-# and the probability of a false line in a spectrum.
+# Bins on either side with which a line is compared, beyond the first number up to the second; false alarms.
 _NEAR, _FAR, _CHANCE = 6, 24, 1e-6
 # Lowest bins: those with drift, and those too close to zero to be compared on both sides.
 _DRIFT, _LOWEST = 3, 12
 # Least share of the power for a line to be reported.
 _SLIGHT = 1e-3
-# Bands per octave for the bandwidth; its passband lies between these shares of the frequency, and is flat
-# within this factor.
+# Bands per octave for the bandwidth; limits of its passband as shares of the frequency; flatness of that.
 _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
 # Interpolated samples: how many are examined; how far their line must exceed its surroundings; the share of
 # second differences that are zero if the rate is more than twice their own, and if it is twice; what counts
@@ -104,14 +102,8 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
             lines.sort(key=lambda line: -line[0])
             places = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of the power)" for share, at in lines]
             text = f"spectral line{'s' * (len(lines) > 1)} on {axis.name} at {listed(places)}"
-            yield Fact(
-                "lines",
-                text,
-                (axis.name,),
-                size=lines[0][1],
-                unit="Hz",
-                share=float(sum(share for share, _ in lines)),
-            )
+            total = float(sum(share for share, _ in lines))
+            yield Fact("lines", text, (axis.name,), size=lines[0][1], unit="Hz", share=total)
 
 
 def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:

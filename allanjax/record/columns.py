@@ -32,8 +32,7 @@ _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
-# A letter is a sensor only if it stands alone before the axis: `gx`, but not `mag_x`; or with the frames that
-# EuRoC writes, `w_RS_S_x`.
+# A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`.
 _LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
 # Words for quantities about a sensor that are not samples; and accuracies, such as `hAcc`.
 _NOT_A_SAMPLE = re.compile(

@@ -158,8 +158,7 @@ MOST_MISSING = 0.3
 _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
 # Frequencies on either side over which the spectrum is averaged: so many, and this share of the frequency.
 _FEWEST, _SHARE = 4, 0.01
-# Conjugate gradients: most steps, the part of d'C⁻¹d that is negligible beside that of one draw, and samples
-# that are solved for at once.
+# Conjugate gradients: most steps, the negligible part of d'C⁻¹d, and samples that are solved for at once.
 _STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
 
 

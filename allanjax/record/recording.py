@@ -112,15 +112,14 @@ class Recording(ByValue):
             notes = (f"column order taken as {', '.join(names)}",)
         if len(names) != table.shape[1]:
             raise source.error(
-                f"{len(names)} names for {table.shape[1]} columns; give one name per column in names="
+                f"{len(names)} names for {table.shape[1]} columns; give one per column in names="
             )
         columns = [recognise(label) for label in names]
         extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
         for key, column_values in extra.items():
             if column_values.shape != table.shape[:1]:
                 raise source.error(
-                    f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
-                    f"({len(table)},)"
+                    f"auxiliary column {key!r} has the shape {column_values.shape}, not ({len(table)},)"
                 )
         check_choice(gaps, source)
         if gaps != "segments":

@@ -46,9 +46,7 @@ def check_rate(rate: float, source: Source) -> float:
     """Sample rate in Hz as a float; RecordingError if it is not a positive finite number."""
     value = np.asarray(rate)
     if value.ndim or value.dtype.kind not in "iuf" or not 0.0 < value < np.inf:
-        raise source.error(
-            f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"
-        )
+        raise source.error(f"the sample rate must be positive, in Hz, not {rate!r}; pass rate= (--rate)")
     return float(rate)
 
 
@@ -62,7 +60,7 @@ def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.
         )
     if table.shape[0] < table.shape[1]:
         raise source.error(
-            f"values of shape {table.shape} seem transposed; pass values.T, one column per axis"
+            f"values of shape {table.shape} seem transposed; pass values.T (one column per axis)"
         )
     return table
 

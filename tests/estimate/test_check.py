@@ -74,7 +74,7 @@ WRONG = {
     "jittering": (lambda d: {TIME: t + RNG(1).normal(0.0, 1e-3, N)}, "jitter", "look", "14 %"),
     "irregular": (lambda d: {TIME: t + RNG(1).uniform(-0.45, 0.45, N) / RATE}, "jitter", "stop", "0.00366 s"),
     "gap": (lambda d: {TIME: t + 2.0 * (t >= 81.92)}, "gaps", "stop", "2.01 s"),
-    "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "estimated from 0.0–39.8 s"),
+    "knocked": (lambda d: {k: d[k] + KNOCK for k in ACCEL}, "disturbances", "look", "from 0.0–39.8 s"),
     "warm": (lambda d: {X: d[X] + 0.2 * (d[WARM] - 25.0) / np.ptp(d[WARM])}, "temperature", "look", "gyro_x"),
     "holes": (lambda d: {WARM: d[WARM].where(abs(t - 1.5) > 0.5)}, "temperature", "look", "are missing"),
     "short": (lambda d: d[:2048], "length", "look", "too short for B and K"),

@@ -95,9 +95,7 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     if path.is_dir():
         raise RecordingError(f"{path} is a folder; give a file, .csv, .parquet or .npz")
     if not path.parent.is_dir():
-        raise RecordingError(
-            f"{path}: the folder {path.parent} does not exist; create it, or write elsewhere"
-        )
+        raise RecordingError(f"{path}: there is no folder {path.parent}; create it, or write elsewhere")
     match path.suffix.lower():
         case ".csv":
             pyarrow.csv.write_csv(pyarrow.table(recording.columns), path)

@@ -130,9 +130,7 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
     entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
     names = [entry for entry in entries if entry not in _SKIP]
     if repeated := _repeated(names):
-        raise table.source.error(
-            f"columns= names {', '.join(repeated)} more than once; name each column once"
-        )
+        raise table.source.error(f"columns= names {', '.join(repeated)} more than once; name each once")
     if table.labels is not None:
         matches = [_match(table, name, len(entries) == count) for name in names]
         if len(names) == len(entries) and all(matches):
@@ -619,9 +617,7 @@ def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source:
     if all(is_numeric(columns[column.index]) for column in layout.axes):
         values = np.column_stack([columns[column.index] for column in layout.axes])
         if not own_rows(values, times, layout.axes, source).all():
-            raise source.error(
-                "rows repeat the previous values; these are left out only by read() (without --stream)"
-            )
+            raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
 
 
 class _Piece(NamedTuple):

@@ -68,8 +68,7 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Sou
         shape, _, dtype = read_header(stream)
     if math.prod(shape) * dtype.itemsize > member.file_size:
         raise source.error(
-            f"{member.filename!r} has the shape {shape} by its header, but {member.file_size} bytes; save it "
-            "again"
+            f"{member.filename!r} claims the shape {shape} but has {member.file_size} bytes; save it again"
         )
 
 
@@ -113,9 +112,7 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
             matrices += len(parts) > 1
             columns |= dict(zip(_labels(name, len(parts)), parts, strict=True))
     if not columns:
-        raise source.error(
-            "no array of samples; save one column per axis, or gyro and accel with the shape [samples, 3]"
-        )
+        raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
     lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in list(lengths.items())[:8])
@@ -149,9 +146,7 @@ def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
         raise source.error(f"{name} has the shape {array.shape}; save it as [samples, columns]")
     rows, columns = array.shape
     if rows <= _FEW_AXES and columns > 4 * rows:
-        raise source.error(
-            f"{name} with the shape {array.shape} seems transposed; save its transpose (array.T)"
-        )
+        raise source.error(f"{name} of shape {array.shape} seems transposed; save its transpose (array.T)")
     return tuple(array.T)
 
 

@@ -66,7 +66,7 @@ def open_dataflash(path: Path, source: Source, topic: str | None, instance: int 
             found |= _series(definition.name, payload.view(definition.dtype)[:, 0], source)
     if batches and (not found or topic in _BATCHES):
         raise source.error(
-            f"only batches of samples with pauses (ISBH, ISBD), unsuitable for Allan deviations; {_LOG_IMU}"
+            f"batches with pauses (ISBH, ISBD) are unsuitable for Allan deviations; {_LOG_IMU}"
         )
     if not found:
         raise source.error(f"no samples of an IMU (IMU, or GYR and ACC); {_LOG_IMU}")
@@ -148,9 +148,7 @@ def _series(
         if {f"{label}{axis}" for axis in "XYZ"} <= {*fields}
     }
     if clock is None or not halves:
-        raise source.error(
-            f"the message {name} lacks times or samples (it has {', '.join(fields)}); {_LOG_IMU}"
-        )
+        raise source.error(f"{name} lacks times or samples (it has {', '.join(fields)}); {_LOG_IMU}")
     times = rows[clock].astype(np.int64) * (10**6 if clock == "TimeMS" else 10**3)
     others = {"temperature [degC]": floats(rows["T"])} if "T" in fields else {}
     whole = Series(match[1], times, halves.get("gyro"), halves.get("accel"), others)

@@ -37,9 +37,7 @@ def format_of(path: Path, source: Source) -> Format:
     except FileNotFoundError as error:
         raise source.error("no such file; check the path") from error
     except OSError as error:
-        raise source.error(
-            f"cannot be opened: {error.strerror}; check the file and its permissions"
-        ) from error
+        raise source.error(f"cannot be opened: {error.strerror}; check its permissions") from error
     if not magic:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
     found = next(kind for kind in FORMATS if kind.begins(magic))

@@ -48,9 +48,9 @@ def as_recording(
         AllanjaxError: the data are not a recording.
     """
     if isinstance(data, Recording):
-        given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names}
-        given["gaps"] = gaps
-        superfluous = [name for name, value in given.items() if value is not None]
+        given = (rate, gyro_unit, accel_unit, names, gaps)
+        labels = ("rate", "gyro_unit", "accel_unit", "names", "gaps")
+        superfluous = [label for label, value in zip(labels, given, strict=True) if value is not None]
         if superfluous:
             raise AllanjaxError(
                 f"a recording has its own rate, units and names, and no gaps: omit {', '.join(superfluous)}"
@@ -139,7 +139,7 @@ def _columns(data: Any) -> dict[str, np.ndarray] | None:
 def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
     """Return the samples as an array of floats, and their rate, which must be given."""
     remedy = (
-        "pass the result of allanjax.read, an array with rate= and gyro_unit= or accel_unit=, or a data frame"
+        "pass what allanjax.read returns, a data frame, or an array with rate= and gyro_unit= or accel_unit="
     )
     if isinstance(data, ChunkedRecording):
         remedy = "use allanjax.accumulate(recording).fit(), or read all of it with allanjax.read"

@@ -16,8 +16,7 @@ from allanjax.record.validation import Source
 _IMU = "sensor_msgs/msg/Imu"
 # The frame's text begins after 16 bytes, the last of which are seconds, nanoseconds and its length.
 _TEXT = 16
-# A message ends with 37 float64: orientation 4, its covariance 9, angular velocity 3 and 9, acceleration 3
-# and 9.
+# A message ends with 37 float64: orientation 4 + 9 (covariance), angular velocity 3 + 9, acceleration 3 + 9.
 _TAIL = 37 * 8
 _GYRO, _ACCEL = slice(13, 16), slice(25, 28)
 # Messages decoded at a time, and messages from which a topic is described.
@@ -89,8 +88,7 @@ def _imu_topics(bag: Any, source: Source) -> dict[str, list[Any]]:
     if not topics:
         others = sorted({f"{connection.topic} ({connection.msgtype})" for connection in bag.connections})
         raise source.error(
-            f"no topic of sensor_msgs/Imu (topics: {', '.join(others[:20]) or 'none'}); record the topic of "
-            "the IMU"
+            f"no topic of sensor_msgs/Imu (topics: {', '.join(others[:20]) or 'none'}); record the IMU"
         )
     return topics
 
@@ -175,8 +173,7 @@ def _decoded(
             intact[rows] = True
     if not intact.all():
         raise source.error(
-            f"message {first + int(np.argmin(intact))} of the topic {topic} (counting from 0) is "
-            f"damaged: it is not a sensor_msgs/Imu; {_REMEDY}"
+            f"message {first + int(np.argmin(intact))} of the topic {topic} (from 0) is damaged; {_REMEDY}"
         )
     return stamps, values
 
@@ -214,8 +211,7 @@ def _table(messages: Mapping[str, _Messages], source: Source) -> Table:
     clock = _clock(next(iter(messages.values())))[0]
     if len(found) > 1 and not _are_halves(found):
         raise source.error(
-            f"{' and '.join(messages)} are not separate gyros and accelerometers; choose one with topic= "
-            "(--topic)"
+            f"{' and '.join(messages)} are not gyros and accelerometers; choose one with topic= (--topic)"
         )
     gyros_first = sorted(found, key=lambda series: series.gyro is None)
     return recording_of(gyros_first, source).table(clock, source, notes)

@@ -40,8 +40,7 @@ def read_tdms(path: Path, source: Source) -> Table:
             for channel in group.channels():
                 if len(channel) > size:
                     raise source.error(
-                        f"{channel.name!r} has {len(channel)} samples according to its header, but the file "
-                        f"has {size} bytes; copy it again"
+                        f"{channel.name!r} claims {len(channel)} samples in {size} bytes; copy it again"
                     )
                 name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
                 unit = str(channel.properties.get("unit_string", "")).strip()

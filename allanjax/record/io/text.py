@@ -209,8 +209,7 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
     named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
     for number, _, labels in named or headers:
         if _fits(fields, len(labels)):
-            # All lines after the header are data, even those without numbers, which are reported later;
-            # except a line of units and what precedes it.
+            # All lines after the header are data, except a line of units and what precedes it.
             notes, start = _skipped([line for n, line in plain if n < number]), number + 1
             if units := _units([cells for n, _, cells in headers if n > number]):
                 pairs = itertools.zip_longest(labels, units[: len(labels)], fillvalue="")

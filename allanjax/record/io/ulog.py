@@ -49,14 +49,11 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
     notes = [describe_choice(found, chosen)]
     if chosen[0].name == "sensor_combined":
         notes.append(
-            "sensor_combined is averaged and corrected by the autopilot; for the sensor's own noise "
-            f"{_LOG_MORE}"
+            f"sensor_combined is averaged and corrected by the autopilot; for raw samples {_LOG_MORE}"
         )
     if log.dropouts:
-        lost = sum(dropout.duration for dropout in log.dropouts)
-        notes.append(
-            f"{len(log.dropouts)} logging dropout{'s' * (len(log.dropouts) > 1)}, {lost} ms in total"
-        )
+        count, lost = len(log.dropouts), sum(dropout.duration for dropout in log.dropouts)
+        notes.append(f"{count} logging dropout{'s' * (count > 1)}, {lost} ms in total")
     if log.file_corruption:
         notes.append("damaged parts of the log are left out")
     return recording_of(chosen, source).table("timestamp", source, notes)
@@ -85,9 +82,7 @@ def _series(name: str, fields: Fields, source: Source) -> Series:
     try:
         return _READERS[name](name, fields).in_order()
     except KeyError as error:
-        raise source.error(
-            f"{name} has no field {error}, possibly due to another version of PX4; {_LOG_MORE}"
-        ) from error
+        raise source.error(f"{name} has no field {error} (another PX4 version?); {_LOG_MORE}") from error
 
 
 def _times(fields: Fields) -> Int[np.ndarray, " n"]:

@@ -49,9 +49,7 @@ def read_vectornav(path: Path, source: Source) -> Table:
     if not known:
         there = ", ".join(sorted(kind.decode("latin-1") for kind in count))
         wanted = ", ".join(kind.decode() for kind in _FIELDS)
-        raise source.error(
-            f"no message with samples (only {there}); configure the sensor to write one of {wanted}"
-        )
+        raise source.error(f"no message with samples (only {there}); let the sensor write {wanted}")
     kind = max(known, key=lambda kind: known[kind])
     places = [k for k, line in enumerate(lines) if line.startswith(kind)]
     # Lines between messages that are not messages are damaged ones.
