@@ -243,8 +243,6 @@ BINARY = {
     "no samples in npz": ("imu.npz", {"rate": 100.0}, {}, "no array"),
     "rate of npz": ("imu.npz", {**HALVES, "rate": -5.0}, {}, "positive"),
     "spreadsheet": ("imu.xlsx", workbook.getvalue(), RATE, "CSV"),
-    "magic of Parquet": ("imu.bin", b"PAR1 damaged", RATE, "Parquet"),
-    "magic of npy": ("imu.bin", b"\x93NUMPY damaged", RATE, ".npy"),
     "magic of MATLAB": ("imu.bin", b"MATLAB 5.0 damaged", RATE, "-v7"),
     "magic of -v7.3": ("imu.bin", b"MATLAB 7.3 MAT-file".ljust(512) + HDF5, RATE, "-v7"),
     "magic of nothing": ("imu.bin", b"\x00\x01\x02" * 100, RATE, "CSV"),
@@ -281,13 +279,6 @@ ARRAYS = [
 ]
 
 
-@pytest.mark.usefixtures("unchecked_shapes")
-def test_arrays():
-    for change, words in ARRAYS:
-        arguments = {"values": NOISE, "rate": 50.0, "name": "unit 7", **UNITS, **change}
-        refused(made, f"unit 7: |{words}", **arguments)
-
-
 made = aj.Recording.from_array
 RECORDING = made(NOISE, 50.0, **UNITS, name="unit 7")
 # Other calls in a folder, what the error names, and its class unless it is RecordingError.
@@ -310,6 +301,10 @@ CALLS = [
 ]
 
 
-def test_calls(tmp_path):
+@pytest.mark.usefixtures("unchecked_shapes")
+def test_arrays_and_calls(tmp_path):
+    for change, words in ARRAYS:
+        arguments = {"values": NOISE, "rate": 50.0, "name": "unit 7", **UNITS, **change}
+        refused(made, f"unit 7: |{words}", **arguments)
     for call, *words in CALLS:
         refused(lambda call=call: call(tmp_path), *words)
