@@ -139,7 +139,7 @@ def _places(
         first = 0.0
         if look.stretch is not None:
             first, last = look.stretch
-            notes.append(f"{name}: {look.said}; {first:g} to {last:g} s used")
+            notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s used")
         kept.append(look.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
     return tuple(places), kept, notes

@@ -1,17 +1,16 @@
-"""Whether a recording is fit for its purpose, line by line, and how long it would have to be.
+"""Check, line by line, whether a recording is suitable for estimation, and how long it should be.
 
-For the rough fits Whittle's likelihood of the cosine spectrum is maximized by Fisher scoring with
-non-negative powers; errors are those of the Fisher information. Nothing is compiled, no terms are chosen, no
-structure is looked for.
+Rough fits maximize Whittle's likelihood of the cosine spectrum by Fisher scoring with non-negative powers;
+errors follow from the Fisher information. Nothing is compiled, no terms are chosen, no structure is searched.
 
 The levels c_j² of the cosine spectrum (see `spectrum.cosine`) are independent and χ² with one degree of
-freedom around the density S(f_j), f_j = j·rate/2n, j = 1 … n−1. So the Fisher information that n samples have
-of the logarithms of the parameters θ is
+freedom around the density S(f_j), f_j = j·rate/2n, j = 1 … n−1. So the Fisher information of n samples on
+the logarithms of the parameters θ is
 
     F_ab = ½ Σ_j (∂ ln S_j/∂ ln θ_a)(∂ ln S_j/∂ ln θ_b),
 
-and no unbiased estimate of θ_a has a relative standard deviation below √[F⁻¹]_aa. More length means lower
-frequencies, where slow terms show, and more levels at all others.
+and no unbiased estimate of θ_a has a relative standard deviation below √[F⁻¹]_aa. A longer recording adds
+lower frequencies, where slow terms dominate, and more levels at all others.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.tables import html_table, text_table
+from allanjax.base.renamed import renamed
+from allanjax.base.tables import WIDTH, html_table, printable, text_table
 from allanjax.base.wording import duration, finite_or_none, plain, significant
 from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.result import AxisFit, fitted_model
@@ -48,31 +49,33 @@ from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
 
-# Steps of Fisher scoring, and scatter of a level beyond which it holds a line and is left out.
+# Steps of Fisher scoring, and the scatter beyond which a level contains a line and is left out.
 _STEPS, _LINE = 30, 6.0
-# p-value below which the terms do not follow the spectrum.
+# p-value below which the terms do not fit the spectrum.
 _REJECTED = 1e-6
-#: Relative standard deviation at which a coefficient is taken to be known.
+#: Relative standard deviation at which a coefficient counts as known.
 TARGET = 0.2
+_TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
 #: Longest recording that is proposed [s]: a month.
 LONGEST = 30.0 * 86400.0
-# Coefficients that a length is told for.
-_ASKED: tuple[type[NoiseTerm], ...] = (AngleRandomWalk, BiasInstability, RateRandomWalk)
-# Levels up to this one count one by one, further ones in so many groups an octave.
+# Coefficients for which a length is reported.
+_ASKED: dict[str, type[NoiseTerm]] = {"N": AngleRandomWalk, "B": BiasInstability, "K": RateRandomWalk}
+# Levels up to this one count individually, further ones in so many groups per octave.
 _SINGLE, _PER_OCTAVE = 256, 32
-# Step of the logarithm of a parameter in a derivative: downwards, for some bandwidths have an upper bound.
+# Step of the logarithm of a parameter in a derivative, downwards because some bandwidths have an upper bound.
 _STEP = 1e-4
-# Samples of the shortest record that is considered, and the relative accuracy of a length.
+# Samples of the shortest record considered, and the relative accuracy of a length.
 _SHORTEST, _ACCURACY = 64, 1e-3
 SCHEMA_VERSION = 1
-# Fewest samples that say how long to record.
+# Fewest samples from which a length is determined.
 _FEWEST = 64
 _HEADINGS = ("check", "verdict", "reason")
-_SYMBOLS = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
+# Characters of a finding in the table; a longer one is cut, and printed in full below.
+_CELL = 71
 
 
 def rough_fits(recording: Recording, below: Float[np.ndarray, " axes"]) -> tuple[AxisFit, ...]:
-    """Rough fit of every axis, to frequencies up to its `below` [Hz]; inf for all of them."""
+    """Return a rough fit of every axis to frequencies up to its `below` [Hz]; inf for all frequencies."""
     n, rate = recording.n, recording.rate
     bins = Bins.of(n, rate)
     model = Model(tuple(term for term in basic_terms().terms if not term.deterministic))
@@ -94,9 +97,9 @@ def _fit(
     model: Model,
     axis: Axis,
 ) -> AxisFit:
-    """Rough fit of one axis."""
+    """Return the rough fit of one axis."""
     mean, used = np.maximum(statistics.squares / size, 1e-300), np.ones(len(size), bool)
-    # A first level of its neighbours, as single ones scatter.
+    # The first level is an average over neighbours, as single levels scatter.
     mean = np.exp(np.convolve(np.log(np.pad(mean, 3, mode="edge")), np.ones(7) / 7.0, "valid"))
     power = np.zeros(len(columns))
     scale = np.median(mean) / np.median(columns, axis=1)
@@ -120,7 +123,7 @@ def _fit(
     information, present = (scaled * dof / 2.0) @ scaled.T, power > 0.0
     std = np.zeros(len(power))
     for k in range(len(power)):
-        # Beside the terms that are there.
+        # Beside the terms that are present.
         own = present | (np.arange(len(power)) == k)
         inverse = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
         std[k] = np.sqrt(inverse[own[:k].sum(), own[:k].sum()]) * scale[k]
@@ -133,7 +136,7 @@ def _fit(
 def _coefficients(
     model: Model, axis: Axis, power: Float[np.ndarray, " terms"], std: Float[np.ndarray, " terms"]
 ) -> dict[str, Estimate]:
-    """Amplitudes of the terms from their powers, with errors and limits."""
+    """Return the amplitudes of the terms from their powers, with errors and limits."""
     found = {}
     for term, p, s in zip(model.terms, power, std, strict=True):
         detected, value = bool(p > ONE_SIDED_95 * s), float(np.sqrt(p))
@@ -156,15 +159,15 @@ def _coefficients(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NeededLength(ByValue):
-    """How well a coefficient is known, and the length of a recording that makes it known to ± 20 % (1 σ).
+    """How well a coefficient is known, and how long to record for a standard deviation of 20 %.
 
     Attributes:
         coefficient: the estimate of N, B or K [SI].
-        relative_std: its relative standard deviation now; nan where it is not detected, or not measured.
+        relative_std: its relative standard deviation now; nan if it is not detected or not measured.
         now: length [s] that was fitted.
-        seconds: length [s] at which the Cramér–Rao bound is 20 %, of a coefficient that is not detected one
-            as large as its 95 % limit; None if that is more than a month, or cannot be said.
-        reason: why it cannot be said; "" if it can.
+        seconds: length [s] at which the Cramér–Rao bound is 20 %, for an undetected coefficient if it were at
+            its 95 % upper limit; None if that is more than a month, or unknown.
+        reason: why it is unknown; "" if it is known.
     """
 
     coefficient: Estimate
@@ -173,60 +176,60 @@ class NeededLength(ByValue):
     seconds: float | None
     reason: str = ""
 
+    told = renamed("describe")
+
     @property
     def known(self) -> bool:
-        """Whether the coefficient is known to ± 20 % already."""
+        """Whether the coefficient is known to ±20 % already."""
         return self.relative_std <= TARGET
 
     def __str__(self) -> str:
-        return f"{self.coefficient.axis.name} {self.told()}"
+        return f"{self.coefficient.axis.name}: {self.describe()}"
 
-    def told(self) -> str:
-        """What it takes, in words without the axis's name."""
-        takes = f"± {100.0 * TARGET:.0f} % takes " + (
-            duration(self.seconds) if self.seconds else "over a month"
-        )
+    def describe(self) -> str:
+        """Return what is known and how long to record, in words, without the name of the axis."""
+        needed = f"{_in_words(self.seconds)} would give {_TARGET_WORDS}"
         if not math.isnan(self.relative_std):
-            known = f"known to ± {plain(100.0 * self.relative_std, 2)} %"
-            return known if self.known else f"{known}, {self.reason or takes}"
+            known = f"known to ±{plain(100.0 * self.relative_std, 2)} %"
+            return known if self.known else f"{known}, {self.reason or needed}"
         if self.reason:
-            return f"cannot be said: {self.reason}"
+            return f"unknown, {self.reason}"
         c = self.coefficient.in_unit()
-        below = f"not detected, below {significant(c.upper_limit or 0.0)} {c.unit} (95 %)"
+        below = f"not detected (< {significant(c.upper_limit or 0.0)} {c.unit}, 95 %)"
         if self.seconds is not None and self.seconds <= self.now:
-            return f"{below}: one so large would usually show by now"
-        return f"{below}: {takes} if it is so large"
+            return f"{below}, at that limit it would usually be detected by now"
+        return f"{below}, at that limit {needed}"
 
 
 def needed_lengths(result: AxisFit, n: int, rate: float) -> tuple[NeededLength, ...]:
-    """What it takes to know N, B and K of an axis, given its fit to n samples at `rate` [Hz].
+    """Return how long to record for N, B and K of an axis, given its fit to n samples at `rate` [Hz].
 
-    Where the fit's standard deviation exceeds the bound at its own length, lengths allow for the ratio.
+    If the fit's standard deviation exceeds the bound at its own length, lengths are scaled accordingly.
     """
     if not result.converged:
         return ()
-    wanted = (term.name() for term in _ASKED)
+    wanted = (term.name() for term in _ASKED.values())
     return tuple(_needed(result, result[label], n, rate) for label in wanted if label in result.coefficients)
 
 
 def _needed(result: AxisFit, c: Estimate, n: int, rate: float) -> NeededLength:
-    """What it takes to know one coefficient of an axis."""
+    """Return how long to record for one coefficient of an axis."""
     now = n / rate
     if not result.measured:
-        return NeededLength(c, math.nan, now, None, "the fit is no measurement of this sensor")
+        return NeededLength(c, math.nan, now, None, "the fit does not describe this sensor")
     if c.detected and c.value > 0.0 and np.isfinite(c.std):
         std = c.std / c.value
         if std <= TARGET:
             return NeededLength(c, std, now, now)
         if result.discrepancy > 0.0:
-            why = "the noise terms do not follow the data: how long ± 20 % takes cannot be said"
+            why = "the length is unknown as the model does not fit the data"
             return NeededLength(c, std, now, None, why)
-        # The fit cannot do better than the bound, and at longer lengths is as much worse as here.
+        # The fit cannot be better than the bound; longer ones are assumed to be worse by the same factor.
         target = TARGET * min(relative_std(result.model, n, rate)[c.label] / std, 1.0)
         return NeededLength(c, std, now, length_for(result.model, c.label, rate, target))
     if c.upper_limit is None or not c.upper_limit > 0.0:
-        return NeededLength(c, math.nan, now, None, "there is no limit to it")
-    term = next(term for term in _ASKED if term.name() == c.term)
+        return NeededLength(c, math.nan, now, None, "there is no upper limit")
+    term = next(term for term in _ASKED.values() if term.name() == c.term)
     name = term.amplitude_parameter().name
     there = result.model.without([c.term]) if c.term in result.model.term_labels else result.model
     at_limit = there + term().replace(**{name: c.upper_limit})
@@ -234,7 +237,7 @@ def _needed(result: AxisFit, c: Estimate, n: int, rate: float) -> NeededLength:
 
 
 def length_for(model: Model, label: str, rate: float, target: float = TARGET) -> float | None:
-    """Length [s] at which the bound of a parameter's relative standard deviation is `target`.
+    """Return the length [s] at which the bound of a parameter's relative standard deviation is `target`.
 
     None if that is more than `LONGEST`.
 
@@ -243,10 +246,10 @@ def length_for(model: Model, label: str, rate: float, target: float = TARGET) ->
     """
 
     def bound(n: float) -> float:
-        found = relative_std(model, round(n), rate)
-        if label not in found:
-            raise AllanjaxError(f"the model has no {label!r} to be known; it has {', '.join(found)}")
-        return found[label]
+        bounds = relative_std(model, round(n), rate)
+        if label not in bounds:
+            raise AllanjaxError(f"the model has no parameter {label!r}; it has {', '.join(bounds)}")
+        return bounds[label]
 
     low, high = float(_SHORTEST), max(LONGEST * rate, _SHORTEST + 1.0)
     if bound(low) <= target:
@@ -260,10 +263,10 @@ def length_for(model: Model, label: str, rate: float, target: float = TARGET) ->
 
 
 def relative_std(model: Model, n: int, rate: float) -> dict[str, float]:
-    """Cramér–Rao bound of the relative standard deviation of each parameter, from n samples at `rate` [Hz].
+    """Return the Cramér–Rao bound of each parameter's relative standard deviation, for n samples at `rate`.
 
-    All parameters with a value are taken as unknown, but for held ones, and those of lines and of other
-    deterministic terms, which take at most a level each. It is inf for what n samples say nothing of.
+    All parameters with a value count as unknown except held ones and those of deterministic terms, which
+    affect at most one level each. The bound is inf if n samples hold no information on the parameter.
     """
     first, last = _groups(n, 2 if any(isinstance(term, DriftRamp) for term in model.terms) else 1)
     frequency, count = (first + last) * rate / (4.0 * n), last - first + 1
@@ -285,14 +288,14 @@ def relative_std(model: Model, n: int, rate: float) -> dict[str, float]:
 
 
 def _counts(model: Model, p: ModelParameter) -> bool:
-    """Whether a parameter is unknown: finite, not zero, not held; numbers such as an order are known."""
+    """Return whether a parameter is unknown: finite, nonzero, not held; numbers such as orders are known."""
     owner = model.response if p.term == len(model.terms) else model.terms[p.term]
     known = owner is None or p.parameter.name in owner.held or p.parameter.kind == "number"
     return not known and bool(np.isfinite(p.start or 0.0) and p.start)
 
 
 def _bound(F: Float[np.ndarray, "params params"]) -> Float[np.ndarray, " params"]:
-    """Square roots of the diagonal of the inverse of a Fisher matrix; inf where it has no information."""
+    """Return the roots of the diagonal of an inverse Fisher matrix; inf where it has no information."""
     size = np.sqrt(np.diag(F))
     informed = size > 1e-6
     bound = np.full(len(F), np.inf)
@@ -304,7 +307,7 @@ def _bound(F: Float[np.ndarray, "params params"]) -> Float[np.ndarray, " params"
 
 
 def _groups(n: int, first: int) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """First and last of the levels in each group, from level `first` to n − 1."""
+    """Return the first and last level of each group, from level `first` to n − 1."""
     single = np.arange(first, min(_SINGLE, n - 1) + 1)
     octaves = max(math.log2(n / _SINGLE), 0.0)
     further = (_SINGLE + 1) * 2.0 ** np.arange(0.0, octaves, 1.0 / _PER_OCTAVE)
@@ -315,12 +318,12 @@ def _groups(n: int, first: int) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Check(ByValue):
-    """Whether a recording is fit for the estimation of noise coefficients.
+    """Whether a recording is suitable for the estimation of noise coefficients.
 
     Attributes:
         name, n, rate: the recording's name, number of samples and sample rate [Hz]; 0 if it cannot be read.
         lines: the checks, each with its name, a verdict "fine", "look" or "stop", and the reason in words.
-        lengths: how long to record for N, B and K of each axis to be known to ± 20 %.
+        lengths: how long to record for N, B and K of each axis to be known to ±20 %.
     """
 
     name: str
@@ -336,35 +339,27 @@ class Check(ByValue):
 
     @property
     def stops(self) -> tuple[Line, ...]:
-        """The lines that say stop."""
+        """The lines whose verdict is stop."""
         return tuple(line for line in self.lines if line.verdict == "stop")
 
     def __getitem__(self, name: str) -> Line:
-        """The line of this name; AllanjaxError if there is none."""
+        """Return the line of this name; AllanjaxError if there is none."""
         for line in self.lines:
             if line.name == name:
                 return line
-        raise AllanjaxError(f"no line {name!r}; there are {', '.join(line.name for line in self.lines)}")
+        raise AllanjaxError(f"no line {name!r}; lines are {', '.join(line.name for line in self.lines)}")
 
     def summary(self) -> str:
-        """One line of text: which checks say stop or look, and how many are fine."""
-        parts = []
-        for verdict in ("stop", "look"):
-            names = [line.name for line in self.lines if line.verdict == verdict]
-            parts += [f"{verdict}: {', '.join(names)}"] if names else []
-        fine = sum(line.verdict == "fine" for line in self.lines)
-        return "; ".join([*parts, f"{fine} of {len(self.lines)} checks are fine"])
+        """Return one line of text: which checks read stop or look, and how many are fine."""
+        parts = [f"{verdict}: {names}" for verdict in ("stop", "look") if (names := self._names(verdict))]
+        return "; ".join([*parts, f"{len(self._of('fine'))} of {len(self.lines)} checks are fine"])
 
     def to_dict(self) -> dict[str, Any]:
-        """The check as plain dictionaries, lists, numbers and strings, for JSON."""
+        """Return the check as plain dictionaries, lists, numbers and strings, for JSON."""
+        seconds = self.n / self.rate if self.rate else 0.0
         return {
             "schema_version": SCHEMA_VERSION,
-            "recording": {
-                "name": self.name,
-                "n": self.n,
-                "rate_hz": self.rate,
-                "duration_s": self.n / self.rate if self.rate else 0.0,
-            },
+            "recording": {"name": self.name, "n": self.n, "rate_hz": self.rate, "duration_s": seconds},
             "verdict": self.verdict,
             "lines": [dataclasses.asdict(line) for line in self.lines],
             "lengths": [_length(length) for length in self.lengths],
@@ -376,16 +371,30 @@ class Check(ByValue):
             return f"{name}cannot be read as a recording"
         return f"{name}{self.n:,} samples at {self.rate:g} Hz ({duration(self.n / self.rate)})"
 
-    def _cells(self) -> list[tuple[str, str, str]]:
-        return [(line.name, line.verdict, line.reason) for line in self.lines]
+    def _of(self, verdict: str) -> list[Line]:
+        return [line for line in self.lines if line.verdict == verdict]
+
+    def _names(self, verdict: str) -> str:
+        return ", ".join(line.name for line in self._of(verdict))
 
     def __str__(self) -> str:
-        return text_table(self._title(), _HEADINGS, self._cells())
+        rows, below = [], []
+        for line in (*self._of("stop"), *self._of("look")):
+            finding, _, rest = line.reason.partition("; ")
+            rows.append((line.name, line.verdict, textwrap.shorten(finding, _CELL, placeholder=" …")))
+            more = line.reason if len(finding) > _CELL else rest
+            # The lengths of all axes are in `lengths`, and in JSON.
+            if more and not line.name.startswith("length for"):
+                below.append(f"{line.name}: {more}")
+        below.append(f"fine: {self._names('fine') or 'none'}")
+        head = f"{text_table(self._title(), _HEADINGS, rows)}\n" if rows else self._title()
+        return "\n".join([head, *(textwrap.fill(printable(x), WIDTH, subsequent_indent="  ") for x in below)])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        return html_table(self._title(), _HEADINGS, self._cells())
+        rows = [(x.name, x.verdict, x.reason) for verdict in ("stop", "look") for x in self._of(verdict)]
+        return html_table(self._title(), _HEADINGS, [*rows, ("all others", "fine", self._names("fine"))])
 
 
 def check(
@@ -398,24 +407,24 @@ def check(
     names: Sequence[str] | None = None,
     gaps: GapChoice | None = None,
 ) -> Check:
-    """Say line by line whether a recording is fit for the estimation of noise coefficients.
+    """Check, line by line, whether a recording is suitable for the estimation of noise coefficients.
 
-    Looked at are time stamps, repeated and interpolated samples, resolution, saturation, dead axes, motion,
-    disturbances, lines, units by their plausibility, temperature, bandwidth, and the length that N, B and K
-    need, for which these are estimated roughly. No structure is searched for: it takes seconds.
+    The lines are on time stamps, repeated and interpolated samples, resolution, saturation, dead axes,
+    motion, disturbances, spectral lines, plausible units, temperature, bandwidth, and the length needed for
+    N, B and K, which are estimated roughly. No structure is searched, so this takes seconds.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
-        vibrating: whether the platform is meant to move or vibrate: motion is no reason to stop then.
-        rate, gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; a data frame
-            and a file may state their own.
-        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
+        vibrating: whether the platform is meant to move or vibrate; then motion is not a reason to stop.
+        rate, gyro_unit, accel_unit, names: as in `Recording.from_array` for an array; a data frame and a
+            file may state their own.
+        gaps: what to do about missing samples, as in `read`; in an array these are nan.
 
     Returns:
-        The lines. A file whose time stamps, or whose axes, allow no recording has one line, which says why.
+        The check. For a file with unusable time stamps or axes it has a single line with the reason.
 
     Raises:
-        RecordingError, UnitError: what is given cannot be read for another reason, such as a missing unit.
+        RecordingError, UnitError: the data cannot be read for another reason, such as a missing unit.
     """
     try:
         given = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
@@ -426,61 +435,77 @@ def check(
 
 
 def unreadable(error: RecordingError, name: str) -> Check:
-    """Check of what cannot be read because of its samples or time stamps; other errors are raised again."""
+    """Return the check of data with unusable samples or time stamps; other errors are raised again."""
     if not error.about:
         raise error
     return Check(name, 0, 0.0, (Line(error.about, "stop", str(error)),))
 
 
-def check_of(recording: Recording, seen: Inspection) -> Check:
-    """Check of a recording that was inspected."""
-    quiet = recording if seen.refusal else seen.quiet(recording)
+def check_of(recording: Recording, inspection: Inspection) -> Check:
+    """Return the check of a recording that was inspected."""
+    quiet = recording if inspection.refusal else inspection.quiet(recording)
     spectrum = spectrum_of(quiet.values, quiet.rate)
     widths = {name: spectrum and bandwidth_in(spectrum, k) for k, name in enumerate(quiet.names)}
-    lengths = () if seen.refusal or quiet.n < _FEWEST else _lengths(quiet, seen, widths)
-    lines = (*lines_of(recording, seen, widths), *_of_length(seen, lengths))
+    lengths = () if inspection.refusal or quiet.n < _FEWEST else _lengths(quiet, inspection, widths)
+    lines = (*lines_of(recording, inspection, widths), *_of_length(inspection, lengths))
     return Check(recording.name, recording.n, recording.rate, lines, lengths)
 
 
 def _lengths(
-    quiet: Recording, seen: Inspection, widths: Mapping[str, float | None]
+    quiet: Recording, inspection: Inspection, widths: Mapping[str, float | None]
 ) -> tuple[NeededLength, ...]:
-    """How long to record for N, B and K of each axis."""
-    # Up to half of the bandwidth a filter passes nearly all.
+    """Return how long to record for N, B and K of each axis."""
+    # Up to half of its bandwidth a filter passes nearly everything.
     below = np.array([np.inf if width is None else width / 2.0 for width in widths.values()])
     results = (
-        result.unmeasured(not_measured=why) if (why := seen.why_not(result.axis.name)) else result
+        result.unmeasured(not_measured=why) if (why := inspection.why_not(result.axis.name)) else result
         for result in rough_fits(quiet, below)
     )
     return tuple(length for result in results for length in needed_lengths(result, quiet.n, quiet.rate))
 
 
-def _of_length(seen: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:
-    """Lines on the length that N, B and K need."""
-    for label, symbol in _SYMBOLS.items():
-        own = [length for length in lengths if length.coefficient.label == label]
+def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:
+    """Yield lines on the length needed for N, B and K."""
+    for symbol, term in _ASKED.items():
+        own = [length for length in lengths if length.coefficient.label == term.name()]
         name = f"length for {symbol}"
         if not own:
             short = f"fewer than {_FEWEST} samples"
-            told = "there are no coefficients, see disturbances" if seen.refusal else short
-            yield Line(name, "look", f"cannot be said: {told}")
+            yield Line(name, "look", f"unknown, {'see disturbances' if inspection.refusal else short}")
         elif all(length.known for length in own):
             poorest = max(own, key=lambda length: length.relative_std)
-            yield Line(name, "fine", f"{poorest}, other axes better" if len(own) > 1 else str(poorest))
+            yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
         else:
-            yield Line(name, "look", _together([length for length in own if not length.known]))
+            left = [length for length in own if not length.known]
+            yield Line(name, "look", "; ".join([_in_short(left), *map(str, left)]))
 
 
-def _together(lengths: Sequence[NeededLength]) -> str:
-    """Lengths in words, axes of which the same is told together."""
-    axes: dict[str, list[str]] = {}
-    for length in lengths:
-        axes.setdefault(length.told(), []).append(length.coefficient.axis.name)
-    return "; ".join(f"{', '.join(names)} {told}" for told, names in axes.items())
+def _in_short(lengths: Sequence[NeededLength]) -> str:
+    """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
+    states: dict[str, list[NeededLength]] = {}
+    for x in lengths:
+        state = "not detected" if math.isnan(x.relative_std) else f"above {_TARGET_WORDS}"
+        states.setdefault("unknown" if x.reason else state, []).append(x)
+    if len(states) > 1:
+        # Axes whose fit does not describe the sensor have a line of their own.
+        states.pop("unknown", None)
+    names = [x[0].coefficient.axis.name if len(x) == 1 else f"{len(x)} axes" for x in states.values()]
+    head = ", ".join(f"{axes} {state}" for axes, state in zip(names, states, strict=True))
+    if "unknown" in states:
+        return head
+    left = [x for of in states.values() for x in of]
+    longest = max(left, key=lambda x: x.seconds or math.inf)
+    at_limit = " at the limit" * (states.keys() == {"not detected"})
+    where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
+    return f"{head}: {_TARGET_WORDS}{at_limit} needs {_in_words(longest.seconds)}{where}"
+
+
+def _in_words(seconds: float | None) -> str:
+    return duration(seconds) if seconds else "more than a month"
 
 
 def _length(length: NeededLength) -> dict[str, Any]:
-    """A needed length as a dictionary."""
+    """Return a needed length as a dictionary."""
     c = length.coefficient
     return {
         "axis": c.axis.name,

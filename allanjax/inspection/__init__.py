@@ -1,4 +1,4 @@
-"""Checks of a recording before a fit: handling, motion, units and resolution."""
+"""Inspection of a recording before a fit: handling, motion, units and resolution."""
 
 from allanjax.inspection.first_look import Inspection, inspect, look
 from allanjax.inspection.plausible import Ends

@@ -1,4 +1,4 @@
-"""What is done about events and spikes: cut out, drawn anew on one axis, kept, or refused; and in words."""
+"""How events and outlying samples are handled: cut out, filled in on one axis, kept, or refused."""
 
 from __future__ import annotations
 
@@ -17,46 +17,45 @@ from allanjax.record.recording import Axis
 
 # Least share of the recording that coefficients may be estimated from.
 _LEAST_SHARE = 0.3
-# A part that is quieter by this factor, and this share of the recording, may be the sensor at rest.
+# A part that is quieter by this factor and has this share of the recording may be the sensor at rest.
 _MUCH, _LONG = 1.5, 0.1
 # An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
 _SLIGHT = 0.1
-# Ways to get coefficients nevertheless.
+# Ways to obtain coefficients nevertheless.
 _REMEDY = (
-    "choose a stretch by --start and --stop (start=, stop=, .between), use all by --as-is (as_is=True), or "
-    "see what allanjax critique finds"
+    "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
+    "(as_is=True), or run allanjax critique for the causes"
 )
-# Kinds of events in the order in which they are told.
+# Kinds of events in the order in which they are reported.
 _KINDS = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
-# Standard deviations beyond which a sample is a spike: Gaussian noise has one in 10⁹ samples.
+# Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
 _FAR = 6.0
-# Samples on either side of one, and most spikes among so many samples.
+# Samples on either side that are compared, and the most outliers within that distance.
 _AROUND, _CLOSE = 3, 3
-# Standard deviations beyond which Gaussian noise has this share of its samples; that many times as many, and
-# so many more, are no chance.
+# Standard deviations beyond which Gaussian noise has this share of samples; so many times more is no chance.
 _OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
-# Share of the distances, the smallest, by which their scale is known, and their rms in normal variates.
+# Share of the smallest distances from which the scale is estimated, and their rms for normal variates.
 _INNER, _INNER_RMS = 0.7, 0.5565
-# Share of distances of zero beyond which the steps of rounding are too coarse for that.
+# Share of zero distances beyond which the rounding is too coarse for that estimate.
 _EQUAL = 0.35
-# Largest share of an axis's samples that are spikes: of more, the noise itself has heavy tails.
+# Largest share of outlying samples on an axis: with more, the noise itself has heavy tails.
 _MOST = 0.1
 
-#: Samples of axes by their names: from the first up to but not including the last, as often as needed.
+#: Samples by axis name: ranges from the first index up to but not including the last.
 Places = Mapping[str, tuple[tuple[int, int], ...]]
 
 
 @dataclasses.dataclass(frozen=True)
 class Treatment:
-    """What is done about the events of a recording of n samples of these axes at this rate [Hz].
+    """How the events of a recording of n samples of these axes at this rate [Hz] are handled.
 
     Attributes:
-        as_is: whether all of it is to be used in any case.
-        quiet: parts without the events that have to be cut out, as sample indices.
-        cut, alone, kept, harmless: the events that are cut out; that are on one axis alone; that are kept,
-            and allowed for; that change nothing.
-        possible: whether enough is left without those that have to be cut out.
-        unclear: whether the sensor was disturbed for so long that the quiet part may not be the one at rest.
+        as_is: whether all samples are used in any case.
+        quiet: parts without the events that must be cut out, as sample indices.
+        cut, alone, kept, harmless: the events that are cut out; that affect a single axis; that are kept and
+            widen the intervals; that change no coefficient.
+        possible: whether enough remains without the events that must be cut out.
+        unclear: whether the disturbance lasts so long that the quiet part may not be the sensor at rest.
     """
 
     axes: Sequence[Axis]
@@ -81,7 +80,7 @@ class Treatment:
         n: int,
         as_is: bool,
     ) -> Treatment:
-        """Treatment of events, given the parts without those that have to be cut out."""
+        """Return the treatment of events, given the parts without those that must be cut out."""
         touched = [e for e in events if e.matters]
         cut = [e for e in touched if e.is_cut]
         alone = [e for e in touched if e.is_of_one_axis and not e.is_slight]
@@ -96,7 +95,7 @@ class Treatment:
 
     @property
     def parts(self) -> tuple[tuple[float, float], ...]:
-        """Start and end [s] of what is used, rounded inwards; none for all of it."""
+        """Start and end [s] of the parts that are used, rounded inwards; empty if all samples are used."""
         if not self.cut or not self.possible or self.as_is:
             return ()
         step, whole = grid(self.n / self.rate), self.n / self.rate
@@ -106,7 +105,7 @@ class Treatment:
 
     @property
     def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
-        """Stretches on one axis alone, which are drawn given its other samples, if these are most."""
+        """Samples of a single axis that are filled in from its other samples, if enough of these remain."""
         found = {
             name: tuple((e.first, e.last) for e in events)
             for name, events in self._alone().items()
@@ -116,62 +115,63 @@ class Treatment:
 
     @property
     def allowance(self) -> Float[np.ndarray, " axes"]:
-        """Relative error of the Allan deviation of each axis by the events that are kept."""
+        """Relative error of the Allan deviation of each axis due to the events that are kept."""
         found = np.zeros(len(self.axes))
         for e in self.kept:
             found[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
         return found
 
-    def said(self, events: Sequence[Event]) -> str:
+    def describe(self, events: Sequence[Event]) -> str:
         """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
         by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
         return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
 
     @property
     def refusal(self) -> str:
-        """Why there are no coefficients, in words; "" if there are."""
+        """Reason why there are no coefficients, in words; "" if there are."""
         if self.possible or not self.cut or self.as_is:
             return ""
-        said = self.said(self.cut)
+        events = self.describe(self.cut)
         if self.unclear:
-            return f"{said}: which of the two is the sensor at rest cannot be told; {_REMEDY}"
+            return f"{events}; it is unclear which of these parts is the sensor at rest: {_REMEDY}"
         a, b = max(self.quiet, key=lambda part: part[1] - part[0])
         longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
         return (
-            f"{said}; no part without it is as long as {100.0 * _LEAST_SHARE:.0f} % of the recording, the "
-            f"longest is {longest}: {_REMEDY}"
+            f"{events}; the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of the recording "
+            f"(the longest is {longest}): {_REMEDY}"
         )
 
     def facts(self, refusal: str) -> list[Fact]:
-        """Facts about all events but those that change nothing; they say why there are no coefficients."""
+        """Return facts about the events that matter, including why there are no coefficients."""
         facts, every = [], tuple(axis.name for axis in self.axes)
         if self.cut and refusal:
             facts.append(self._fact(self.cut, every, "not a measurement", f"no coefficients: {refusal}"))
         elif self.cut:
             step, parts = grid(self.n / self.rate), self.parts
-            used = listed([span(*part, step) for part in parts], len(parts)) or "all of it, as asked"
-            text = f"{self.said(self.cut)}: coefficients are of {used}"
+            used = listed([span(*part, step) for part in parts], len(parts))
+            then = f"coefficients are estimated from {used}" if used else "all samples are used"
+            text = f"{self.describe(self.cut)}; {then}"
             out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
             fact = self._fact(self.cut, every, "none", text)
             facts.append(dataclasses.replace(fact, size=out, unit="s"))
         for name, own in self._alone().items():
-            then, consequence = f" ({name} alone): kept, as asked", "none"
+            then, consequence = "all samples are used", "none"
             if name in self.lost:
-                drawn = "left out on this axis, and drawn given its other samples"
-                then, consequence = f" ({name} alone): {drawn}", "widened"
+                then, consequence = "these samples are left out and filled in", "widened"
             elif not self.as_is:
-                most = f"more than {100.0 * MOST_MISSING:.0f} % of {name}, and of no other axis"
-                then, consequence = f": {most}", "not a measurement"
-            facts.append(self._fact(own, (name,), consequence, f"{self.said(own)}{then}"))  # type: ignore[arg-type]
+                then = f"this is more than {100.0 * MOST_MISSING:.0f} % of the axis, too much to be filled in"
+                consequence = "not a measurement"
+            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}; {then}"
+            facts.append(self._fact(own, (name,), consequence, text))  # type: ignore[arg-type]
         if self.kept:
             share = plain(100.0 * float(self.allowance.max()), 1)
-            text = f"{self.said(self.kept)}: kept; intervals allow for {share} % in the Allan deviation"
+            text = f"{self.describe(self.kept)}; kept, intervals are widened by {share} % of the deviation"
             names = tuple(every[k] for k in sorted({k for e in self.kept for k in e.axes}))
             facts.append(self._fact(self.kept, names, "widened", text))
         return facts
 
     def _alone(self) -> dict[str, list[Event]]:
-        """Events on one axis alone by its name."""
+        """Events on a single axis by its name."""
         names = dict.fromkeys(self.axes[e.axes[0]].name for e in self.alone)
         return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
 
@@ -182,7 +182,7 @@ class Treatment:
         return Fact("disturbances", text, names, consequence, spans=spans)
 
     def _clause(self, kind: str, events: Sequence[Event]) -> str:
-        """Clause about all events of one kind."""
+        """Return a clause about all events of one kind."""
         step = grid(self.n / self.rate)
         places = listed([self._around(e, step) for e in events])
         largest = max(events, key=lambda e: abs(e.size))
@@ -196,17 +196,17 @@ class Treatment:
             return f"{axis.name} does not change at all in {places}"
         if kind == "warm-up":
             until = seconds(events[-1].last / self.rate, step)
-            return f"a warm-up until {until} s, {axis.name} {size} off at first"
+            return f"warm-up drift until {until} s ({axis.name} starts {size} off)"
         if kind == "shift":
             if len(events) == 1:
-                return f"{axis.name} moves by {size} in {places}"
-            return f"the mean moves by up to {size} ({axis.name}) in {places}"
+                return f"{axis.name} shifts by {size} in {places}"
+            return f"the mean shifts by up to {size} ({axis.name}) in {places}"
         middles = listed([f"{seconds(0.5 * (e.first + e.last) / self.rate, step)} s" for e in events])
-        noun, off = ("single value", " off") if kind == "spike" else (kind, "")
+        noun, off = ("outlying sample", " off") if kind == "spike" else (kind, "")
         if len(events) > 1:
-            return f"{len(events)} {noun}s of up to {size}{off} at {middles} (largest: {axis.name})"
-        of = "" if kind == "spike" else "of "
-        return f"a {noun} {of}{size}{off} at {middles} ({axis.name})"
+            return f"{len(events)} {noun}s of up to {size}{off} ({axis.name}) at {middles}"
+        a, of = ("an", "") if kind == "spike" else ("a", "of ")
+        return f"{a} {noun} {of}{size}{off} at {middles} ({axis.name})"
 
     def _around(self, e: Event, step: float) -> str:
         """Time span of an event, rounded; outwards if the rounded ends were the same."""
@@ -217,11 +217,11 @@ class Treatment:
 
 
 def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which samples are spikes, alone or two or three close together; none where there are too many for that.
+    """Return which samples are isolated outliers, up to three close together; none if there are too many.
 
-    A spike is far both from the mean of its two neighbours and from the median of the seven samples around
-    it, in standard deviations of Gaussian noise.
-    A step is not far from the median, and a knock or a burst has more such samples together.
+    An outlier is far both from the mean of its two neighbours and from the median of the seven samples around
+    it, in standard deviations of Gaussian noise. A step is not far from the median; a knock or a burst has
+    more such samples close together.
     """
     distance, scale = _distances(x)
     far, places = np.zeros(len(x), bool), np.flatnonzero(distance > _FAR)
@@ -235,9 +235,9 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 
 def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
-    """Number of samples that are farther off than Gaussian noise would be, and the variance that they add.
+    """Return the number of samples beyond Gaussian noise, and the variance that they add.
 
-    Both are zero where no more are than chance may leave there. By rounding to a step they may be off.
+    Both are zero if chance explains the number. Deviations up to a rounding `step` do not count.
     """
     distance, scale = _distances(x)
     beyond = distance[distance * scale > _OUTLYING * scale + step]
@@ -247,9 +247,9 @@ def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
 
 
 def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
-    """Distances of samples from the mean of their two neighbours in robust standard deviations, and that.
+    """Return distances from the mean of the two neighbours in robust standard deviations, and that deviation.
 
-    They are zero where many samples are equal to that: they are rounded, and their steps are no spikes.
+    Distances are zero if many samples equal that mean: the output is rounded, and its steps are not outliers.
     """
     left = np.zeros(len(x))
     left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))

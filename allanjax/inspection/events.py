@@ -1,4 +1,4 @@
-"""Events of a recording, stretches that are unlike the rest; their effect, and the quiet parts between."""
+"""Events in a recording: stretches that differ from the rest; their effect, and the quiet parts between."""
 
 from __future__ import annotations
 
@@ -22,44 +22,44 @@ from allanjax.inspection.scores import (
 )
 from allanjax.inspection.windows import Windows
 
-# Scores beyond which a stretch is unlike the rest. In the clean records that they were set on (see
-# benchmarks/studies/first_look.py) the largest were 6.8 but for telegraphs, and for steps 10.2.
+# Scores beyond which a stretch differs from the rest. In the clean records on which they were set (see
+# benchmarks/studies/first_look.py) the largest were 6.8 except for telegraph noise, and 10.2 for steps.
 _UNLIKE = 8.0
 _STEP = 11.0
-# The same beside a stretch that is unlike the rest, where few averages are compared.
+# The same beside a stretch that differs from the rest, where few averages are compared.
 _BESIDE_UNLIKE = 5.0
-# Scores down to which a stretch that is unlike the rest is extended.
+# Scores down to which such a stretch is extended.
 _STILL = 3.0
 # Standard deviations of a step down to which a slow change is extended.
 _STILL_MOVING = 4.0
-# Jumps of at least this share of the largest, and so many of them, are telegraph noise, not steps.
+# So many jumps of at least this share of the largest are telegraph noise, not steps.
 _COMPARABLE = 0.4
 _TELEGRAPH = 3
-# Share of a sudden step's size that shows over fewer windows, too.
+# Share of the size of a sudden step that is also observed over fewer windows.
 _SAME_SIZE = 0.7
-# So many constant windows are no chance on an axis whose samples repeat less often than this share.
+# So many constant windows are not chance on an axis whose samples repeat less often than this share.
 _STUCK, _MOSTLY_NEW = 3, 0.5
-# Stretches at most so many windows apart are one.
+# Stretches at most so many windows apart are joined.
 _GAP = 3
 # Quiet windows on either side of a stretch over which the mean is taken.
 _BESIDE = 16
 # An event matters if it changes the Allan variance by more than this, in standard deviations of the estimate.
 _MATTERS = 1.0
-# Many small events matter if their changes add up to the first; then each that is above the second does.
+# Many small events matter if their changes add up to the first number; then each above the second matters.
 _TOGETHER, _COUNTS = 2.0, 0.1
-# Standard deviations of a stretch's own excess beyond which it is no chance on an axis.
+# Standard deviations of a stretch's own excess beyond which it is not chance on an axis.
 _CHANCE = 3.0
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
-# Rounds of search, each in the quiet parts that the last one left.
+# Rounds of search, each in the quiet parts that remain after the previous one.
 _ROUNDS = 8
-# A stretch whose noise is another by less than this factor is better kept.
+# A stretch whose noise differs by less than this factor is kept.
 _MUCH_NOISIER = 1.5
 # Ratio of mean square differences up to which the noise is unchanged and only the mean has moved.
 _SAME_NOISE = 1.5
-# Share of the sum of squared differences beyond which a single sample makes the event.
+# Share of the sum of squared differences beyond which a single sample is the event.
 _SINGLE = 0.5
 # Standard deviations by which the mean must have changed for a step.
 _CHANGED = 8.0
@@ -74,12 +74,12 @@ Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-u
 
 @dataclasses.dataclass(frozen=True)
 class Stretch:
-    """Run of windows, `first` up to but not including `last`, that are unlike the rest.
+    """Run of windows, `first` up to but not including `last`, that differ from the rest.
 
     Attributes:
         kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
-        shares: of each axis, the clearest excess of the Allan variance that it causes, as a share of it.
-        axes: indices of the axes where that is more than the estimates' own error; none until that is known.
+        shares: for each axis, the clearest excess of the Allan variance due to it, as a share.
+        axes: indices of the axes where that exceeds the error of the estimate; empty until it is known.
     """
 
     first: int
@@ -90,12 +90,12 @@ class Stretch:
 
     @property
     def matters(self) -> bool:
-        """Whether it changes an Allan variance by more than the estimate's own error."""
+        """Whether it changes an Allan variance by more than the error of the estimate."""
         return bool(self.axes)
 
 
-def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
-    """Stretches whose noise or whose change of the mean is unlike the rest's, in order, none overlapping."""
+def unusual(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
+    """Return stretches with unusual noise or an unusual change of the mean, in order, without overlap."""
     found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
     # Stretches found from few windows are left out of the averages over more.
     for length in LENGTHS:
@@ -108,14 +108,14 @@ def unlike(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
     moved: list[Stretch] = []
     for k, of in enumerate(steps):
         for a, b in _moves(steps[: k + 1], groups_of(sensors)):
-            # A change that was found over few windows shows over more of them, too.
+            # A change detected over few windows is detected over more windows, too.
             if not _overlaps(a - of.lag, b + of.lag, moved):
                 moved.append(Stretch(a, b, "moved"))
     return _merged(sorted(found + moved, key=lambda s: s.first))
 
 
 def touched_by(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
-    """Which windows are in one of the stretches."""
+    """Return which windows are in one of the stretches."""
     touched = np.zeros(len(windows), bool)
     for s in stretches:
         touched[s.first : s.last] = True
@@ -123,20 +123,20 @@ def touched_by(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarra
 
 
 def _silent(windows: Windows) -> list[tuple[int, int]]:
-    """Runs of windows in which an axis is constant that usually is not: it is stuck, or switched off."""
+    """Return runs of windows in which a usually changing axis is constant: it is stuck or switched off."""
     constant = windows.low == windows.high
     usual = np.median(windows.repeated, axis=0) < _MOSTLY_NEW
     return [(a, b) for a, b in runs((constant & usual).any(axis=1), _GAP) if b - a >= _STUCK]
 
 
 def _runs(scores: Sequence[Scores], length: int, found: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
-    """Runs of windows with a score beyond the threshold, extended by neighbours with a lower one.
+    """Return runs of windows with a score beyond the threshold, extended by neighbours beyond a lower one.
 
-    Beside windows that are unlike the rest already, `found`, the threshold is a lower one.
+    Beside windows that are known to be unusual, `found`, the threshold is lower.
     """
     count = len(found)
     peak, likely, still = np.zeros((3, count), bool)
-    # Of the windows of an average, the middle one: the loud part is about there.
+    # The middle window of an average: the loud part is about there.
     inner = (length - 1) // 2
     for score in scores:
         for limit, windows in ((_UNLIKE, peak), (_BESIDE_UNLIKE, likely)):
@@ -148,7 +148,7 @@ def _runs(scores: Sequence[Scores], length: int, found: Bool[np.ndarray, " w"]) 
             if limit == _UNLIKE:
                 still[inner : inner + len(low)] |= low
             if length > 1:
-                # At the record's ends no average has these windows in its middle.
+                # At the ends of the record no average has these windows in its middle.
                 windows[: inner + 1] |= high[0]
                 windows[inner + len(high) - 1 :] |= high[-1]
     near = np.convolve(found, np.ones(2 * _GAP + 1), "same") > 0.5
@@ -157,9 +157,9 @@ def _runs(scores: Sequence[Scores], length: int, found: Bool[np.ndarray, " w"]) 
 
 
 def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tuple[int, int]]:
-    """Runs of windows in which the mean moves as nowhere else, according to the last of the steps.
+    """Return runs of windows in which the mean moves as nowhere else, according to the last of the steps.
 
-    There are none if it jumps by as much three times or more: that is telegraph noise of the sensor.
+    There are none if it jumps by a similar size three times or more: that is telegraph noise of the sensor.
     """
     last = steps[-1]
     alarmed = last.score.max(axis=1) > _STEP
@@ -180,10 +180,10 @@ def _moves(steps: Sequence[Steps], groups: Sequence[Sequence[int]]) -> list[tupl
 
 
 def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[int, int]:
-    """Run of windows in which the mean moves, given the run of places that see it and the clearest one."""
+    """Run of windows in which the mean moves, given the run of places that show it and the clearest."""
     *finer, coarsest = steps
     lag, places = coarsest.lag, coarsest.score.shape[1]
-    # Place p compares the windows p … p+lag−1 with as many that follow: it sees a change around p + lag.
+    # Place p compares windows p … p+lag−1 with as many that follow: it shows a change around p + lag.
     end = places + 2 * lag - 1
     if first == 0:
         return 0, last + lag
@@ -202,12 +202,12 @@ def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[i
 
 
 def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
-    """Whether a run of windows overlaps one of the stretches."""
+    """Return whether a run of windows overlaps one of the stretches."""
     return any(o.first < last and first < o.last for o in others)
 
 
 def _merged(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with overlapping ones joined, of the first kind among silent, noisier, quieter, moved."""
+    """Stretches with overlapping ones joined, of the first kind of silent, noisier, quieter, moved."""
     merged: list[Stretch] = []
     for s in found:
         if merged and s.first <= merged[-1].last:
@@ -226,14 +226,14 @@ def excesses(
 
     Returns:
         The excess of the mean square difference (twice the Allan variance) in standard deviations of its
-        estimate, at the cluster time where that is largest; and there as a share of the mean square.
+        estimate, at the cluster time where that is largest; and, at that time, as a share of the mean square.
     """
     touched = touched_by(windows, stretches)
     sigmas, shares = np.zeros((2, len(stretches), windows.mean.shape[1]))
     for square, weight, width in _squares(windows):
         # A place counts as touched if one of its windows is in a stretch.
-        seen = np.concatenate([[0], np.cumsum(touched)])
-        places = seen[width:] > seen[: len(seen) - width]
+        count = np.concatenate([[0], np.cumsum(touched)])
+        places = count[width:] > count[: len(count) - width]
         quiet = ~places & (weight > 0)
         if quiet.sum() < 4:
             continue
@@ -254,7 +254,7 @@ def excesses(
 def _squares(
     windows: Windows,
 ) -> Iterator[tuple[Float[np.ndarray, "places axes"], Float[np.ndarray, " places"], int]]:
-    """Mean square differences at each cluster size, their weights, and how many windows each spans."""
+    """Yield mean square differences at each cluster size, their weights, and how many windows each spans."""
     for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
         yield np.nan_to_num(square), pairs.astype(float), 1
     for steps in steps_of(windows, ["axis"] * windows.mean.shape[1]):
@@ -262,7 +262,7 @@ def _squares(
 
 
 def quiet_runs(count: int, stretches: Sequence[Stretch]) -> list[tuple[int, int]]:
-    """Runs of `count` windows that are outside of all stretches, a window away from each."""
+    """Return the runs of `count` windows outside all stretches, at least one window away from each."""
     edges = [0]
     for s in stretches:
         edges += [max(s.first - 1, 0), min(s.last + 1, count)]
@@ -273,7 +273,7 @@ def quiet_runs(count: int, stretches: Sequence[Stretch]) -> list[tuple[int, int]
 def beside(
     windows: Windows, stretch: Stretch, others: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Change of the mean across a stretch, and its usual scatter; zero at the record's ends."""
+    """Change of the mean across a stretch, and its usual scatter; zero at the ends of the record."""
     before = max([s.last for s in others if s.last <= stretch.first], default=0)
     after = min([s.first for s in others if s.first >= stretch.last], default=len(windows))
     left = windows.mean[max(before, stretch.first - _BESIDE) : stretch.first]
@@ -281,7 +281,7 @@ def beside(
     zero = np.zeros(windows.mean.shape[1])
     if len(left) == 0 or len(right) == 0:
         return zero, zero
-    # The same difference of means wherever it can be taken.
+    # The same difference of means wherever it exists.
     apart, k = stretch.last - stretch.first, min(len(left), len(right))
     total = np.concatenate([[zero], np.cumsum(windows.mean, axis=0)])
     level = (total[k:] - total[:-k]) / k
@@ -298,9 +298,9 @@ class Event:
         first, last: index of its first sample, and of the one after its last.
         kind: its kind.
         axis: index of the axis where it is largest.
-        size: ratio of the deviations if the noise has changed; else the excursion [rad/s or m/s²].
-        shares: of each axis, the clearest excess of the Allan variance that it causes, as a share of it.
-        axes: indices of the axes where that is more than the estimates' own error.
+        size: ratio of the deviations if the noise changes; else the excursion [rad/s or m/s²].
+        shares: for each axis, the clearest excess of the Allan variance due to it, as a share.
+        axes: indices of the axes where that exceeds the error of the estimate.
     """
 
     first: int
@@ -313,42 +313,42 @@ class Event:
 
     @property
     def matters(self) -> bool:
-        """Whether it changes an Allan variance by more than the estimate's own error."""
+        """Whether it changes an Allan variance by more than the error of the estimate."""
         return bool(self.axes)
 
     @property
     def is_slight(self) -> bool:
-        """Whether the noise is another, but so little that the samples are better kept than left out."""
+        """Whether the noise differs, but so little that the samples are kept."""
         return self.kind in ("noisier", "quieter") and self.size < _MUCH_NOISIER
 
     @property
     def share(self) -> float:
-        """The largest excess of the Allan variance on any axis, as a share of it."""
+        """The largest excess of the Allan variance on any axis, as a share."""
         return max(self.shares)
 
     @property
     def is_of_one_axis(self) -> bool:
-        """Whether it is on one axis of several, and leaves its mean as it was: no motion of the body."""
+        """Whether it affects one axis of several and not its mean: it is not motion of the body."""
         return len(self.axes) == 1 < len(self.shares) and self.kind not in MOVES
 
     @property
     def is_cut(self) -> bool:
-        """Whether it has to be cut out on all axes."""
+        """Whether it must be cut out on all axes."""
         return self.matters and not self.is_slight and not self.is_of_one_axis
 
 
-#: Kinds of events that change the mean alone.
+#: Kinds of events that change the mean only.
 MOVES = ("step", "shift", "warm-up")
 
 
 def quiet_parts(
     windows: Windows, sensors: Sequence[str], may_move: bool = False
 ) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
-    """Events of a recording in order, and the parts without those that matter, as sample indices.
+    """Return the events of a recording in order, and the parts without those that matter, as sample indices.
 
-    Events on one axis alone leave the others' samples as they are, and so do those that are slight. Each part
-    that is left is searched again: the faint end of an event shows beside quiet windows only. Where the mean
-    may move, as in a model with a step, such moves are no events.
+    Events on a single axis and slight events do not affect the samples of other axes. Each remaining part is
+    searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
+    move, as in a model with a step, changes of the mean are not events.
     """
     out: list[Stretch] = []
     found: list[Stretch] = []
@@ -360,7 +360,7 @@ def quiet_parts(
         events = list(zip(stretches, _events(part, stretches), strict=True))
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
-        # What changes nothing may be found again in a part; what is kept may not, where it fills one.
+        # Harmless events may be found again in a part; one that is kept is not, if it fills the part.
         for s, e in events:
             if not split or e.matters:
                 moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
@@ -378,14 +378,14 @@ def quiet_parts(
 
 
 def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stretch]:
-    """Stretches of a part that are unlike the rest, with the axes where they matter."""
-    stretches = unlike(part, sensors)
+    """Return the unusual stretches of a part, with the axes where they matter."""
+    stretches = unusual(part, sensors)
     if may_move:
         stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
     sigmas, shares = excesses(part, stretches)
     limit, found = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
     for s, sigma, share in zip(stretches, sigmas, shares, strict=True):
-        # By chance a stretch is in excess by the root of its share of the part.
+        # By chance, the excess of a stretch is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
         axes = (share > _TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
         found.append(
@@ -395,7 +395,7 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stre
 
 
 def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
-    """Events that the stretches are."""
+    """Return the stretches as events."""
     edges, events = windows.edges, []
     for s in stretches:
         kind, axis, size = _what(windows, s, stretches)
@@ -405,7 +405,7 @@ def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
 
 
 def _joined(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches in order, with adjacent ones that matter joined to one."""
+    """Return the stretches in order, with adjacent ones that matter joined."""
     joined: list[Stretch] = []
     for s in sorted(found, key=lambda s: s.first):
         o = joined[-1] if joined else None
@@ -419,7 +419,7 @@ def _joined(found: Sequence[Stretch]) -> list[Stretch]:
 
 
 def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float]:
-    """Kind of an event, the axis where it is largest, and its size there."""
+    """Return the kind of an event, the axis where it is largest, and its size there."""
     inside = slice(s.first, s.last)
     if s.kind == "silent":
         constant = windows.low[inside] == windows.high[inside]
@@ -448,9 +448,9 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
 def _levels(
     windows: Windows, inside: slice, events: Sequence[Stretch]
 ) -> tuple[Float[np.ndarray, "scales axes"], Float[np.ndarray, "scales axes"]]:
-    """Usual mean square differences, and the factor by which those inside are larger; one if unknown.
+    """Return typical mean square differences, and the factor by which those inside are larger (1 if unknown).
 
-    Usual are the windows outside of all events; all windows if none is.
+    The typical ones are from the windows outside all events, or from all windows if there are none.
     """
 
     def level(rows: slice | Bool[np.ndarray, " w"]) -> Float[np.ndarray, "scales axes"]:
@@ -464,13 +464,13 @@ def _levels(
 
 
 def _single(windows: Windows, inside: slice) -> float:
-    """Share of the largest difference between neighbouring samples in the sum of their squares."""
+    """Return the share of the largest difference between neighbouring samples in the sum of squares."""
     power = windows.power[0, inside].max(axis=0)
     return float(np.max(windows.peak[inside].max(axis=0) ** 2 / np.where(power > 0.0, power, np.inf)))
 
 
 def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float] | None:
-    """Step, warm-up or other change of the mean; None where the mean is the same before and after."""
+    """Return a step, warm-up or other change of the mean; None if the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
     span = np.ptp(windows.mean[s.first : s.last], axis=0)
     if s.first <= 1:
@@ -487,7 +487,7 @@ def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kin
             return ("step" if s.last - s.first <= _SUDDEN else "shift"), axis, float(jump[axis])
     if s.kind != "moved":
         return None
-    # With its neighbours, since a single window has no span of its own.
+    # Neighbours are included, since a single window has no range.
     span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
     return "shift", axis, float(span[axis])

@@ -1,4 +1,4 @@
-"""Facts about a record, found once when it is inspected; and numbers, times and lists in their words."""
+"""Facts about a recording from its inspection, with helpers that write numbers, times and lists."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Consequence = Literal["none", "widened", "not a measurement"]
 NOT_A_MEASUREMENT: Consequence = "not a measurement"
 # The gravest first.
 _ORDER = {"not a measurement": 0, "widened": 1, "none": 2}
-# Why coefficients are no measurement of the sensor, by the kind of fact.
+# Why coefficients are not a measurement of the sensor, by kind of fact.
 _WHY = {
     "at rest": "it was not at rest",
     "saturation": "its range was exceeded",
@@ -30,25 +30,25 @@ _WHY = {
     "gyro unit": "its unit is not plausible",
     "rate": "the sample rate is not plausible",
 }
-# So many words are listed; further ones are counted.
+# Number of items that are listed; further ones are counted.
 _NAMED = 3
-# Kinds that a fit says elsewhere, and one that it corrects for, unless it widens.
+# Kinds that a fit reports elsewhere, and one that it corrects for unless it widens the intervals.
 _QUIET, _CORRECTED = ("jitter", "gaps", "dead axes"), "lines"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fact(ByValue):
-    """Something about a record that bears on what is estimated from it.
+    """Finding about a recording that affects the estimates from it.
 
     Attributes:
-        kind: what was looked at, by the name of its line in `check`, e.g. "saturation" or "accel unit".
-        text: the fact in words: what was found, where, and what to do about it.
-        axes: names of the axes that it concerns.
-        consequence: what it means for their coefficients: "none"; "widened", for intervals that allow for it;
-            "not a measurement" of the sensor, for coefficients without standard deviation and interval.
-        size, unit: how large it is; None and "" where no single number says it.
-        spans: where it is, as times in s from the first sample; empty for all of the record.
-        share: of lines, their share in the axis's power but for drift.
+        kind: name of the check, as in `check`, e.g. "saturation" or "accel unit".
+        text: what was found and where; after the first semicolon what it means and what to do.
+        axes: names of the affected axes.
+        consequence: effect on their coefficients: "none"; "widened" intervals; or "not a measurement" of the
+            sensor, with coefficients that have no standard deviation and no interval.
+        size, unit: how large it is; None and "" if no single number describes it.
+        spans: where it is, as times in s from the first sample; empty for the whole recording.
+        share: share of spectral lines in the power of the axis, drift excluded.
     """
 
     kind: str
@@ -62,60 +62,60 @@ class Fact(ByValue):
 
     @property
     def grave(self) -> bool:
-        """Whether the coefficients of its axes are not a measurement of the sensor."""
+        """Whether the coefficients of the affected axes are not a measurement of the sensor."""
         return self.consequence == NOT_A_MEASUREMENT
 
     def to_dict(self) -> dict[str, Any]:
-        """The fact in JSON's types."""
+        """Return the fact in types of JSON."""
         return dataclasses.asdict(self) | {"axes": list(self.axes), "spans": [list(x) for x in self.spans]}
 
     @classmethod
     def from_dict(cls, of: Mapping[str, Any]) -> Fact:
-        """The fact that `to_dict` wrote."""
+        """Return the fact that `to_dict` wrote."""
         spans = tuple((first, last) for first, last in of["spans"])
         return cls(**{**of, "axes": tuple(of["axes"]), "spans": spans})
 
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
-    """Facts, the gravest first."""
+    """Return the facts, the gravest first."""
     return tuple(sorted(facts, key=lambda fact: _ORDER[fact.consequence]))
 
 
 def warnings_of(facts: Iterable[Fact]) -> tuple[str, ...]:
-    """The facts that a user of the coefficients should know, in words, each once."""
-    told = (f for f in facts if f.kind not in _QUIET and (f.kind != _CORRECTED or f.consequence != "none"))
-    return tuple(dict.fromkeys(fact.text for fact in told))
+    """Return the texts of the facts that matter to users of the coefficients, each once."""
+    shown = (f for f in facts if f.kind not in _QUIET and (f.kind != _CORRECTED or f.consequence != "none"))
+    return tuple(dict.fromkeys(fact.text for fact in shown))
 
 
 def why_no_measurement(kinds: Iterable[str]) -> str:
-    """Why coefficients are no measurement of the sensor, given the kinds of the grave facts, in words."""
+    """Return why coefficients are not a measurement of the sensor, given the kinds of the grave facts."""
     return ", ".join(dict.fromkeys(_WHY.get(kind, kind) for kind in kinds))
 
 
 def grid(duration: float) -> float:
-    """Rounding of times [s] in a recording this long: a power of ten, 1 s for 300 to 3000 s."""
+    """Rounding of times [s] for a recording of this length: a power of ten, 1 s for 300 to 3000 s."""
     return float(10.0 ** np.floor(np.log10(duration / 300.0)))
 
 
 def seconds(time: float, step: float) -> str:
-    """Time in s, rounded to a multiple of this step."""
+    """Return a time in s, rounded to a multiple of this step."""
     digits = max(0, -int(np.floor(np.log10(step))))
     return f"{round(time / step) * step:.{digits}f}"
 
 
 def span(first: float, last: float, step: float) -> str:
-    """Start and end of a time span, e.g. "6–596 s"."""
+    """Return a time span as text, e.g. "6–596 s"."""
     return f"{seconds(first, step)}–{seconds(last, step)} s"
 
 
 def amount(value: float, axis: Axis, digits: int = 2) -> str:
-    """Rate in the recording's unit, e.g. "0.21 deg/s"."""
+    """Return a rate in the unit of the recording, e.g. "0.21 deg/s"."""
     unit, scale = rate_unit_of(axis.unit, axis.sensor)
     return f"{plain(value / scale, digits)} {unit}"
 
 
 def listed(words: Sequence[str], most: int = _NAMED) -> str:
-    """Words as a list, e.g. "a, b and c" or "a, b, c and 4 more"."""
+    """Return words as a list, e.g. "a, b and c" or "a, b, c and 4 more"."""
     if len(words) > most:
         return f"{', '.join(words[:most])} and {len(words) - most} more"
     return " and ".join(part for part in (", ".join(words[:-1]), *words[-1:]) if part)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
+from allanjax.base.renamed import renamed
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.disturbances import Places, Treatment, outliers_of, spikes_in
 from allanjax.inspection.events import Event, quiet_parts
@@ -23,15 +24,15 @@ from allanjax.inspection.plausible import (
     short,
     temperature_facts,
 )
-from allanjax.inspection.scores import mean_squares, motions, rms_within, said_of_motion
+from allanjax.inspection.scores import mean_squares, motion_warning, motions, rms_within
 from allanjax.inspection.spectral import spectral_facts
 from allanjax.inspection.windows import Windows
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
 _NOT_EXAMINED = (
-    "not examined in a stream: spikes, lines, interpolated samples, temperature; a stretch that is read as a "
-    "whole (--start, --stop) shows them"
+    "not examined in a stream: outliers, lines, interpolated samples, temperature; to check these, read a "
+    "part of the file as a whole (--start, --stop)"
 )
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
@@ -39,24 +40,23 @@ _TRIFLE = 0.005
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Inspection(ByValue):
-    """Findings about a recording before anything is estimated from it.
+    """Findings about a recording before its coefficients are estimated.
 
     Attributes:
         name, rate, n, axes: name, sample rate [Hz], number of samples and axes of the recording.
-        mean, rms: mean and rms about it of each axis, over the stretch [rad/s or m/s²].
-        parts: start and end [s from the first sample] of the parts to estimate from, in order; none for all
-            of it.
-        lost: single samples, and stretches on one axis alone, that are drawn given the others, by axis.
-        refusal: why coefficients cannot be given; "" if they can.
-        facts: what bears on the coefficients, the gravest first.
-        notes: sentences of less weight.
-        events: what happened to the sensor.
-        said: the events for which parts are left out, in words.
-        steps: of each axis, the step of its output [rad/s or m/s²]; 0 where none is seen.
-        allowance: of each axis, the relative error of the Allan deviation by what was kept although it is
-            unlike the rest.
-        foreign: of each axis, the rms of white noise [rad/s or m/s²] that is, or may be, not the sensor's:
-            of rounding and of outliers.
+        mean, rms: mean of each axis and rms about it, over the stretch [rad/s or m/s²].
+        parts: start and end [s from the first sample] of the parts to estimate from, in order; empty if all
+            samples are used.
+        lost: samples of single axes that are filled in given the others, by axis.
+        refusal: why there are no coefficients; "" if there are.
+        facts: findings that affect the coefficients, the gravest first.
+        notes: minor findings.
+        events: disturbances of the sensor.
+        left_out: the events for which parts are left out, in words.
+        steps: step of the output of each axis [rad/s or m/s²]; 0 if none is detected.
+        allowance: relative error of the Allan deviation of each axis due to disturbed samples that are kept.
+        foreign: rms of white noise on each axis [rad/s or m/s²] that may not be the sensor's own: rounding
+            and outliers.
     """
 
     name: str
@@ -71,27 +71,29 @@ class Inspection(ByValue):
     facts: tuple[Fact, ...]
     notes: tuple[str, ...]
     events: tuple[Event, ...]
-    said: str
+    left_out: str
     steps: Float[np.ndarray, " axes"]
     allowance: Float[np.ndarray, " axes"]
     foreign: Float[np.ndarray, " axes"]
 
+    said = renamed("left_out")
+
     @property
     def stretch(self) -> tuple[float, float] | None:
-        """Start and end [s] of the longest part to estimate from; None for all of the recording."""
-        return _longest(self.parts)
+        """Start and end [s] of the longest part to estimate from; None for the whole recording."""
+        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The facts that a user of the coefficients should know, in words."""
+        """Texts of the facts that matter to users of the coefficients."""
         return warnings_of(self.facts)
 
     def about(self, kind: str) -> tuple[str, ...]:
-        """Facts of one kind, in words."""
+        """Return the texts of the facts of one kind."""
         return tuple(fact.text for fact in self.facts if fact.kind == kind)
 
     def why_not(self, axis: str) -> tuple[str, ...]:
-        """Kinds of the facts for which an axis's coefficients are not a measurement of the sensor."""
+        """Kinds of facts due to which an axis's coefficients are not a measurement of the sensor."""
         return tuple(dict.fromkeys(fact.kind for fact in self.facts if fact.grave and axis in fact.axes))
 
     @property
@@ -105,9 +107,9 @@ class Inspection(ByValue):
         return not self.moving
 
     def quiet(self, recording: Recording) -> Recording:
-        """The recording that coefficients should be estimated from: its longest quiet part, with the others.
+        """Return the recording to estimate from: its longest quiet part, with the other parts in `others`.
 
-        These are behind the `others` of the recording. Samples that are `lost` have been drawn.
+        Samples in `lost` are filled in.
         """
         lost = _at(self.lost, recording)
         if self.stretch is None:
@@ -122,16 +124,16 @@ class Inspection(ByValue):
         return dataclasses.replace(_completed(quiet, lost[longest][:, kept]), others=everything)
 
     def uncut(self) -> Inspection:
-        """This inspection for samples that cannot be cut any more: where a cut is needed, a refusal."""
+        """Return this inspection for accumulated samples: if parts must be left out, it is a refusal."""
         if self.stretch is None:
             return self
         start, stop = (f"{time:.6g}" for time in self.stretch)
         refusal = (
-            f"{self.said}, and what has been accumulated cannot be taken out again; "
-            f"{span(*self.stretch, grid(self.n / self.rate))} would do: read again with start={start}, "
-            f"stop={stop} (--start {start} --stop {stop}), or use all by as_is=True (--as-is)"
+            f"{self.left_out}; accumulated samples cannot be left out: read again the undisturbed part "
+            f"{span(*self.stretch, grid(self.n / self.rate))} with start={start}, stop={stop} "
+            f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
-        facts = [fact for fact in self.facts if not fact.text.startswith(self.said)]
+        facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
         names = tuple(axis.name for axis in self.axes)
         refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
         return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
@@ -152,26 +154,24 @@ def inspect(
 ) -> Inspection:
     """Check a recording for handling, motion, saturation, and implausible units, rate or resolution.
 
-    Noise and mean of each window are compared with those of the others, relative to the scatter of most of
-    them; so noise of any colour is nothing unusual. Unusual stretches that change the Allan variance at some
-    cluster time by more than its own error are left out on all axes: coefficients are estimated from the
-    parts between them, if these are at least 30 % of the recording. Single samples far from their neighbours,
-    and bursts of noise on one axis alone, are left out on that axis, and drawn given its other samples. A
-    stretch that is less than 1.5 times noisier than the rest stays, and intervals allow for it.
+    Noise and mean of each window are compared with those of the others, relative to the scatter of most
+    windows; so noise of any colour is not unusual. Unusual parts that change the Allan variance at some
+    cluster time by more than its own error are left out on all axes, and coefficients are estimated from the
+    parts between them if these are at least 30 % of the recording. Single outlying samples, and bursts of
+    noise on a single axis, are left out on that axis and filled in given its other samples. A part that is
+    less than 1.5 times noisier than the rest is kept, and the intervals are widened accordingly.
 
     Args:
         recording: the recording.
-        as_is: whether all of it is to be used in any case, and its units and rate to be believed; the
-            warnings stay.
-        vibrating: whether its platform is meant to move and vibrate: then it is not tested for rest.
-        may_move: whether steps and other changes of the mean are expected, as where a model has terms for
-            them.
+        as_is: whether to use all samples in any case and to trust units and rate; the warnings remain.
+        vibrating: whether the platform is meant to move or vibrate: the test for rest is skipped.
+        may_move: whether steps and other changes of the mean are expected, as in a model with such terms.
 
     Returns:
-        The parts to use, and facts. It takes a second or two for 10⁶ samples of six axes.
+        The parts to use, and facts. This takes a second or two for 10⁶ samples of six axes.
     """
     values = recording.values.T
-    # What is drawn in the place of lost samples is no spike of the sensor's.
+    # Samples that were filled in are not outliers of the sensor.
     spikes = [_spikes(x, lost) for x, lost in zip(values, _drawn(recording).T, strict=True)]
     return look(
         Windows.of(_bridged(values, spikes)),
@@ -200,18 +200,18 @@ def look(
     ends: Ends | None = None,
     dead: Sequence[DeadAxis] = (),
 ) -> Inspection:
-    """Inspection of a recording with this rate [Hz] that is known by its windows; see `inspect`.
+    """Return the inspection of a recording with this rate [Hz], given its windows; see `inspect`.
 
-    `recording` is the recording itself, and `spikes` say which samples of its axes are isolated ones, where
-    it is in memory; the windows are without these. Where it is a stream, `ends` are those of its samples, and
-    `dead` its dead axes.
+    For a recording in memory, `recording` is the recording and `spikes` are the isolated outliers of its
+    axes, without which the windows were computed. For a stream, `ends` are the ends of its range, and `dead`
+    its dead axes.
     """
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
     events, quiet = quiet_parts(windows, sensors, may_move)
     treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
-    stretch = _longest(parts)
+    stretch = max(parts, key=lambda part: part[1] - part[0], default=None)
     part = windows.between(*_windows_in(windows, stretch, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
@@ -221,30 +221,30 @@ def look(
     facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
-    # In a wrong unit noise looks like motion.
+    # With a wrong unit noise looks like motion.
     wrong = {axis for fact in facts for axis in fact.axes if fact.kind != "rate"}
     moving = [] if vibrating else [m for m in moving if names[m.axis] not in wrong]
     refusal = treatment.refusal
     if shown := tuple(dict.fromkeys(names[m.axis] for m in moving)):
-        # Two axes that show motion mean that all move.
+        # If two axes show motion, all axes move.
         concerned = shown if len(shown) == 1 else names
-        text = said_of_motion(moving, axes, bool(refusal))
+        text = motion_warning(moving, axes, bool(refusal))
         facts.append(Fact("at rest", text, concerned, "not a measurement"))
-        # The warning about motion comes first, and is reason enough.
+        # The warning about motion comes first and is reason enough.
         refusal = ""
     spikes = [_within(parts, at, rate) for at in spikes]
     if recording is None:
-        found, steps = resolved(part, axes, None)
+        more, steps = resolved(part, axes, None)
         foreign = steps / np.sqrt(12.0)
-        found += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
-        found += [] if ends is None else saturated(axes, ends, steps)
+        more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
+        more += [] if ends is None else saturated(axes, ends, steps)
     else:
-        found, steps, foreign = _of_samples(recording, part, stretch, spikes, treatment.lost)
+        more, steps, foreign = _of_samples(recording, part, stretch, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
             lost[axis] = (*lost.get(axis, ()), *((k, k + 1) for k in np.flatnonzero(at).tolist()))
-    harmless = treatment.said(treatment.harmless)
+    harmless = treatment.describe(treatment.harmless)
     return Inspection(
         name,
         rate,
@@ -255,10 +255,10 @@ def look(
         parts,
         lost,
         refusal,
-        ordered([*facts, *treatment.facts(refusal), *short(part.n, rate, axes), *found]),
-        (f"{harmless}: too little to change a coefficient by more than its error",) if harmless else (),
+        ordered([*facts, *treatment.facts(refusal), *short(part.n, rate, axes), *more]),
+        (f"{harmless}; kept, since no coefficient changes by more than its error",) if harmless else (),
         events,
-        treatment.said(treatment.cut),
+        treatment.describe(treatment.cut),
         steps,
         treatment.allowance,
         foreign,
@@ -272,7 +272,7 @@ def _of_samples(
     spikes: Sequence[Bool[np.ndarray, " n"]],
     lost: Places,
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Facts that the samples themselves show; the step, and the rms of foreign white noise, of each axis."""
+    """Facts from the samples themselves; the step, and the rms of foreign white noise, of each axis."""
     rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
     drawn = _drawn(recording)
     own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
@@ -297,12 +297,12 @@ def _of_samples(
 def _bridged(
     columns: Iterable[Float[np.ndarray, " n"]], where: Iterable[Bool[np.ndarray, " n"]]
 ) -> Float[np.ndarray, "n axes"]:
-    """Samples of all axes with those at `where` interpolated."""
+    """Return the samples of all axes with those at `where` interpolated."""
     return np.column_stack([bridged(x, at) for x, at in zip(columns, where, strict=True)])
 
 
 def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
-    """Which samples are at these places."""
+    """Return which samples are at these places."""
     found = np.zeros_like(recording.values, bool)
     for name, stretches in places.items():
         for first, last in stretches:
@@ -311,12 +311,12 @@ def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
 
 
 def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:
-    """Which samples were drawn where some are missing."""
+    """Return which samples were missing and have been filled in."""
     return np.zeros_like(recording.values, bool) if recording.missing is None else recording.missing
 
 
 def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Isolated spikes of an axis that change its Allan variance by more than the estimate's own error."""
+    """Return isolated outliers of an axis that change its Allan variance by more than its own error."""
     at = spikes_in(x) & ~drawn
     without = bridged(x, at)
     off = (x - without)[at]
@@ -326,33 +326,33 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
 def _within(
     parts: Sequence[tuple[float, float]], at: Bool[np.ndarray, " n"], rate: float
 ) -> Bool[np.ndarray, " n"]:
-    """Samples of the parts that are used; of all without any."""
+    """Return which of these samples are in the parts; all of them if there are no parts."""
     time = np.arange(len(at)) / rate
     inside = [(time >= first) & (time < last) for first, last in parts]
     return at & np.any(inside, axis=0) if parts else at
 
 
 def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray, " n"]) -> Iterator[Fact]:
-    """A fact about samples that are farther off than those of Gaussian noise, and stay."""
+    """Yield a fact about samples beyond Gaussian noise that are kept."""
     if _is_trifle(variance, x):
         return
     share = plain(100.0 * count / len(x), 2)
     text = (
-        f"{count} single samples of {axis.name} ({share} %) are farther off than Gaussian noise: kept; the "
-        f"interval of N allows for the white noise of {amount(np.sqrt(variance), axis)} rms that they add"
+        f"{count} samples of {axis.name} ({share} %) are outliers of Gaussian noise; they are kept, and the "
+        f"interval of N is widened for the {amount(np.sqrt(variance), axis)} rms of white noise that they add"
     )
     yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
 
 
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
-    """Whether so much more variance changes the Allan variance by less than the estimate's own error."""
+    """Return whether additional variance changes the Allan variance by less than its own error."""
     return variance <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
 
 
 def _spike_facts(
     recording: Recording, without: Float[np.ndarray, "n axes"], spikes: Sequence[Bool[np.ndarray, " n"]]
 ) -> Iterator[Fact]:
-    """Facts about isolated spikes that are left out."""
+    """Yield facts about isolated outliers that are left out."""
     for axis, x, calm, at in zip(recording.axes, recording.values.T, without.T, spikes, strict=True):
         if not at.any():
             continue
@@ -360,22 +360,15 @@ def _spike_facts(
         places = (np.flatnonzero(at) / recording.rate).tolist()
         where = listed([f"{plain(time, 6)} s" for time in places])
         share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= _TRIFLE else ""
-        single = f"{len(places)} single samples{share}" if len(places) > 1 else "a single sample"
-        text = (
-            f"{single} of {axis.name} up to {amount(off, axis, 3)} off, at {where}: left out, and drawn "
-            "given the others"
-        )
+        single = f"{len(places)} outlying samples" if len(places) > 1 else "1 outlying sample"
+        size = amount(off, axis, 3)
+        text = f"{single} on {axis.name}{share}, up to {size} off; at {where}: left out and filled in"
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
         yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
 
 
-def _longest(parts: Iterable[tuple[float, float]]) -> tuple[float, float] | None:
-    """The longest of some parts; None without any."""
-    return max(parts, key=lambda part: part[1] - part[0], default=None)
-
-
 def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Recording:
-    """Recording in which samples that are lost have been drawn given the others."""
+    """Return the recording with lost samples filled in given the others."""
     if not lost.any():
         return recording
     missing = lost if recording.missing is None else lost | recording.missing
@@ -383,7 +376,7 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
 
 
 def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """Indices of the first window in the stretch and of the one after its last."""
+    """Return the indices of the first window in the stretch and of the one after its last."""
     if stretch is None:
         return 0, len(windows)
     edges = windows.edges / rate
@@ -393,7 +386,7 @@ def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: flo
 
 
 def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
-    """Allan deviation times the root of the cluster time, at cluster times up to a second."""
+    """Return the Allan deviation times the root of the cluster time, for cluster times up to a second."""
     squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])

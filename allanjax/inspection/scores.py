@@ -21,27 +21,26 @@ from allanjax.record.recording import Axis
 
 #: Width of the middle half of a normal law, in standard deviations.
 _HALF_WIDTH = 1.349
-#: Numbers of windows that are averaged, to find long stretches that are only a little louder.
+#: Numbers of windows that are averaged to find long stretches that are only slightly louder.
 LENGTHS = (1, 4, 16, 64)
-#: Fewest independent averages among which one can be found to be unlike the others.
+#: Fewest independent averages among which an unusual one can be detected.
 _FEWEST = 8
 # Least scatter of the cube root of a squared step: 0.37 for one axis, but zero for samples of few values.
 _LEAST_STEP_SCATTER = 0.3
 # Added to squared steps in units of their scatter, for the same reason.
 _SOFT = 0.5
-# Shares of equal neighbours between which a lattice ceases to be dithered by the noise: at 0.4 the noise is
-# 0.7 steps, at 0.6 it is 0.4, and the level then rules how often the value changes.
+# Shares of equal neighbours between which noise ceases to dither a rounded output: at 0.4 the noise is 0.7
+# steps; at 0.6 it is 0.4 steps, and the mean level determines how often the value changes.
 _DITHERED, _COARSE = 0.4, 0.6
 
 DEG = np.pi / 180.0
-# Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] at rest has. The noisiest consumer
+# Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] has at rest. The noisiest consumer
 # gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
 # part, or a line, makes up to ten times of it.
 AT_REST = {"gyro": 0.3 * DEG, "accel": 0.15}
-# Cluster times [s] tested: below, vibration and quantization are large at rest, too; above, drift is.
+# Cluster times [s] that are tested: vibration and quantization are large below them, and drift above.
 _SHORTEST, _LONGEST = 0.3, 10.0
-# Largest range of the mean at rest [rad/s or m/s²]: zero-rate levels drift by less than 3 deg/s once a sensor
-# runs, and 0.5 m/s² is a tilt of 3 degrees.
+# Largest range of the mean at rest [rad/s or m/s²]: biases drift by less; 0.5 m/s² is a tilt of 3 degrees.
 WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
 # Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
 SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
@@ -70,7 +69,7 @@ class Steps:
 def shortest_half(
     u: Float[np.ndarray, "... places"],
 ) -> tuple[Float[np.ndarray, " ..."], Float[np.ndarray, " ..."]]:
-    """Robust location and standard deviation, from the shortest half of the values; NaN are left out."""
+    """Robust location and standard deviation from the shortest half of the values; NaN are left out."""
     ordered = np.sort(u, axis=-1)
     count = int(np.isfinite(ordered).sum(axis=-1).min())
     half = count // 2
@@ -81,13 +80,13 @@ def shortest_half(
 
 
 def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
-    """Mean square differences of neighbouring clusters; NaN in windows that hold none."""
+    """Return mean square differences of neighbouring clusters; NaN for windows without any."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
 
 
 def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
-    """Mean square difference that rounding alone may cause where samples have few values."""
+    """Return the mean square difference that rounding alone may cause if samples have few values."""
     repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
     resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
@@ -95,7 +94,7 @@ def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
 
 
 def groups_of(sensors: Sequence[str]) -> list[list[int]]:
-    """Groups of axes to score: each alone, those of each sensor, and all, since handling moves all."""
+    """Return the groups of axes to score: each axis, each sensor, and all, since handling moves all."""
     alone = [[k] for k in range(len(sensors))]
     kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
     together = [g for g in kinds if 1 < len(g) < len(sensors)]
@@ -105,9 +104,9 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
 def noise_scores(
     windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
 ) -> Iterator[Scores]:
-    """Scores of the noise at each cluster size within a window, averaged over `length` windows.
+    """Return scores of the noise at each cluster size within a window, averaged over `length` windows.
 
-    Place k is the average from window k on. Windows that are left out count as usual ones.
+    Place k is the average from window k on. Windows that are left out count as typical ones.
     """
     if len(windows) < _FEWEST * length:
         return
@@ -179,7 +178,7 @@ class Motion(NamedTuple):
     Attributes:
         axis: index of the axis.
         factor: how much more it moves than any sensor at rest.
-        words: how it moves.
+        words: how it moves, and the limit at rest.
     """
 
     axis: int
@@ -188,7 +187,7 @@ class Motion(NamedTuple):
 
 
 def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]:
-    """Evidence of motion on every axis that shows it, the strongest last."""
+    """Return the evidence of motion for every axis that shows it, the strongest last."""
     # Means over a second at least, or those of the windows if there are too few.
     over = max(int(np.ceil(rate / windows.size)), 1)
     whole = len(windows) // over * over
@@ -201,7 +200,7 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
     tests = [
         (
-            f"changes by {{}} (rms) from one {time:.2g} s to the next",
+            f"changes by {{}} rms between consecutive {time:.2g} s averages",
             np.sqrt(square),
             AT_REST,
             2.0 / min(time, 1.0),
@@ -209,43 +208,43 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
         for time, square in changes
         if _SHORTEST <= time <= _LONGEST
     ]
-    tests += [("wanders over {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
-    tests += [("shakes by {} (rms)", rms_within(windows), SHAKES, 1.0)]
+    tests += [("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
+    tests += [("varies by {} rms", rms_within(windows), SHAKES, 1.0)]
     found = []
     for how, values, limits, square in tests:
         for k, axis in enumerate(axes):
             limit = limits[axis.sensor] * np.sqrt(square)
             if values[k] > limit:
                 moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
-                words = f"{axis.name} {moved}, at rest by {most} at most"
+                words = f"{axis.name} {moved}; a sensor at rest stays below {most}"
                 found.append(Motion(k, values[k] / limit, words))
     return sorted(found, key=lambda motion: motion.factor)
 
 
 def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
-    """Rms of the samples about the mean of their window."""
+    """Return the rms of the samples about the mean of their window."""
     # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
     scales = 2.0 ** np.arange(len(windows.power))
     return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
 
 
-def said_of_motion(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
-    """Warning that this is no static recording, with the numbers that show it.
+def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
+    """Return the warning that this is not a static recording, with the numbers that show it.
 
-    `disturbed` says whether there would be no coefficients for another reason, if it were meant to move.
+    `disturbed` is whether disturbances prevent coefficients even if the motion is intended.
     """
     # The strongest of each sensor, which is the last.
     reasons = {axes[m.axis].sensor: m.words for m in moving}
-    say = "--vibrating --as-is (vibrating=True, as_is=True)" if disturbed else "--vibrating (vibrating=True)"
+    too = (" --as-is", ", as_is=True") if disturbed else ("", "")
     return (
-        f"this does not look like a static recording: {'; '.join(reasons.values())}. The coefficients are of "
-        "the motion, not of the sensor: record it at rest, or choose a stretch at rest by --start and "
-        f"--stop; if its platform vibrates and is to, say so by {say}"
+        f"{'; '.join(reasons.values())}. This is not a static recording, and the coefficients describe the "
+        "motion, not the sensor: record it at rest, or select a part at rest with --start and --stop; if the "
+        f"motion is intended, pass --vibrating{too[0]} (vibrating=True{too[1]})"
     )
 
 
 def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
-    """First index of each run of true values and the one after its last; those up to a gap apart are one."""
+    """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     found: list[tuple[int, int]] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

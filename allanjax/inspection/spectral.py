@@ -1,4 +1,4 @@
-"""What the spectrum of a record shows without a fit: lines, the bandwidth, and interpolated samples."""
+"""Spectral lines, bandwidth and interpolated samples from the spectrum of a record, without a fit."""
 
 from __future__ import annotations
 
@@ -18,19 +18,17 @@ from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
 _SEGMENT, _FEWEST, _SHORTEST = 4096, 8, 64
-# Bins on either side of a line that its level is compared with: those from beyond the first number up to the
-# second; and the chance of a false line in a spectrum.
+# Bins on either side with which a line is compared, beyond the first number up to the second; false alarms.
 _NEAR, _FAR, _CHANCE = 6, 24, 1e-6
-# Lowest bins: those in which drift is, and those too near zero to be compared with others on both sides.
+# Lowest bins: those with drift, and those too close to zero to be compared on both sides.
 _DRIFT, _LOWEST = 3, 12
-# Least share of the power that is a line worth a word.
+# Least share of the power for a line to be reported.
 _SLIGHT = 1e-3
-# Bands an octave of the bandwidth; its passband lies between these shares of the frequency, and is flat
-# within this factor.
+# Bands per octave for the bandwidth; limits of its passband as shares of the frequency; flatness of that.
 _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
-# Interpolated samples: how many are looked at; how far above those around it their line has to be; what
-# share of second differences is zero where the rate is more than twice their own, and where it is twice; what
-# counts as zero; and the largest squares, in medians, so that single spikes do not matter.
+# Interpolated samples: how many are examined; how far their line must exceed its surroundings; the share of
+# second differences that are zero if the rate is more than twice their own, and if it is twice; what counts
+# as zero; and the largest squares, in medians, so that single outliers do not matter.
 _LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
 
 
@@ -54,14 +52,14 @@ def spectral_facts(
     axes: Sequence[Axis],
     held: Collection[str],
 ) -> Iterator[Fact]:
-    """Facts about lines and interpolated samples; `held` are names of axes whose samples repeat."""
+    """Yield facts about lines and interpolated samples; `held` are names of axes with repeated samples."""
     for sensor in dict.fromkeys(axis.sensor for axis in axes):
         own = np.array([axis.sensor == sensor and axis.name not in held for axis in axes])
         native = interpolated_from(values, rate, own)
         if native is not None:
             text = (
-                f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz: "
-                "read the sensor's own samples, at its own rate"
+                f"the {sensor} samples are interpolated from about {plain(native, 4)} Hz to {rate:g} Hz; "
+                "read the sensor's own samples at its own rate"
             )
             names = tuple(axis.name for axis, of in zip(axes, own, strict=True) if of)
             yield Fact("interpolation", text, names, "not a measurement", native, "Hz")
@@ -71,7 +69,7 @@ def spectral_facts(
 
 
 def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | None:
-    """Spectrum of samples; None of fewer than 512."""
+    """Return the spectrum of samples; None for fewer than 512."""
     size = min(_SEGMENT, 1 << int(np.log2(max(len(values) // _FEWEST, 1))))
     if size < _SHORTEST:
         return None
@@ -90,11 +88,11 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
     """Facts about peaks that are narrower than anything filters or noise terms make."""
     for axis, level in zip(axes, spectrum.level.T, strict=True):
         around, many = _around(level), 2.0 * spectrum.segments
-        # The median of as many bins is known to some ten per cent.
+        # The median of so many bins is known to about ten per cent.
         above = level > 1.2 * float(quantile(1.0 - _CHANCE / len(level), many)) / many * around
         above[:_LOWEST] = False
         excess = np.where(above, level - around, 0.0)
-        # Share of the axis's power but for drift, and middle.
+        # Share of the power of the axis without drift, and centre frequency.
         lines = [
             (power / level[_DRIFT:].sum(), float(spectrum.frequency[a:b] @ excess[a:b] / power))
             for a, b in runs(above, 1)
@@ -102,28 +100,22 @@ def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
         ]
         if lines:
             lines.sort(key=lambda line: -line[0])
-            said = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of its power)" for share, at in lines]
-            text = f"{axis.name} vibrates at {listed(said)}"
-            yield Fact(
-                "lines",
-                text,
-                (axis.name,),
-                size=lines[0][1],
-                unit="Hz",
-                share=float(sum(share for share, _ in lines)),
-            )
+            places = [f"{plain(at, 4)} Hz ({plain(100.0 * share, 2)} % of the power)" for share, at in lines]
+            text = f"spectral line{'s' * (len(lines) > 1)} on {axis.name} at {listed(places)}"
+            total = float(sum(share for share, _ in lines))
+            yield Fact("lines", text, (axis.name,), size=lines[0][1], unit="Hz", share=total)
 
 
 def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
-    """Frequency [Hz] above which an axis's spectrum is below half of its passband.
+    """Return the frequency [Hz] above which the spectrum of an axis is below half of its passband.
 
-    inf where there is none below half the sample rate; None where drift or a short record hide the passband.
+    inf if there is none below half the sample rate; None if drift or a short record hides the passband.
     """
     frequency, level = spectrum.frequency[_DRIFT:-1], spectrum.level[_DRIFT:-1, axis]
     band = np.floor(_BANDS * np.log2(frequency / spectrum.frequency[-1])).astype(int)
     bands, first = np.unique(band, return_index=True)
     parts = np.split(np.arange(len(frequency)), first[1:])
-    # Lines are in few bins of a band, and do not move its median.
+    # Lines occupy few bins of a band and do not change its median.
     middle = np.array([np.exp(np.mean(np.log(frequency[part]))) for part in parts])
     power = np.array([np.median(level[part]) for part in parts])
     crossing = None
@@ -146,10 +138,10 @@ def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
 def interpolated_from(
     values: Float[np.ndarray, "n axes"], rate: float, eligible: Bool[np.ndarray, " axes"]
 ) -> float | None:
-    """Rate [Hz] at which the samples of a sensor were taken before they were interpolated; None if not.
+    """Return the rate [Hz] of a sensor's samples before they were interpolated; None if they were not.
 
-    The variance of interpolated samples is periodic, least halfway between two samples of the sensor, so that
-    the squares of their second differences have a line at the sensor's own rate, or its alias.
+    The variance of interpolated samples is periodic, with minima halfway between two samples of the sensor.
+    So the squares of their second differences have a line at the sensor's own rate or its alias.
     """
     if not eligible.any() or len(values) < _SHORTEST * _FEWEST:
         return None
@@ -158,7 +150,7 @@ def interpolated_from(
     straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
     total: Float[np.ndarray, " m"] | float = 0.0
     for own in second.T * np.hanning(len(second)):
-        # A line of the samples has one at twice its frequency in their squares.
+        # A line in the samples causes one at twice its frequency in their squares.
         c = rfft(own)
         power = abs(c) ** 2
         c[power > _CLEAR / 4.0 * _around(power)] = 0.0
@@ -170,10 +162,10 @@ def interpolated_from(
     ratio, ends = total / _around(total), max(len(total) // 50, _FAR)
     slow = ratio[_NEAR:ends].max()
     ratio[:ends] = 0.0
-    # Of samples with one between two of the sensor's, half of the second differences are zero.
+    # With one sample between two of the sensor, half of the second differences are zero.
     ratio[-ends : None if straight < _TWICE else -1] = 0.0
     k = int(np.argmax(ratio))
-    # Bursts at regular times have a line with harmonics, of which the lowest are the clearest.
+    # Periodic bursts cause a line with harmonics, the lowest of which are strongest.
     if ratio[k] < max(_CLEAR, slow):
         return None
     line = k * rate / len(second)
@@ -181,9 +173,9 @@ def interpolated_from(
 
 
 def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """Level beside each bin: the geometric mean of the medians on either side, whatever the slope.
+    """Return the level beside each bin: the geometric mean of the medians on either side, for any slope.
 
-    Bins so near the ends that one side is missing have the other's.
+    Bins too close to an end have the median of the other side.
     """
     logs = np.log(np.maximum(level, 1e-300))
     width, ends = _FAR - _NEAR, np.full(_FAR, np.nan)

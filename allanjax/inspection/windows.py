@@ -13,11 +13,11 @@ MOST = 1024
 SHORTEST = 16
 # Samples that are processed at once: what a processor's cache holds.
 _AT_ONCE = 1 << 15
-# Samples at the start of each piece among which the resolution is looked for.
+# Samples at the start of each piece from which the resolution is determined.
 _SAMPLED = 4096
-# Fields of windows, with the dimension of their arrays along which these are.
+# Fields with one entry per window, and the dimension of the array along which windows are.
 _ALONG = dict.fromkeys(("count", "mean", "low", "high", "peak", "repeats"), 0) | {"power": 1, "pairs": 1}
-# What makes those of one window from those of its two halves.
+# Functions that combine the statistics of two halves into those of one window.
 _OF_TWO = dict.fromkeys(("count", "repeats", "power", "pairs"), np.add) | {
     "low": np.minimum,
     "high": np.maximum,
@@ -36,8 +36,8 @@ class Windows:
         power: sums of squares of the differences between the means of neighbouring clusters of 1, 2, 4, …,
             size/2 samples, which do not overlap; `pairs` are how many.
         peak: largest difference of two neighbouring samples.
-        repeats: samples equal to the one before, but for each sixteenth: 15 of 16 neighbours are compared.
-        resolution: smallest step between samples that was seen on each axis.
+        repeats: number of samples equal to the one before; 15 of 16 neighbours are compared.
+        resolution: smallest step between samples on each axis.
         rest: samples after the last window, fewer than its size.
     """
 
@@ -92,8 +92,8 @@ class Windows:
     def updated(self, values: Float[np.ndarray, "n axes"]) -> Windows:
         """These windows and those of the samples that follow, twice as long once there would be too many."""
         held, left = self, np.concatenate([self.rest, values])
-        while (room := MOST - len(held)) * held.size + held.size <= len(left):
-            taken = room * held.size
+        while (free := MOST - len(held)) * held.size + held.size <= len(left):
+            taken = free * held.size
             held = held._joined(Windows.of(left[:taken], held.size))._coarser()
             left = left[taken:]
         return held._joined(Windows.of(left, held.size))
@@ -208,5 +208,5 @@ def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes
     if len(x) < 2:
         return np.full(values.shape[1], np.inf)
     d = np.diff(x, axis=0)
-    # Differences by rounding to floating point are no steps.
+    # Differences due to floating-point rounding are not steps.
     return np.where(d > 1e-9 * np.ptp(x, axis=0), d, np.inf).min(axis=0)

@@ -1,4 +1,4 @@
-"""Columns, recognised by their labels as axes, time stamps or others; axes of a recording, and dead ones."""
+"""Columns, recognised by their labels as axes, time stamps or others; axes and dead axes of a recording."""
 
 import os
 import re
@@ -32,18 +32,17 @@ _INCREMENTS: dict[Sensor, str] = {
     "gyro": r"delta_?(?:angle|theta)|d_?theta|d_?ang(?:le)?",
     "accel": r"delta_?v(?:el(?:ocity)?)?|d_?v(?:el(?:ocity)?)?",
 }
-# One letter is a sensor only when it stands alone before the axis: `gx`, but not `mag_x`; or with the frames
-# that EuRoC writes, `w_RS_S_x`.
+# A letter is a sensor only alone before the axis: `gx`, not `mag_x`; or with EuRoC's frames, `w_RS_S_x`.
 _LETTERS: dict[Sensor, str] = {"gyro": "(?:g|w(?:_rs_s)?)", "accel": "a(?:_rs_s)?"}
-# Words of what is about a sensor or its samples, but no sample; and accuracies, such as `hAcc`.
+# Words for quantities about a sensor that are not samples; and accuracies, such as `hAcc`.
 _NOT_A_SAMPLE = re.compile(
     r"(?:^|_)(?:bias|offset|scale|sigma|std|var|variance|cov|covariance|noise|accuracy|range|temp|temperature"
     r"|time|timestamp|stamp|status|flags?|valid|health|error|errors|count|counter|clipping|clip|dt|id)(?:_|$)"
 )
 _ACCURACY = re.compile(r"(?!imu|sensor|lin|[xyz]_)[a-z]+_acc")
-# Words at the end of a name that say how it was processed.
+# Words at the end of a name that describe the processing.
 _PROCESSED = re.compile(r"_(?:cal|calibrated|uncal|uncalibrated|raw|comp|compensated)$")
-# Element of an array: `gyro_rad[0]`, or as MATLAB counts `gyro(1)`.
+# Element of an array: `gyro_rad[0]`, or counted from 1 as in MATLAB, `gyro(1)`.
 _ELEMENTS = {"[0]": "_x", "[1]": "_y", "[2]": "_z", "(1)": "_x", "(2)": "_y", "(3)": "_z"}
 
 # Patterns of units within a name, as in `gyro_x_dps`, `gyro_rad_x`; PX4's gyro_rad is in rad/s.
@@ -63,7 +62,7 @@ _TIME_SUFFIX = re.compile(
     r"(.+?)_(s|sec|secs|seconds|ms|msec|us|usec|ns|nsec|nanoseconds|min|minutes|h|hours|days)"
 )
 _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
-# Names of counters of samples, which are a time where the rate is known; and clocks of a known unit.
+# Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
 _CLOCKS = {"sample_time_fine": "0.1 ms"}
 
@@ -108,7 +107,7 @@ def recognise(label: str) -> Column:
 
 
 def by_unit(column: Column) -> Column:
-    """The column as an axis of the sensor whose rates its unit is of, under its own name; else as it is."""
+    """Return the column as an axis if its unit is a rate of a sensor, under its own name; else unchanged."""
     if column.role != "auxiliary" or column.unit is None or _NOT_A_SAMPLE.search(_words(column.name)):
         return column
     for sensor in SENSORS:
@@ -130,13 +129,13 @@ def split_unit(label: str) -> tuple[str, str | None]:
 
 
 def _words(stem: str) -> str:
-    """Name as lower-case words joined by underscores, from e.g. `GyroX`, `gyro.x` or `gyro[0]`."""
+    """Return a name as lower-case words joined by underscores, e.g. for `GyroX`, `gyro.x` or `gyro[0]`."""
     stem = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", stem)
     return re.sub(r"[^a-z0-9]+", "_", stem.lower()).strip("_")
 
 
 def _axis(label: str, words: str, unit: str | None) -> Column | None:
-    """Column of an axis, or None if the name is not that of one."""
+    """Return the column of an axis, or None if the name is not that of an axis."""
     if _NOT_A_SAMPLE.search(words) or _ACCURACY.fullmatch(words):
         return None
     for sensor, alias in _ALIASES.items():
@@ -155,7 +154,7 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
 
 
 def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
-    """Column of time stamps, or None if the name is not that of one."""
+    """Return the column of time stamps, or None if the name is not that of one."""
     if _TIME.fullmatch(words):
         return Column(label, "time", stem, unit=unit or _CLOCKS.get(words))
     if _COUNTER.fullmatch(words):
@@ -186,41 +185,42 @@ class Axis:
 
 @dataclass(frozen=True)
 class DeadAxis:
-    """Axis without noise, for which there is no result, and the reason: constant, or without a number."""
+    """Axis without noise, and thus without result, and the reason: constant, or without numbers."""
 
     axis: Axis
     reason: str
 
     @classmethod
     def of(cls, axis: Axis, value: float) -> "DeadAxis":
-        """Dead axis with this value [its own unit] throughout; nan for no number."""
+        """Return the dead axis with this constant value [its own unit]; nan if it has no numbers."""
         if np.isnan(value):
-            return cls(axis, "not a single number in it, as of a sensor that is not connected")
-        held = f"constant, {value:.6g} {axis.unit} throughout"
-        return cls(axis, f"{held}, as of a sensor that is stuck or not connected")
+            return cls(axis, "without any number; the sensor seems disconnected")
+        return cls(axis, f"constant at {value:.6g} {axis.unit}; the sensor seems stuck or disconnected")
 
 
 def axes_of(
     columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Axes from columns, in the unit that is given for the sensor, else in that of the label; notes on them.
+    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
 
     Raises:
-        RecordingError: there are none, two have the same name, or one is no axis.
-        UnitError: a unit is missing or unknown, or that of rates for a column of increments.
+        RecordingError: there are no axes, two have the same name, or a column is not an axis.
+        UnitError: a unit is missing or unknown, or is a unit of rates for a column of increments.
     """
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
     for column in distinct(columns, source):
         if column.sensor is None:
             raise source.error(
-                f"{column.label!r} is no axis of a gyro or an accelerometer; use names such as gyro_x, "
-                "accel_z, and pass other columns as auxiliary="
+                f"{column.label!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
+                "accel_z, and pass other columns with auxiliary="
             )
         unit = _unit_of(column, column.sensor, units[column.sensor], source)
         axes.append(Axis(column.name, column.sensor, unit.name))
         if (own := recognise(column.label).unit) and not same_unit(own, unit.name):
-            stated.setdefault(f"in {unit.name} as stated, not in {own} as labelled", []).append(column.name)
+            stated.setdefault(f"read in {unit.name} as requested, although labelled {own}", []).append(
+                column.name
+            )
         if unit.quantity == "increment":
             increments.append(column.name)
     notes = [f"{', '.join(names)} {how}" for how, names in stated.items()]
@@ -230,13 +230,13 @@ def axes_of(
 
 
 class OfAxes:
-    """Base of curves with a column an axis: they iterate over names, by which they have the axes' curves.
+    """Base of curves with one column per axis; they iterate over names, and are indexed by them.
 
     Attributes:
         axes: the recording's axes, or None for an array.
     """
 
-    #: Fields that have a column or an entry an axis.
+    #: Fields with one column or entry per axis.
     PER_AXIS: ClassVar[tuple[str, ...]] = ()
 
     axes: tuple[Axis, ...] | None
@@ -252,7 +252,7 @@ class OfAxes:
     def __getitem__(self, axis: str) -> Self:
         """The curve of one axis, e.g. `curve["gyro_x"]`."""
         if axis not in self.names:
-            raise AllanjaxError(f"there is no axis {axis!r}; there are {', '.join(self.names)}")
+            raise AllanjaxError(f"there is no axis {axis!r}; axes are {', '.join(self.names)}")
         k = self.names.index(axis)
         own: dict[str, Any] = {"axes": None if self.axes is None else (self.axes[k],)}
         for name in self.PER_AXIS:
@@ -268,14 +268,14 @@ class OfAxes:
         *,
         ax: "Axes | None" = None,
     ) -> "Figure":
-        """Draw the curves with their intervals, a panel an axis, gyros above accelerometers.
+        """Draw the curves with their intervals, one panel per axis, gyros above accelerometers.
 
-        `plot_allan` and `plot_psd` draw Allan deviations and spectra, with the model of a fit if wanted.
+        `plot_allan` and `plot_psd` draw Allan deviations and spectra, optionally with the model of a fit.
 
         Args:
-            axes: names of the axes to draw; all of them by default.
-            path: a file to save the picture to, by its suffix .png, .svg or .pdf.
-            ax: matplotlib axes to draw a single axis into, without title and key.
+            axes: names of the axes to draw; by default all.
+            path: file for the figure, with the suffix .png, .svg or .pdf.
+            ax: matplotlib axes for a single axis, without title and key.
 
         Raises:
             AllanjaxError: there is no such axis, or `ax` is given for more than one axis.
@@ -297,9 +297,9 @@ def scales_of(axes: Sequence[Axis], rate: float) -> Float[np.ndarray, " axes"]:
 def default_names(
     count: int, units: Mapping[Sensor, str | None], remedy: str, source: Source
 ) -> tuple[str, ...]:
-    """Default names of `count` columns, as implied by the sensors whose units are given.
+    """Return default names of `count` columns, implied by the sensors whose units are given.
 
-    If they imply none, a RecordingError says to use `remedy`.
+    If they imply no names, the RecordingError suggests `remedy`.
     """
     sensors = [sensor for sensor, unit in units.items() if unit is not None]
     if len(sensors) == 1 and count == 1:
@@ -308,49 +308,49 @@ def default_names(
         return tuple(f"{sensor}_{axis}" for sensor in sensors for axis in "xyz")
     stated = " and ".join(f"{sensor}_unit=" for sensor in sensors) or "no unit"
     raise source.error(
-        f"{count} columns without names and {stated} given: what each column is can not be told. "
-        f"Name them by {remedy}, e.g. gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+        f"{count} columns without names and {stated} given: the columns cannot be identified; "
+        f"name them with {remedy}, e.g. gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
     )
 
 
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
-    """Columns of axes; those of several sensors of a kind, which would be the same axis, by their own names.
+    """Return the columns of axes; axes of several sensors of one kind keep the names in their labels.
 
     Raises:
-        RecordingError: there are none, or two have the same name.
+        RecordingError: there are no columns, or two have the same name.
     """
     if not columns:
-        raise source.error("no gyro or accelerometer column; name the columns by columns= (--columns)")
+        raise source.error("no gyro or accelerometer column; name the columns with columns= (--columns)")
     count = Counter(column.name for column in columns)
     own = [replace(c, name=split_unit(c.label)[0]) if count[c.name] > 1 else c for c in columns]
-    seen: dict[str, Column] = {}
+    named: dict[str, Column] = {}
     for column in own:
-        other = seen.setdefault(column.name, column)
+        other = named.setdefault(column.name, column)
         if other is not column:
             raise source.error(
-                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one by "
+                f"columns {other.label!r} and {column.label!r} are both {column.name}; choose one with "
                 "columns= (--columns)"
             )
     return tuple(own)
 
 
 def _unit_of(column: Column, sensor: Sensor, given: str | None, source: Source) -> SampleUnit:
-    """Unit of the column, from the argument or its label."""
+    """Return the unit of the column, from the argument or its label."""
     option = f"{sensor}_unit= (--{sensor}-unit)"
     text = column.unit if given is None else given
     if text is None:
         example = "deg/s" if sensor == "gyro" else "m/s^2"
         raise UnitError(
             f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of one "
-            f"such as {COUNT_SIZES[sensor]}, or write it in the header as `{column.name} [{example}]`"
+            f"such as {COUNT_SIZES[sensor]}, or write it in the header: `{column.name} [{example}]`"
         )
     try:
         unit = parse_sample_unit(text, sensor)
     except UnitError as error:
-        raise UnitError(f"{source.label}: column {column.label!r}: {error}; state it by {option}") from error
+        raise UnitError(f"{source.label}: column {column.label!r}: {error}; pass {option}") from error
     if column.increment and unit.quantity == "rate" and given is None:
         raise UnitError(
-            f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} is "
-            f"a unit of rates; state which by {option}"
+            f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
+            f"is a unit of rates; pass {option}"
         )
     return unit

@@ -1,14 +1,14 @@
-"""Completion of records with missing samples, by draws from what their own spectrum says of them.
+"""Completion of records with missing samples, by draws from their distribution given the other samples.
 
-Missing samples are drawn from their distribution given all samples that are there, for a Gaussian process
-with the spectrum of the record itself: with that spectrum, completed records are distributed as if nothing
-had been lost, and what is estimated from one has the expectation that it would have had. (Zeros, a line
-between the neighbours, or closing the gap leave other spectra: less noise at high frequencies, or steps.)
+The distribution is that of a Gaussian process with the spectrum of the record itself. With that spectrum,
+completed records are distributed as if no sample had been lost, and estimates have the expectation that they
+would have had. (Zeros, straight lines across gaps, or closing the gaps change the spectrum: less noise at
+high frequencies, or steps.)
 
-The spectrum is that of the completed record, so the two are found in turn: data augmentation, M. A. Tanner
-and W. H. Wong, J. Am. Stat. Assoc. 82, 528 (1987), with a single draw at the end. The draw is one of all
-samples, plus the conditional mean of what it misses the others by: Y. Hoffman and E. Ribak, Astrophys. J.
-Lett. 380, L5 (1991).
+The spectrum is that of the completed record, so both are computed in turn: data augmentation, M. A. Tanner
+and W. H. Wong, J. Am. Stat. Assoc. 82, 528 (1987), with a single draw at the end. A draw is one of all
+samples, plus the conditional mean of its difference from the observed samples: Y. Hoffman and E. Ribak,
+Astrophys. J. Lett. 380, L5 (1991).
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from allanjax.record.validation import Source
 def without_repeats(
     values: Float[np.ndarray, "samples axes"], times: Float[np.ndarray, " samples"]
 ) -> Bool[np.ndarray, " samples"]:
-    """Which samples are not those before them once more, with the same time."""
+    """Return which samples do not repeat the previous sample with the same time."""
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     return np.concatenate([[True], ~(same.all(axis=1) & (np.diff(times) == 0.0))])
 
 
-# Tolerance, in samples, within which a time is that of a sample: room for rounding.
+# Tolerance, in samples, within which a time is that of a sample: padding for rounding.
 _TIME_SLACK = 1e-6
-# Samples of a stretch that has a spectrum of its own, and stretches that are fitted together.
+# Fewest samples of a segment with a spectrum of its own, and most segments that are fitted together.
 _LEAST, _MOST = 64, 16
 
 
 class Gap(NamedTuple):
-    """Samples that are missing, as places on the recording's grid of times, whose first sample is number 0.
+    """Missing samples, as places on the recording's time grid, whose first sample has number 0.
 
     Attributes:
-        first: number of the first one; negative before the stretch that was taken.
-        samples: how many there are; 0 where the clock was set back, so that this is unknown.
+        first: number of the first one; negative before the segment that was read.
+        samples: number of missing samples; 0 if it is unknown because the clock was set back.
     """
 
     first: int
@@ -53,12 +53,12 @@ class Gap(NamedTuple):
 
 
 class Stretches(NamedTuple):
-    """Stretches of a record in which no sample is missing.
+    """Segments of a record without missing samples.
 
     Attributes:
-        every: rows of each, in the order of time.
+        every: rows of each, in time order.
         longest: rows of the longest.
-        others: rows of others of 64 samples and more, the longest fifteen of them, in the order of time.
+        others: rows of the longest fifteen others with 64 samples or more, in time order.
     """
 
     every: tuple[slice, ...]
@@ -66,29 +66,29 @@ class Stretches(NamedTuple):
     others: tuple[slice, ...]
 
     def gaps(self, times: Float[np.ndarray, " samples"], rate: float) -> tuple[Gap, ...]:
-        """Gaps between the stretches, given all samples' times [s] and their rate [Hz]."""
+        """Return the gaps between the segments, given the times [s] of all samples and their rate [Hz]."""
         places = np.rint((times - times[self.longest.start]) * rate).astype(int)
         ends = places[[rows.stop - 1 for rows in self.every[:-1]]] + 1
         lost = places[[rows.start for rows in self.every[1:]]] - ends
         return tuple(map(Gap, ends.tolist(), np.maximum(lost, 0).tolist()))
 
-    def told(self, n: int) -> tuple[str, ...]:
-        """Which samples of n were taken, in notes; none if all of them."""
+    def notes(self, n: int) -> tuple[str, ...]:
+        """Return a note on which of n samples were read; none if all were."""
         if len(self.every) < 2:
             return ()
         others = f"; {len(self.others)} others are kept for Allan deviations and fits" if self.others else ""
         return (
-            f"samples {self.longest.start} to {self.longest.stop - 1} of {n} taken, the longest of "
-            f"{len(self.every)} stretches without gaps{others}; gaps='fill' (--gaps fill) uses all",
+            f"samples {self.longest.start} to {self.longest.stop - 1} of {n} read, the longest of "
+            f"{len(self.every)} segments without gaps{others}; gaps='fill' (--gaps fill) uses all",
         )
 
 
 def stretches_of(
     values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
 ) -> Stretches:
-    """Stretches in which no sample is missing.
+    """Return the segments without missing samples.
 
-    An axis that has no value at all is not counted. `after_gap` are samples before which others are missing.
+    An axis without any value is ignored. `after_gap` are the samples that follow missing ones.
     """
     lost = np.isnan(values)
     whole = ~lost[:, ~lost.all(axis=0)].any(axis=1)
@@ -96,7 +96,7 @@ def stretches_of(
     first = np.flatnonzero(begins)
     if not first.size:
         return Stretches((), slice(0, 0), ())
-    # A stretch ends where the next begins, or at the first sample after it that is not whole.
+    # A segment ends where the next begins, or at the first incomplete sample after it.
     ends = np.append(first[1:], len(values))
     lengths = np.add.reduceat(whole.astype(int), first)
     rows = [
@@ -113,7 +113,7 @@ def on_grid(
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]],
     places: Int[np.ndarray, " samples"],
 ) -> tuple[Float[np.ndarray, "n axes"], dict[str, Float[np.ndarray, " n"]]]:
-    """Samples at their places on an even grid, nan at the others; auxiliary channels are interpolated."""
+    """Return samples on an even grid, nan where missing; auxiliary channels are interpolated."""
     n = int(places[-1]) + 1
     if n == len(values):
         return values, dict(auxiliary)
@@ -124,13 +124,13 @@ def on_grid(
 
 
 def gaps_of(missing: Bool[np.ndarray, "samples axes"]) -> tuple[Gap, ...]:
-    """Gaps in which samples of at least one axis are missing."""
+    """Return the gaps in which samples of at least one axis are missing."""
     edges = np.diff(missing.any(axis=1), prepend=False, append=False)
     return tuple(Gap(a, b - a) for a, b in np.flatnonzero(edges).reshape(-1, 2).tolist())
 
 
 def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> tuple[Gap, ...] | None:
-    """The parts of gaps that are between two samples, numbered from the former."""
+    """Return the parts of gaps between two samples, numbered from the first."""
     if gaps is None:
         return None
     inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
@@ -138,13 +138,13 @@ def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> 
 
 
 def check_choice(gaps: str, source: Source) -> None:
-    """Raise RecordingError if `gaps` is no choice of what to do about missing samples."""
+    """Raise RecordingError if `gaps` is not a valid choice for missing samples."""
     if gaps not in ("error", "segments", "fill"):
         raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
-    """Rows of the samples at times in [start, stop), in s from the first sample."""
+    """Return the rows of samples at times in [start, stop), in s from the first sample."""
     first = 0 if start is None else int(np.ceil(start * rate - _TIME_SLACK))
     last = samples if stop is None else int(np.ceil(stop * rate - _TIME_SLACK))
     first = min(max(first, 0), samples)
@@ -154,21 +154,20 @@ def rows_between(samples: int, rate: float, start: float | None, stop: float | N
 #: Largest share of an axis's samples that is completed.
 MOST_MISSING = 0.3
 # Spectrum and samples in turn: at most so often, until the logarithm of the spectrum, averaged over so many
-# bands, changes by less than this. Behind a filter, the bridges of the first turn are far above it at first.
+# bands, changes by less than this. Behind a filter, the straight lines of the first turn are far above it.
 _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
-# Frequencies that the spectrum is averaged over, on either side: so many, and this share of the frequency.
+# Frequencies on either side over which the spectrum is averaged: so many, and this share of the frequency.
 _FEWEST, _SHARE = 4, 0.01
-# Conjugate gradients: most steps, the part of d'C⁻¹d that does not matter beside that of one draw, and
-# samples that are solved for at once.
+# Conjugate gradients: most steps, the negligible part of d'C⁻¹d, and samples that are solved for at once.
 _STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
-    """Factor of each axis on the standard deviations that a complete record would have.
+    """Return the factor for each axis by which standard deviations exceed those of a complete record.
 
-    With a share f missing, n(1 − f) samples determine a level of noise; the draws, which are made at that
-    level, add the scatter of n·f samples: √(1/(1 − f) + f). That is exact for white noise, and an upper bound
-    for terms of times longer than the gaps, of which the missing samples hold less.
+    With a share f missing, n(1 − f) samples determine the noise level; the draws at that level add the
+    scatter of n·f samples: √(1/(1 − f) + f). This is exact for white noise, and an upper bound for terms
+    slower than the gaps, on which the missing samples hold less information.
     """
     share = missing.mean(axis=0)
     return np.sqrt(1.0 / (1.0 - share) + share)
@@ -177,15 +176,16 @@ def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " a
 def completed(
     values: Float[np.ndarray, "samples axes"], missing: Bool[np.ndarray, "samples axes"]
 ) -> Float[np.ndarray, "samples axes"]:
-    """Samples in which the missing ones have been drawn given the others; these are as they were.
+    """Return the samples with the missing ones drawn given the others, which are unchanged.
 
-    The same record is completed in the same way.
+    The same record is always completed in the same way.
 
     Args:
-        values: samples, of any value where they are missing.
-        missing: which are; at most 30 % of an axis.
+        values: samples, with any value where they are missing.
+        missing: which are missing; at most 30 % of an axis.
 
-    Raises RecordingError if more are missing.
+    Raises:
+        RecordingError: more are missing.
     """
     full = values.copy()
     n = len(values)
@@ -193,8 +193,8 @@ def completed(
         lost = np.flatnonzero(missing[:, k])
         if len(lost) > MOST_MISSING * n:
             raise RecordingError(
-                f"{len(lost) / n:.0%} of the samples are missing, and at most {MOST_MISSING:.0%} are drawn; "
-                "take the longest stretch without gaps by gaps='segments' (--gaps segments)"
+                f"{len(lost) / n:.0%} of the samples are missing, but at most {MOST_MISSING:.0%} can be "
+                "filled in; read the longest segment without gaps with gaps='segments' (--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
         rng = np.random.default_rng(seed_of(x))
@@ -205,7 +205,7 @@ def completed(
             before, v = v, _spectrum(x)
             bands = np.array_split(np.log(v / before), min(_BANDS, len(v)))
             last, changed = changed, max(abs(float(band.mean())) for band in bands)
-            # What changes no less than the last time is chance, as of a long gap that is drawn anew.
+            # A change no smaller than the previous one is chance, as for a long gap that is drawn again.
             if changed < _SETTLED or changed > last:
                 break
         full[:, k] = x
@@ -213,15 +213,15 @@ def completed(
 
 
 def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Samples with straight lines across gaps; as they are if none or all are missing."""
+    """Return samples with straight lines across gaps; unchanged if none or all are missing."""
     if not missing.any() or missing.all():
         return x
     there = np.flatnonzero(~missing)
     return np.interp(np.arange(len(x)), there, x[there])
 
 
-def told(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequence[str]) -> tuple[str, ...]:
-    """How much is missing, in gaps of what length, and what was done about it, in notes."""
+def notes_on(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequence[str]) -> tuple[str, ...]:
+    """Return notes on how many samples were missing and filled in, and on the lengths of the gaps."""
     groups: dict[bytes, list[int]] = {}
     for k in np.flatnonzero(missing.any(axis=0)):
         groups.setdefault(missing[:, k].tobytes(), []).append(int(k))
@@ -233,30 +233,30 @@ def told(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequence
         wider = 100.0 * (widening(missing)[axes[0]] - 1.0)
         notes.append(
             f"{', '.join(names[k] for k in axes)}: {lost.sum()} of {len(lost)} samples "
-            f"({plain(100.0 * lost.mean(), 2)} %) are missing, in {count} "
-            f"{duration(float((end - first).max()) / rate)}: drawn given the others, which makes the fit's "
-            f"intervals {plain(wider, 2)} % wider"
+            f"({plain(100.0 * lost.mean(), 2)} %) are missing in {count} "
+            f"{duration(float((end - first).max()) / rate)}; they are filled in, which widens the fit's "
+            f"intervals by {plain(wider, 2)} %"
         )
     return tuple(notes)
 
 
 def in_time(coefficients: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
-    """Samples of zero mean with these cosine coefficients."""
+    """Return samples of zero mean with these cosine coefficients."""
     return idct(np.concatenate([[0.0], coefficients]), norm="ortho", workers=-1)
 
 
 def predicted(
     d: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]
 ) -> Float[np.ndarray, " n"]:
-    """Best prediction of the missing samples of d given the others, which minimizes d'C⁻¹d.
+    """Return d with the best prediction of the missing samples given the others, which minimizes d'C⁻¹d.
 
-    By conjugate gradients. The preconditioner solves neighbouring gaps together, which depend on each other
-    behind a filter. For long gaps it is the covariance, which is nearly the inverse but for the gap's ends:
-    these leave nothing of what is slower than the gap.
+    It uses conjugate gradients. The preconditioner solves neighbouring gaps together, which depend on each
+    other behind a filter. For long gaps it is the covariance, which is nearly the inverse except at the ends
+    of the gap, which remove everything slower than the gap.
 
     Args:
-        d: samples, of any value where they are missing.
-        missing: which are.
+        d: samples, with any value where they are missing.
+        missing: which are missing.
         v: expected squared cosine coefficients, the spectrum; that of the mean is infinite.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
@@ -297,7 +297,7 @@ def predicted(
 
 
 def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Length of the gap that each sample is in; 0 of samples that are there."""
+    """Return the length of the gap that contains each sample; 0 for samples that are present."""
     first, end = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
     lengths = np.zeros(len(missing), int)
     lengths[missing] = np.repeat(end - first, end - first)
@@ -307,7 +307,7 @@ def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
 def _inverses(
     gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
 ) -> list[Float[np.ndarray, "block block"]]:
-    """Inverses of the precision between missing samples, block by block: ½[r(i − k) + r(i + k + 1)]."""
+    """Return inverses of the precision between missing samples, per block: ½[r(i − k) + r(i + k + 1)]."""
     n = len(v) + 1
     r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
     found = []
@@ -319,10 +319,10 @@ def _inverses(
 
 
 def _spectrum(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
-    """Smooth spectrum of a record, as the expected squares of its cosine coefficients.
+    """Return the smooth spectrum of a record, as the expected squares of its cosine coefficients.
 
-    With Hann's window lines and slow changes stay where they are. Averages of the logarithm follow the steep
-    flanks of a filter, those of what is left keep the power of a line.
+    Hann's window limits the leakage of lines and slow changes. Averages of the logarithm follow the steep
+    flanks of a filter; averages of the remainder preserve the power of a line.
     """
     n = len(x)
     window = 1.0 - np.cos(2.0 * np.pi * (np.arange(n) + 0.5) / n)
@@ -335,7 +335,7 @@ def _spectrum(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
 
 
 def _averaged(y: Float[np.ndarray, " frequencies"], n: int) -> Float[np.ndarray, " frequencies"]:
-    """Averages over frequencies on either side, of what is symmetric about zero and half the sample rate."""
+    """Return averages over frequencies on either side; y is symmetric about zero and half the sample rate."""
     k = np.arange(len(y))
     half = np.minimum(np.maximum(_FEWEST, (_SHARE * k).astype(int)), len(y) // 4)
     most = int(half[-1])

@@ -23,9 +23,9 @@ from allanjax.record.completion import (
     completed,
     gaps_of,
     gaps_within,
+    notes_on,
     rows_between,
     stretches_of,
-    told,
 )
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
@@ -44,15 +44,15 @@ class Recording(ByValue):
         axes: axes, one per column of `values`.
         auxiliary: other columns by name, in the units of the file.
         name: name for display, e.g. that of the file without its suffix.
-        notes: assumptions and findings of the reader that the user should know.
+        notes: assumptions and findings of the reader that users should know.
         dead: axes that were left out because they have no noise, and why.
-        jitter: rms jitter of the time stamps [s]; None without any.
-        missing: samples that are not the sensor's but have been drawn given the others, see `completion`;
-            None if there are none.
-        others: other stretches of the same record, between which samples are missing (`gaps="segments"`), in
-            SI: Allan deviations and the coefficients of noise terms are of all, everything else of `values`.
-        gaps: where samples of the record are missing, be they drawn or between stretches; None if that
-            cannot be seen, for lack of time stamps.
+        jitter: rms jitter of the time stamps [s]; None without time stamps.
+        missing: samples that were missing and have been filled in given the others, see `completion`; None
+            if there are none.
+        others: other segments of the same record, separated by missing samples (`gaps="segments"`), in SI:
+            Allan deviations and noise coefficients use all segments, everything else uses `values`.
+        gaps: where samples of the record are missing, either filled in or between segments; None if that is
+            unknown without time stamps.
     """
 
     values: Float[np.ndarray, "samples axes"]
@@ -84,7 +84,7 @@ class Recording(ByValue):
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
-        A column that is constant, or has no finite number at all, is left out: see `dead`.
+        A column that is constant or has no finite number is left out: see `dead`.
 
         Args:
             values: samples, in `gyro_unit` and `accel_unit`.
@@ -95,7 +95,7 @@ class Recording(ByValue):
                 are taken as x, y, z; 6 with both units as gyro x, y, z, accel x, y, z; 1 with one unit as
                 that sensor; `notes` say so.
             auxiliary: other columns of the same length, e.g. a temperature.
-            name: a name for display.
+            name: name for display.
             gaps: what to do about samples that are nan, as in `read`.
 
         Raises:
@@ -112,21 +112,20 @@ class Recording(ByValue):
             notes = (f"column order taken as {', '.join(names)}",)
         if len(names) != table.shape[1]:
             raise source.error(
-                f"{len(names)} names for {table.shape[1]} columns; give one name a column in names="
+                f"{len(names)} names for {table.shape[1]} columns; give one per column in names="
             )
         columns = [recognise(label) for label in names]
         extra = {key: np.asarray(column) for key, column in (auxiliary or {}).items()}
         for key, column_values in extra.items():
             if column_values.shape != table.shape[:1]:
                 raise source.error(
-                    f"auxiliary column {key!r} has the shape {column_values.shape}; it must be "
-                    f"({len(table)},)"
+                    f"auxiliary column {key!r} has the shape {column_values.shape}, not ({len(table)},)"
                 )
         check_choice(gaps, source)
         if gaps != "segments":
             return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
         found = stretches_of(table, np.zeros(len(table), bool))
-        rows, notes = found.longest, (*notes, *found.told(len(table)))
+        rows, notes = found.longest, (*notes, *found.notes(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
         source, others = source.after(rows.start), [table[other] for other in found.others]
         missing = found.gaps(np.arange(len(table)) / rate, rate) or None
@@ -141,7 +140,7 @@ class Recording(ByValue):
 
     @property
     def duration(self) -> float:
-        """Length in s: the number of samples over the rate."""
+        """Length in s: the number of samples divided by the rate."""
         return self.n / self.rate
 
     @property
@@ -156,7 +155,7 @@ class Recording(ByValue):
 
     @property
     def recorded(self) -> tuple[Float[np.ndarray, " recorded"], ...]:
-        """Samples of each axis without those that were missing and have been drawn."""
+        """Samples of each axis without those that were missing and have been filled in."""
         missing = np.zeros_like(self.values, bool) if self.missing is None else self.missing
         return tuple(x[~lost] for x, lost in zip(self.values.T, missing.T, strict=True))
 
@@ -182,12 +181,12 @@ class Recording(ByValue):
         return {"time [s]": self.time, **dict(zip(labels, samples.T, strict=True)), **self.auxiliary}
 
     def to_dataframe(self, si: bool = False) -> "pd.DataFrame":
-        """Table with one row a sample and the `columns`, which `from_dataframe`, `fit` and others take again.
+        """Return a table with one row per sample and the `columns`, as input for `from_dataframe` or `fit`.
 
-        Labels state the units; samples that were missing are nan, as they are not the sensor's.
+        Labels state the units; samples that were missing are nan.
 
         Args:
-            si: whether samples are in rad/s and m/s², else in the axes' own units.
+            si: whether samples are in rad/s and m/s² instead of the axes' own units.
         """
         import pandas as pd
 
@@ -207,21 +206,21 @@ class Recording(ByValue):
         accel_unit: str | None = None,
         names: Sequence[str] | None = None,
     ) -> "Recording":
-        """Make a recording from a data frame, whose columns are recognised by their names as those of a file.
+        """Make a recording from a data frame, whose columns are recognised by their names as in a file.
 
         Args:
             frame: columns such as `time [s]`, `gyro_x [deg/s]`, `temperature`; times may be the index.
-            rate: sample rate [Hz], without times.
-            gyro_unit, accel_unit: units of the sensors, where labels have none.
-            names: labels of the columns to take.
+            rate: sample rate [Hz], if there are no times.
+            gyro_unit, accel_unit: units of the sensors, if labels have none.
+            names: labels of the columns to use.
 
         Raises:
-            RecordingError, UnitError: as `read`.
+            RecordingError, UnitError: as for `read`.
         """
         raise NotImplementedError
 
     def select(self, *keys: str) -> "Recording":
-        """Recording of the named axes, in this order; `gyro` or `accel` stands for all axes of that sensor.
+        """Recording of the named axes, in this order; `gyro` or `accel` is all axes of that sensor.
 
         Raises:
             RecordingError: there is no such axis, or it is dead.
@@ -235,7 +234,7 @@ class Recording(ByValue):
             found = [i for i, axis in enumerate(self.axes) if axis.name == key]
             found = found or [i for i, axis in enumerate(self.axes) if axis.sensor == key]
             if not found:
-                raise source.error(f"no axis {key!r}; there are {', '.join(self.names)}")
+                raise source.error(f"no axis {key!r}; axes are {', '.join(self.names)}")
             chosen += [i for i in found if i not in chosen]
         if not chosen:
             raise RecordingError(f"select at least one of {', '.join(self.names)}")
@@ -252,7 +251,7 @@ class Recording(ByValue):
         return self.select(key) if isinstance(key, str) else self.select(*key)
 
     def between(self, start: float | None = None, stop: float | None = None) -> "Recording":
-        """Recording from `start` up to but not including `stop`, in s from the first sample, without others.
+        """Return the recording from `start` up to but not including `stop`, in s from the first sample.
 
         Raises:
             RecordingError: fewer than 16 samples are left, or every axis is constant there.
@@ -260,7 +259,7 @@ class Recording(ByValue):
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
         check_length(rows.stop - rows.start, source)
-        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} taken"
+        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} read"
         values = self.values[rows]
         values, axes, dead, left_out = _living(
             values, self.axes, values[0] / self.own_scales, self.names, source
@@ -317,8 +316,8 @@ def build(
 ) -> Recording:
     """Check samples in their own units and make a recording of the axes that are not dead.
 
-    With `fill` samples that are nan are drawn given the others; `others` are other stretches, between which
-    there are `gaps`.
+    With `fill`, samples that are nan are filled in given the others; `others` are other segments, separated
+    by `gaps`.
 
     Raises:
         RecordingError: see `Recording.from_array`.
@@ -335,7 +334,7 @@ def build(
     lost = lost[:, kept]
     if lost.any():
         values = completed(values, lost)
-        left_out = (*told(lost, rate, [axis.name for axis in axes]), *left_out)
+        left_out = (*notes_on(lost, rate, [axis.name for axis in axes]), *left_out)
         gaps = gaps_of(lost)
     return Recording(
         values * scales,
@@ -359,12 +358,12 @@ def _living(
     labels: Sequence[str],
     source: Source,
 ) -> tuple[Float[np.ndarray, "samples living"], tuple[Axis, ...], tuple[DeadAxis, ...], tuple[str, ...]]:
-    """Samples of the axes that live, these axes, the dead ones, and notes on them.
+    """Return the samples of living axes, these axes, the dead axes, and notes on these.
 
     `first` are the first samples, in the axes' own units.
     """
     living = check_values(values, labels, source)
     every = zip(axes, first, living, strict=True)
     dead = tuple(DeadAxis.of(axis, float(value)) for axis, value, lives in every if not lives)
-    notes = tuple(f"{d.axis.name} left out: {d.reason.split(',')[0]}" for d in dead)
+    notes = tuple(f"{d.axis.name} left out: {d.reason.partition(';')[0]}" for d in dead)
     return values[:, living] if dead else values, tuple(itertools.compress(axes, living)), dead, notes

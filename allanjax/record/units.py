@@ -69,13 +69,13 @@ percent = 1e-2
 gal = 0.01 * meter / second ** 2 = Gal
 """
 
-#: What messages propose for counts.
+#: Examples in messages for the size of a count.
 COUNT_SIZES: dict[Sensor, str] = {
     "gyro": "'0.07 deg/s', 'deg/s/131' or '131 LSB/(deg/s)'",
     "accel": "'0.061 mg', 'g/16384' or '16384 LSB/g'",
 }
 
-# SI units of rates and of increments, and the base dimension that a sensor's units never have.
+# SI units of rates and increments, and the base dimension that the units of a sensor never have.
 SI: dict[Sensor, dict[Quantity, str]] = {
     "gyro": {"rate": "rad/s", "increment": "rad"},
     "accel": {"rate": "m/s²", "increment": "m/s"},
@@ -95,7 +95,7 @@ _SI_UNITS = (
     *("s", "Hz", "1"),
 )
 
-# Units that messages propose, those of the same dimension; SI ones and those of coefficients among them.
+# Units that messages propose if the dimension is the same, including SI units and those of coefficients.
 _PROPOSED = (
     *("deg/√h", "deg/s/√Hz", "mdps/√Hz", "deg/h/√Hz", "rad/√s", "rad/s/√Hz"),
     *("m/s/√h", "µg/√Hz", "mg/√Hz", "m/s²/√Hz", "m/s/√s"),
@@ -110,7 +110,7 @@ _QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*")
 # Number that is a factor of a unit, not a power.
 _NUMBER = r"(?<![\w.^])(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 
-# Words whose case carries no meaning. Not m, g and what begins with a prefix: M and G could be mega, giga.
+# Words whose case has no meaning; not m, g and words with a prefix: M and G could be mega and giga.
 _ANY_CASE = {
     word.lower(): word
     for word in (
@@ -128,9 +128,9 @@ _SYMBOLS = str.maketrans(
     | dict.fromkeys('″”"', "arcsec")
     | dict.fromkeys("·⋅×", "*")
 )
-# A unit per unit of another channel, whose own is not known, e.g. `deg/s/[temperature]`.
+# A unit per (unknown) unit of another channel, e.g. `deg/s/[temperature]`.
 _PER_CHANNEL = re.compile(r"(.+)/(\[.+\])")
-# pint would take `rads` and `degs` as plurals of an angle; people may mean rad/s and deg/s.
+# pint reads `rads` and `degs` as plurals of an angle; people may mean rad/s and deg/s.
 _AMBIGUOUS_PLURAL = re.compile(r"\b[a-z]?(rad|deg|g|h|hr|ft|arcsec|arcmin)s\b")
 
 
@@ -163,7 +163,7 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
     It may have a number, as the size of a count: `0.07 deg/s`, `deg/s/131`, `70 mdps/LSB`, `131 LSB/(deg/s)`.
 
     Raises:
-        UnitError: the unit is unknown or does not fit the sensor; the message lists those that do.
+        UnitError: the unit is unknown or does not fit the sensor; the message lists units that do.
     """
     unit = _of_a_count(_parse(text))
     quantity = _quantity(unit, sensor)
@@ -181,9 +181,9 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
 
 
 def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
-    """Display unit of rates for samples in this unit, and its factor to SI.
+    """Return the display unit of rates for samples in this unit, and its factor to SI.
 
-    For increments it is rad/s or m/s², for counts a unit that the size of one is in.
+    For increments it is rad/s or m/s², for counts the unit of the size of one.
     """
     own = parse_sample_unit(unit, sensor)
     if own.quantity == "rate" and not re.search(_NUMBER, own.name):
@@ -257,16 +257,16 @@ def convert(value: Value, from_unit: str, to_unit: str, sensor: Sensor | None = 
             "·".join(f"{name}^{power:g}" for name, power in sorted(unit.dimension.items())) or "dimensionless"
             for unit in (source, target)
         )
-        alike = [u for u in _PROPOSED if u != from_unit and _known(u, None).dimension == source.dimension]
+        same = [u for u in _PROPOSED if u != from_unit and _known(u, None).dimension == source.dimension]
         raise UnitError(
             f"cannot convert {from_unit!r} to {to_unit!r}: their dimensions are {' and '.join(labels)}; "
-            + (f"possible are {', '.join(alike)}" if alike else "give units of the same dimension")
+            + (f"possible are {', '.join(same)}" if same else "give units of the same dimension")
         )
     return value * (source.scale / target.scale)
 
 
 def parse_quantity(text: Any) -> tuple[float, str] | None:
-    """Number and unit of a text such as "0.1 deg/s"; None if it is no text of this kind, or has no unit."""
+    """Return number and unit of a text such as "0.1 deg/s"; None for other texts, or without a unit."""
     found = _QUANTITY.fullmatch(text) if isinstance(text, str) else None
     return (float(found[1]), found[2]) if found and found[2] else None
 
@@ -277,13 +277,13 @@ def is_unit(text: str) -> bool:
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Whether two units are the same in different spellings; unknown ones are not."""
+    """Return whether two units are the same, in any spelling; unknown units are not."""
     units = _of_a_count(_parse(one)), _of_a_count(_parse(other))
     return None not in units and units[0] == units[1]
 
 
 def density_power(unit: str) -> float:
-    """Power of a density that a unit is: 1/2 of `deg/s/√Hz`, 1 of `(deg/h)²/Hz`, 0 of what is per no Hz.
+    """Return the power of a density in a unit: 1/2 for `deg/s/√Hz`, 1 for `(deg/h)²/Hz`, 0 without Hz.
 
     A one-sided density is twice the two-sided one, to this power.
 
@@ -296,18 +296,17 @@ def density_power(unit: str) -> float:
 
 
 def _known(text: str, sensor: Sensor | None) -> _Unit:
-    """Unit named by `text`; UnitError if it is unknown, or that of the other sensor."""
+    """Return the unit named by `text`; UnitError if it is unknown or a unit of the other sensor."""
     unit = _parse(text)
     if unit is None:
         raise UnitError(
-            f"unknown unit {text!r}; write for instance deg/h, deg/√h, deg/h/√h, m/s/√h, µg, µg/√Hz, "
-            "rad/s/√Hz"
+            f"unknown unit {text!r}; use e.g. deg/h, deg/√h, deg/h/√h, m/s/√h, µg, µg/√Hz, rad/s/√Hz"
         )
     if sensor is not None and _FOREIGN_DIMENSION[sensor] in unit.dimension:
         other: Sensor = "accel" if sensor == "gyro" else "gyro"
         raise UnitError(
-            f"unit {text!r} is not one of {_A[sensor]}: it looks like a unit of {_A[other]}; "
-            f"write for instance {', '.join(_COEFFICIENT_UNITS[sensor].values())}"
+            f"unit {text!r} is for {_A[other]}, not for {_A[sensor]}; "
+            f"use e.g. {', '.join(_COEFFICIENT_UNITS[sensor].values())}"
         )
     return unit
 
@@ -338,7 +337,7 @@ def _parse(text: str) -> _Unit | None:
 
 @functools.cache
 def _registry() -> "pint.UnitRegistry":
-    """Registry of pint with the units defined here, and no others."""
+    """Return a registry of pint with only the units defined here."""
     import pint
 
     registry: pint.UnitRegistry = pint.UnitRegistry(None)
@@ -362,7 +361,7 @@ def _expression(text: str) -> str:
 
 
 def _is_product(expression: str) -> bool:
-    """Whether the expression is a product of powers; pint's parser lets much else through, or crashes."""
+    """Return whether the expression is a product of powers; pint's parser accepts more, or crashes."""
     number = r"-?\d{1,3}(?:\.\d+)?"
     factor = rf"(?:[A-Za-z]+|{_NUMBER})\^?"
     product = rf"{factor}(?:[*/]{factor})*"
@@ -373,7 +372,7 @@ def _is_product(expression: str) -> bool:
 
 
 def _of_a_count(unit: _Unit | None) -> _Unit | None:
-    """Size of a count from a unit per count, or from counts per unit; other units as they are."""
+    """Return the size of a count from a unit per count or counts per unit; other units unchanged."""
     power = 0.0 if unit is None else unit.dimension.get("[count]", 0.0)
     if unit is None or abs(power) != 1.0 or len(unit.dimension) == 1:
         return unit

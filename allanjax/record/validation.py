@@ -1,4 +1,4 @@
-"""Checks that every recording passes, from a file or from an array alike."""
+"""Checks for every recording, from a file or from an array."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from allanjax.base.errors import RecordingError
 MIN_SAMPLES = 16
 """Fewest samples that make a recording."""
 LARGEST = 1e100
-"""Largest size of a sample, in any unit: what is larger overflows when it is scaled and squared."""
+"""Largest size of a sample, in any unit: larger values overflow when scaled and squared."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,16 @@ class Source:
     missing: str = "nan"
 
     def after(self, rows: int) -> "Source":
-        """Source of the samples that are left when the first `rows` are dropped."""
+        """Return the source of the samples without the first `rows`."""
         return replace(self, locate=lambda row: self.locate(row + rows))
 
     def at(self, rows: Shaped[np.ndarray, " kept"]) -> "Source":
-        """Source of these rows of the samples."""
+        """Return the source of these rows of the samples."""
         numbers = np.flatnonzero(rows) if rows.dtype == bool else rows
         return replace(self, locate=lambda row: self.locate(int(numbers[row])))
 
     def error(self, message: str, about: str = "") -> RecordingError:
-        """RecordingError whose message begins with the label; see there for what it is `about`."""
+        """Return a RecordingError whose message begins with the label; see there for `about`."""
         return RecordingError(f"{self.label}: {message}", about)
 
 
@@ -46,23 +46,21 @@ def check_rate(rate: float, source: Source) -> float:
     """Sample rate in Hz as a float; RecordingError if it is not a positive finite number."""
     value = np.asarray(rate)
     if value.ndim or value.dtype.kind not in "iuf" or not 0.0 < value < np.inf:
-        raise source.error(
-            f"the sample rate must be a positive number of Hz, not {rate!r}; pass rate= (--rate)"
-        )
+        raise source.error(f"the sample rate must be positive, in Hz, not {rate!r}; pass rate= (--rate)")
     return float(rate)
 
 
 def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.ndarray, "samples axes"]:
-    """Samples as one column an axis; RecordingError if they have another shape."""
+    """Return samples as one column per axis; RecordingError if they have another shape."""
     table = values[:, None] if values.ndim == 1 else values
     if table.ndim != 2 or table.shape[1] == 0:
         raise source.error(
             f"values must have the shape [samples] or [samples, axes], not {values.shape}; reshape them to "
-            "one column an axis"
+            "one column per axis"
         )
     if table.shape[0] < table.shape[1]:
         raise source.error(
-            f"values of shape {table.shape} seem transposed; pass values.T, one column an axis"
+            f"values of shape {table.shape} seem transposed; pass values.T (one column per axis)"
         )
     return table
 
@@ -71,21 +69,21 @@ def check_length(samples: int, source: Source) -> None:
     """Raise `RecordingError` if there are fewer than `MIN_SAMPLES` samples."""
     if samples < MIN_SAMPLES:
         raise source.error(
-            f"too short: {samples} samples, and at least {MIN_SAMPLES} are needed (thousands for a useful "
-            "fit); give a longer recording, or a longer stretch by start= and stop= (--start, --stop)"
+            f"too short: {samples} samples, but at least {MIN_SAMPLES} are needed (thousands for a useful "
+            "fit); use a longer recording, or a longer part with start= and stop= (--start, --stop)"
         )
 
 
 def check_values(
     values: Float[np.ndarray, "samples axes"], labels: Sequence[str], source: Source
 ) -> Bool[np.ndarray, " axes"]:
-    """Check samples, one column per label, and return which columns live; the others are dead.
+    """Check samples, one column per label, and return which columns are alive; the others are dead.
 
-    A dead column never changes, or has no usable number throughout.
+    A dead column never changes or has no usable number.
 
     Raises:
-        RecordingError: too few samples, a value that is not usable in a column that has others, or no column
-            that lives; the message names the column, the first place and the remedy.
+        RecordingError: too few samples, an unusable value in a column with others, or only dead columns;
+            the message names the column, the first place and the remedy.
     """
     check_length(len(values), source)
     living = np.array([bool(usable(x).any() and (x != x[0]).any()) for x in values.T], bool)
@@ -98,12 +96,12 @@ def check_values(
 
 
 def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
-    """Which values are finite, and not beyond `LARGEST`."""
+    """Return which values are finite and not beyond `LARGEST`."""
     return np.abs(values) <= LARGEST
 
 
 def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
-    """Raise `RecordingError` if a value of the column is not usable; see `check_values`."""
+    """Raise `RecordingError` if a value of the column is unusable; see `check_values`."""
     bad = np.flatnonzero(~usable(column))
     if bad.size:
         value = column[bad[0]]
@@ -111,29 +109,28 @@ def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Sour
 
 
 def constant_error(label: str, value: float, source: Source) -> RecordingError:
-    """RecordingError for a column that has this value throughout."""
+    """Return the RecordingError for a column with this constant value."""
     return source.error(
-        f"column {label!r} is constant ({value:g} from {source.locate(0)} on): a sensor that is stuck "
-        "or not connected has no noise to fit; leave it out by columns= (--columns)",
+        f"column {label!r} is constant ({value:g} from {source.locate(0)} on): the sensor seems stuck "
+        "or disconnected; leave it out with columns= (--columns)",
         "dead axis",
     )
 
 
 def bad_cells(label: str, count: int, first: int, source: Source, text: str | None = None) -> RecordingError:
-    """RecordingError for `count` cells of a column that are not usable, the first of which holds `text`."""
+    """Return the RecordingError for `count` unusable cells of a column, the first of which holds `text`."""
     limit = f"finite number{'s' * (count > 1)} within ±{LARGEST:.0e}"
     cells = f"1 value is not a {limit}"
     if count > 1:
         cells = f"{count} values are not {limit}, the first"
-    told = f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; "
+    found = (
+        f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; repair the file, "
+    )
+    part = "a part without bad values with start= and stop= (--start, --stop)"
     if text is not None:
-        return source.error(
-            f"{told}repair the file, or take a stretch without bad values by start= and stop= "
-            "(--start, --stop)"
-        )
+        return source.error(f"{found}or read {part}")
     return source.error(
-        f"{told}repair the file, take a stretch without bad values by start= and stop= (--start, --stop) or "
-        "the longest by gaps='segments' (--gaps segments), or let missing values be drawn given the others "
-        "by gaps='fill' (--gaps fill)",
+        f"{found}read {part} or the longest with gaps='segments' (--gaps segments), or fill in missing "
+        "values with gaps='fill' (--gaps fill)",
         "gaps",
     )

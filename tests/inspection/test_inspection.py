@@ -1,4 +1,4 @@
-"""What is seen in a recording before its coefficients are estimated."""
+"""What an inspection reports of a recording before its coefficients are estimated."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def ringing(at, t):
 
 HARDER = np.array([0.5, 1.0, 0.4, 0.3, 0.2, 0.6])
 # What is done to a record z in units of the axes' noise, of which some are hit harder; from when to when; the
-# axis of which it is told, and the size there in units of its noise, or as a ratio; its tolerance.
+# axis that is named, and the size there in units of its noise, or as a ratio; its tolerance.
 HAPPENED = {
     # Of twelve windows the largest excess at any scale is up to twice the usual.
     "noisier": (lambda z, t: np.where(t < 4.0, 19.0 * z * HARDER, 0.0), 0.0, 4.0, 1, 20.0, 0.5),
@@ -73,33 +73,35 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     touched = x + SIGMA * done((x - LEVEL) / SIGMA, TIME[:, None])
     if kind == "silent":
         touched[27_000:, 4] = 0.123
-    seen = aj.inspect(own(touched))
-    (event,) = (event for event in seen.events if event.matters)
+    result = aj.inspect(own(touched))
+    (event,) = (event for event in result.events if event.matters)
     unit, slow = 1.0 if kind == "noisier" else SIGMA[axis], kind in ("warm-up", "shift")
     assert (event.kind, event.axis, event.size / unit) == (kind, axis, pytest.approx(size, rel=close))
     # To a few windows of 0.32 s, and what is slow to its faint end.
     assert event.first / RATE == pytest.approx(first, abs=5.0)
     assert event.last / RATE == pytest.approx(last, abs=40.0 if slow else 2.0)
     assert event.share > 0.005 or kind == "silent"
-    start, stop = seen.stretch
+    start, stop = result.stretch
     assert stop <= first + 0.01 or start >= last - 0.01
     # The longer side, but for some seconds beside the event.
     assert stop - start > max(first, 300.0 - last) - (45.0 if slow else 6.0)
-    (told,) = seen.about("disturbances")
-    assert told.startswith(seen.said)
+    (text,) = result.about("disturbances")
+    assert text.startswith(result.left_out)
+    with pytest.deprecated_call(match="left_out"):
+        assert result.said == result.left_out
     sizes = [f"{abs(event.size) / DEG:.2g} deg/s"] * (kind in ("step", "spike", "shift"))
     for word in (f"{start:g}", f"{stop:g}", *sizes, *([NAMES[axis]] * (kind != "noisier"))):
-        assert word in told
+        assert word in text
     # Of what is left: mean and rms by definition, but for windows at its ends.
     rows = slice(round(start * RATE), round(stop * RATE))
-    assert_allclose((seen.mean - touched[rows].mean(axis=0)) / SIGMA, 0.0, atol=0.02)
-    assert_allclose(seen.rms, touched[rows].std(axis=0), rtol=0.01)
-    assert seen.quiet(own(touched)).n == rows.stop - rows.start
+    assert_allclose((result.mean - touched[rows].mean(axis=0)) / SIGMA, 0.0, atol=0.02)
+    assert_allclose(result.rms, touched[rows].std(axis=0), rtol=0.01)
+    assert result.quiet(own(touched)).n == rows.stop - rows.start
     asked = aj.inspect(own(touched), as_is=True)
     assert (asked.stretch, asked.refusal, bool(asked.about("disturbances"))) == (None, "", True)
     # What is accumulated cannot be cut any more: a refusal that names the stretch to read.
-    assert seen.uncut().stretch is None
-    assert f"start={start:g}, stop={stop:g}" in seen.uncut().refusal
+    assert result.uncut().stretch is None
+    assert f"start={start:g}, stop={stop:g}" in result.uncut().refusal
     moved = aj.inspect(own(touched), may_move=True).stretch
     assert (moved is None) == (kind in ("step", "shift", "warm-up"))
 
@@ -107,20 +109,20 @@ def test_what_happened_is_named_measured_and_left_out(kind):
 def test_what_changes_no_coefficient_is_a_note():
     x = values(6)
     x[15_000] += 12.0 * SIGMA
-    seen = aj.inspect(recording(x))
-    assert (seen.warnings, seen.stretch, seen.refusal, len(seen.notes)) == ((), None, "", 1)
-    assert [(event.kind, event.matters) for event in seen.events] == [("spike", False)]
+    result = aj.inspect(recording(x))
+    assert (result.warnings, result.stretch, result.refusal, len(result.notes)) == ((), None, "", 1)
+    assert [(event.kind, event.matters) for event in result.events] == [("spike", False)]
 
 
 def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_quiet():
     for count, refused in ((4, False), (50, True)):
         at = [300.0 * (k + 0.5) / count for k in range(count)]
         x = values(7) + 300.0 * SIGMA * sum(ringing(time, TIME[:, None]) for time in at)
-        seen = aj.inspect(recording(x))
-        assert (bool(seen.refusal), len(seen.parts)) == (refused, 0 if refused else count + 1)
-        for first, last in seen.parts:
+        result = aj.inspect(recording(x))
+        assert (bool(result.refusal), len(result.parts)) == (refused, 0 if refused else count + 1)
+        for first, last in result.parts:
             assert all(time < first or time > last for time in at)
-        quiet = seen.quiet(recording(x))
+        quiet = result.quiet(recording(x))
         # But for a few seconds around each knock, cut to whole ones.
         assert refused or quiet.n + sum(map(len, quiet.others)) > RATE * (300.0 - 6.0 * count)
     failed = aj.fit(recording(x[:, :3]), "N + K")["gyro_x"]
@@ -129,9 +131,9 @@ def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_
     for until, louder, refused in ((6000, 10.0, True), (6000, 1.3, False), (1500, 10.0, False)):
         x, more = values(8), np.random.default_rng(8).standard_normal((N - until, 6))
         x[until:] += np.sqrt(louder**2 - 1.0) * SIGMA * more
-        seen = aj.inspect(recording(x))
-        (event,) = seen.events
-        assert (bool(seen.refusal), event.kind) == (refused, "quieter")
+        result = aj.inspect(recording(x))
+        (event,) = result.events
+        assert (bool(result.refusal), event.kind) == (refused, "quieter")
         # The largest ratio at any scale and axis.
         assert event.size == pytest.approx(louder, rel=0.3)
         assert event.last == pytest.approx(until, abs=200)
@@ -139,8 +141,8 @@ def test_parts_between_knocks_are_joined_and_three_tenths_of_the_record_must_be_
 
 def test_noise_of_any_colour_is_nothing_unusual():
     for name in (*PLAIN, *SHAPED, *CLEAN):
-        seen = aj.inspect(bench.recording(name))
-        assert (seen.said, seen.at_rest, seen.events) == ("", True, ()), name
+        result = aj.inspect(bench.recording(name))
+        assert (result.left_out, result.at_rest, result.events) == ("", True, ()), name
 
 
 def test_what_is_unlike_the_rest():
@@ -196,14 +198,14 @@ MOTIONS = [
 
 @pytest.mark.parametrize(("axis", "path", "limit"), MOTIONS)
 def test_motion_is_what_no_sensor_does(axis, path, limit):
-    """At nine tenths of the limit nothing is said, and at 1.1 of it the axis is not at rest."""
+    """At nine tenths of the limit nothing is reported, and at 1.1 of it the axis is not at rest."""
     for share, moving in ((0.9, ()), (1.1, (axis,))):
         x = values(11)
         x[:, axis] += share * limit * path
-        seen = aj.inspect(recording(x))
-        assert (seen.moving, seen.refusal) == (moving, "")
-        assert (not seen.at_rest, bool(seen.about("at rest"))) == (bool(moving), bool(moving))
-    assert NAMES[axis] in seen.about("at rest")[0]
+        result = aj.inspect(recording(x))
+        assert (result.moving, result.refusal) == (moving, "")
+        assert (not result.at_rest, bool(result.about("at rest"))) == (bool(moving), bool(moving))
+    assert NAMES[axis] in result.about("at rest")[0]
     # Meant to be.
     assert aj.inspect(recording(x), vibrating=True).about("at rest") == ()
     # Two axes that move are a moving platform.
@@ -211,7 +213,7 @@ def test_motion_is_what_no_sensor_does(axis, path, limit):
     assert aj.inspect(recording(x)).moving == tuple(range(6))
 
 
-# Factors of the numbers or a bias [deg/s], and their units; the option that is named, if anything is said.
+# Factors of the numbers or a bias [deg/s], and their units; the option that is named, if there is a warning.
 PLAUSIBLE = [
     ({"accel": 1 / G}, "--accel-unit g"), ({"accel_unit": "g"}, "--accel-unit m/s^2"),
     ({"accel": 1000 / G}, "--accel-unit mg"), ({"accel": 1 / G, "accel_unit": "mg"}, "--accel-unit g"),
@@ -232,33 +234,30 @@ def test_units_that_can_and_cannot_be():
         factors = np.repeat([change.get("gyro", 1.0), change.get("accel", 1.0)], 3)
         x = (values(12) + change.get("bias", 0.0) * DEG * np.eye(6)[0]) * factors
         units = {name: unit for name, unit in change.items() if name.endswith("_unit")}
-        seen = aj.inspect(recording(x, **units))
+        result = aj.inspect(recording(x, **units))
         kind = "accel unit" if any("accel" in key for key in change) else "gyro unit"
-        assert [fact.kind for fact in seen.facts] == [kind] * bool(option), change
-        assert all(option in fact.text and fact.grave for fact in seen.facts), change
+        assert [fact.kind for fact in result.facts] == [kind] * bool(option), change
+        assert all(option in fact.text and fact.grave for fact in result.facts), change
         if len(words := option.split()) == 2:
             followed = units | {words[0][2:].replace("-", "_"): words[1]}
             rate = float(followed.pop("rate", RATE))
             assert aj.inspect(recording(x, rate, **followed)).facts == ()
 
 
-def test_noise_that_no_gyro_has():
+def test_noise_that_no_gyro_has_and_orientations_that_can_be():
     """White noise [deg/√h] below that of the best gyro made, 3e-5, or above that of any at rest, 18."""
     white = np.random.default_rng(3).standard_normal((20_000, 3)) * DEG / 60.0 * np.sqrt(RATE)
-    for density, said in ((2e-5, True), (5e-5, False), (17.0, False), (21.0, True)):
-        assert bool(aj.inspect(recording(density * white)).about("gyro unit")) == said
+    for density, warned in ((2e-5, True), (5e-5, False), (17.0, False), (21.0, True)):
+        assert bool(aj.inspect(recording(density * white)).about("gyro unit")) == warned
     # At least a tenth of that of accelerometers [deg/√h beside m/s/√h], in degrees, and beside MEMS.
     rng = np.random.default_rng(4)
     cases = [(0.08, 0.05, "deg/s", True), (0.12, 0.05, "deg/s", False), (0.08, 0.02, "deg/s", False)]
-    for ratio, accel, unit, said in [*cases, (0.08, 0.05, "rad/s", False)]:
+    for ratio, accel, unit, warned in [*cases, (0.08, 0.05, "rad/s", False)]:
         white = np.array(3 * [ratio * accel * DEG] + 3 * [accel]) / 60.0 * np.sqrt(RATE)
         x = white * rng.standard_normal((20_000, 6)) + [0, 0, 0, 0, 0, G]
         x[:, :3] /= DEG if unit == "deg/s" else 1.0
-        assert bool(aj.inspect(recording(x, gyro_unit=unit)).about("gyro unit")) == said
-
-
-def test_orientations_that_can_be():
-    """On its side; without gravity, as a simulation; a single accelerometer that is tilted."""
+        assert bool(aj.inspect(recording(x, gyro_unit=unit)).about("gyro unit")) == warned
+    # On its side; without gravity, as a simulation; a single accelerometer that is tilted.
     x = values(13)
     level = recording(x[:, 3:4] + 0.5, names=["accel_x"])
     for made in (recording(x[:, [0, 1, 2, 5, 3, 4]]), recording(x - LEVEL), level):
@@ -267,16 +266,16 @@ def test_orientations_that_can_be():
 
 def test_rates_and_lengths():
     """Stamps beside a rate may be in s, ms, µs or ns, and 5 % off."""
-    for step, said in ((1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (1e4, ""), (1e7, "")):
+    for step, words in ((1e-3, "1000 Hz"), (10.4, ""), (9.6, ""), (10.6, "94.34 Hz"), (1e4, ""), (1e7, "")):
         given = recording(values(14), auxiliary={"time": np.arange(N) * step})
         (warning,) = aj.inspect(given).about("rate") or ("",)
-        assert said in warning if said else not warning
+        assert words in warning if words else not warning
     for n, words in ((6000, ()), (5999, ("60 s",)), (1000, ("10 s",)), (999, ("9.99 s", "3 %"))):
         found = aj.inspect(recording(values(15, n))).about("length")
         assert len(found) == bool(words)
         assert all(word in found[0] for word in words)
-    told = (aj.inspect(recording(values(15, n), 10.0)).about("length") for n in (999, 1000))
-    assert [*map(bool, told)] == [True, False]
+    slow = (aj.inspect(recording(values(15, n), 10.0)).about("length") for n in (999, 1000))
+    assert [*map(bool, slow)] == [True, False]
 
 
 def test_noise_below_the_resolution_and_samples_that_are_held():
@@ -289,21 +288,19 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
         (3.0, {(kind, "not a measurement")}),
     ):
         x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
-        seen = aj.inspect(recording(x))
-        assert {(fact.kind, fact.consequence) for fact in seen.facts} == subjects
-        for k, fact in enumerate(fact for fact in seen.facts if fact.kind == "resolution"):
+        result = aj.inspect(recording(x))
+        assert {(fact.kind, fact.consequence) for fact in result.facts} == subjects
+        for k, fact in enumerate(fact for fact in result.facts if fact.kind == "resolution"):
             assert fact.axes == (NAMES[k],)
             # The rms of differences of rounded noise, over the root of two, in steps.
-            assert fact.size == pytest.approx(
-                np.diff(x[:, k]).std() / np.sqrt(2.0) / SIGMA[k] / steps, rel=0.01
-            )
+            rms = np.diff(x[:, k]).std() / np.sqrt(2.0)
+            assert fact.size == pytest.approx(rms / SIGMA[k] / steps, rel=0.01)
     # Of 15 neighbours in a block of 16, eight are equal if each sample comes twice.
     for held, share in ((2, 53), (4, 80), (1, 0)):
-        found = aj.inspect(recording(np.repeat(values(15, N // held), held, axis=0))).about(
-            "repeated samples"
-        )
+        x = np.repeat(values(15, N // held), held, axis=0)
+        found = aj.inspect(recording(x)).about("repeated samples")
         assert len(found) == (6 if share else 0)
-        assert all(f"{axis}: {share} %" in told for axis, told in zip(NAMES, found, strict=False))
+        assert all(f"{axis}: {share} %" in text for axis, text in zip(NAMES, found, strict=False))
 
 
 def white(n=20_000, seed=30):
@@ -350,23 +347,23 @@ def test_a_fact_reaches_whoever_uses_the_record(what):
     """N holds within 4 σ on every axis that is measured, with half its usual error on those not concerned."""
     spoil, kind, axes, means = FACTS[what]
     x, N = white()
-    told = recording(spoil(x))
+    given = recording(spoil(x))
     consequence = {"grave": "not a measurement", "": "none"}.get(means, means)
-    fit = aj.fit(told, "N", "whittle" if what == "line" else "allan", plain=True)
+    fit = aj.fit(given, "N", "whittle" if what == "line" else "allan", plain=True)
     names = tuple(f"gyro_{axis}" for axis in axes)
     (fact,) = (fact for fact in fit.facts if fact.kind == kind)
     assert (fact.axes, fact.consequence) == (names, consequence)
     # Before the fit nobody knows whether it has a term for lines.
-    before, after = ([f for f in of.facts if f.kind != "lines"] for of in (aj.inspect(told), fit))
+    before, after = ([f for f in of.facts if f.kind != "lines"] for of in (aj.inspect(given), fit))
     assert before == after
-    assert aj.inspect(told).facts == aj.select_terms(told, "N + K").facts
-    assert aj.inspect(told).parts == fit.parts
-    assert aj.check(told)[kind].verdict == ("stop" if means == "grave" else "look")
+    assert aj.inspect(given).facts == aj.select_terms(given, "N + K").facts
+    assert aj.inspect(given).parts == fit.parts
+    assert aj.check(given)[kind].verdict == ("stop" if means == "grave" else "look")
     assert (fact.text in fit.warnings) == (means != "")
     assert fact.to_dict() in aj.to_dict(fit)["facts"]
-    # Of a stream in two pieces what takes the samples themselves is said to be left out.
-    pieces = aj.AllanAccumulator(RATE, told.names), aj.AllanAccumulator(RATE, told.names, start=9999)
-    for piece, samples in zip(pieces, np.split(told.values, [9999]), strict=True):
+    # Of a stream in two pieces what takes the samples themselves is reported as left out.
+    pieces = aj.AllanAccumulator(RATE, given.names), aj.AllanAccumulator(RATE, given.names, start=9999)
+    for piece, samples in zip(pieces, np.split(given.values, [9999]), strict=True):
         for part in np.array_split(samples, 5):
             piece.update(part)
     of_stream = pieces[0].merge(pieces[1]).inspect().facts
@@ -415,8 +412,8 @@ def test_every_remedy_that_a_check_names_leads_to_a_result(what):
     columns = {f"{name} [{unit}]": y for name, unit, y in zip(NAMES, units, x.T, strict=True)}
     pd.DataFrame({"time [s]": TIME[:4096] / faster, **columns, **others}).to_csv("log.csv", index=False)
     (check,) = json.loads(run("check", "log.csv", "--json").stdout)["checks"]
-    told = " ".join(line["reason"] for line in check["lines"])
-    assert {" ".join(found.split()) for found in OPTION.findall(told)} == {*remedies}
+    text = " ".join(line["reason"] for line in check["lines"])
+    assert {" ".join(option.split()) for option in OPTION.findall(text)} == {*remedies}
     for remedy, words in remedies.items():
         if words is not None:
             words = words or remedy

@@ -43,7 +43,7 @@ def test_npy(tmp_path):
         np.testing.assert_allclose(recording.own_values, columns.reshape(ROWS, -1), rtol=1e-14)
 
 
-# Named arrays: a rate, or stamps, are said in several ways.
+# Named arrays: a rate, or stamps, are stated in several ways.
 ARRAYS = [
     {"gyro": NOISE[:, :3], "accel": NOISE[:, 3:], "rate": RATE},
     {"omega": NOISE[:, :3], "acc": NOISE[:, 3:], "dt": 0.01},

@@ -64,7 +64,6 @@ def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
     assert [recording.gaps[0], len(recording.gaps)] == [(edges[0], edges[1] - edges[0]), len(edges) // 2]
     assert noted(recording, f"{lost.sum()} of {N}", f"{len(edges) // 2} gaps", f"{longest:.2g} s")
     assert recording == aj.read(written(table[~lost]), gaps="fill")
-    # What is told of samples that are missing goes with them.
     part = recording.select("gyro_y").between(2000 / recording.rate, 10_000 / recording.rate)
     assert np.array_equal(part.missing, recording.missing[2000:10_000, 1:2])
     assert recording.between(stop=15.5 / recording.rate).missing is None
@@ -196,8 +195,8 @@ def test_whatever_is_given_is_filled_as_a_file_is(written):
     table.iloc[1000, 1] = np.nan
     path = written(table)
     curve = aj.fit(aj.read(path, rate=RATE, gaps="fill"), "N + K", plain=True).curve
-    for given, told in ((table, {}), (table.to_numpy(), {"names": GYROS, "gyro_unit": "rad/s"}), (path, {})):
-        found = aj.fit(given, "N + K", rate=RATE, gaps="fill", plain=True, **told)
+    for given, more in ((table, {}), (table.to_numpy(), {"names": GYROS, "gyro_unit": "rad/s"}), (path, {})):
+        found = aj.fit(given, "N + K", rate=RATE, gaps="fill", plain=True, **more)
         np.testing.assert_array_equal(found.curve.deviation, curve.deviation)
     for command in (aj.fit, aj.check, aj.critique):
         refused(command, "gaps=", recording=table, rate=RATE, gaps="drop")

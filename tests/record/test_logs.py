@@ -69,7 +69,7 @@ def test_two_halves_are_one_recording(bag, kind):
     for chosen in (None, "/gyro, /accel"):
         check(aj.read(path, topic=chosen), VALUES[3:-2])
     assert noted(check(aj.read(path, topic="/gyro"), VALUES[:-2, :3], names=SIX[:3]), "zero")
-    refused(path, "/gyro (398 messages at 200 Hz, frame 'imu_link', gyros alone)", topic="/camera")
+    refused(path, "/gyro (398 messages at 200 Hz, frame 'imu_link', gyros only)", topic="/camera")
 
 
 def test_topics_that_do_not_fit(bag):
@@ -156,7 +156,7 @@ def test_gyros_and_accelerometers_of_px4(tmp_path):
 def test_what_px4_combines_and_integrates(tmp_path):
     path, rows = tmp_path / "log.ulg", combined()
     recording = check(aj.read(write_ulog(path, {("sensor_combined", 0): rows}, [30, 12])))
-    assert noted(recording, "2 dropouts", "42 ms")
+    assert noted(recording, "2 logging dropouts", "42 ms")
     assert noted(recording, "sensor_combined", "SDLOG_PROFILE")
     # What stands for a time that there is not.
     rows["accelerometer_timestamp_relative"][7] = 0x7FFFFFFF

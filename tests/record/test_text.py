@@ -99,8 +99,8 @@ def test_axes_are_recognised_by_their_labels(tmp_path):
     for labels, (name, unit) in AXES.items():
         for label in labels.split():
             path = write_text(tmp_path / "imu.csv", [label], NOISE[:, 0])
-            told = {} if label.endswith(stated) else {f"{name.split('_')[0]}_unit": unit}
-            recording = aj.read(path, rate=RATE, **told)
+            given = {} if label.endswith(stated) else {f"{name.split('_')[0]}_unit": unit}
+            recording = aj.read(path, rate=RATE, **given)
             assert (recording.names, recording.axes[0].unit) == ((name,), unit), label
     labels = NO_AXES.split()
     others = np.random.default_rng(4).normal(size=(N, len(labels)))
@@ -145,9 +145,7 @@ def test_stretches_columns_and_increments(tmp_path):
 # Labels, stamps, and options; the rate is 100 Hz unless the options say another.
 STAMPS = {
     "time [s]": (STEP / RATE, {}),
-    "time (ms)": (STEP * 10 + 7, {}),
     "time_us": (STEP * 10_000, {}),
-    "timestamp_ns": (STEP * 10_000_000, {}),
     "t": (STEP * 10.0, {"time_unit": "ms"}),
     "Time": (STEP * 10, {"rate": 100.4}),
     "time": (3.0 + STEP / RATE, {}),

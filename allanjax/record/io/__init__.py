@@ -34,36 +34,36 @@ def read(
     """Read a static recording: text, NumPy, Parquet, HDF5, MATLAB, TDMS, a ROS bag or a flight log.
 
     Text may be gzip-compressed; a ROS 2 bag may be a folder; flight logs are PX4's .ulg and ArduPilot's .bin.
-    Where a package is needed that is not there, the message names the extra to install, e.g. `allanjax[ros]`.
+    If a package is missing, the message names the extra to install, e.g. `allanjax[ros]`.
 
     Columns are recognised by their names (`gyro_x`, `angular_velocity.x`, `ax`, `time`, ...), with units in
-    brackets (`gyro_x [deg/s]`); other columns of numbers become `auxiliary`. `notes` of the recording say
-    what was assumed.
+    brackets (`gyro_x [deg/s]`); other numeric columns become `auxiliary`. The recording's `notes` list the
+    assumptions that were made.
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
-        rate: sample rate in Hz; needed without time stamps. As the units and columns below, it is used also
-            where the file says otherwise, and a note says so.
+        rate: sample rate in Hz; needed without time stamps. Like the units and columns below, it overrides
+            what the file states, and a note records that.
         gyro_unit: unit of the gyros, e.g. `deg/s`; for counts the size of one, `0.07 deg/s`, `deg/s/131`.
         accel_unit: unit of the accelerometers, e.g. `g`; for counts the size of one, `g/16384`.
-        columns: names of the header to read, with other units if need be, or a sensor, `gyro`; or one name
-            per column in order, `-` to skip one; a list or comma-separated.
-        time: name of the column of time stamps, or of a counter of samples if the rate is known; `none` or
+        columns: column names to read, optionally with other units, or a sensor, `gyro`; or one name per
+            column in order, with `-` to skip one; a list or comma-separated.
+        time: name of the column of time stamps, or of a sample counter if the rate is known; `none` or
             False to ignore them; `uniform` for evenly spaced samples at their mean rate.
         time_unit: unit of the time stamps: s, ms, us, ns, min, h, `0.1 ms`.
         start: first time to read, in s from the file's first sample.
         stop: time to stop before, in s from the file's first sample.
         topic: topic of a ROS bag with several of sensor_msgs/Imu, or message of a flight log, e.g.
-            `sensor_gyro`; two with a comma between for gyros and accelerometers apart.
+            `sensor_gyro`; two, separated by a comma, if gyros and accelerometers are separate.
         instance: number of the sensor in a flight log that has several; by default the first.
-        gaps: what to do about samples that are missing, be it in the time stamps or as empty cells: "error",
-            the default, says where and what there is; "segments" takes the longest stretch without any,
-            and keeps others for Allan deviations and fits of noise terms (`others` of the recording, up
-            to 15 of 64 samples or more); "fill" draws them from their distribution given the others, of
-            which the fit's intervals take account (see `completion`).
+        gaps: what to do about missing samples, in the time stamps or as empty cells: "error", the default,
+            reports where they are and what to do; "segments" reads the longest segment without gaps and
+            keeps others for Allan deviations and noise terms (`others` of the recording, up to 15 of 64
+            samples or more); "fill" draws them from their distribution given the others, and fits widen
+            their intervals accordingly (see `completion`).
 
     Raises:
-        RecordingError: the file or the arguments are not usable; the message says where and what to do.
+        RecordingError: the file or the arguments are unusable; the message states where and what to do.
         UnitError: a unit is missing, unknown or contradictory.
     """
     return read_recording(
@@ -89,7 +89,7 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
     """Write a recording in its own units as .csv, .parquet or .npz, with a column `time [s]`.
 
     Raises:
-        RecordingError: another suffix, or a folder that is not there.
+        RecordingError: another suffix, or a folder that does not exist.
     """
     import numpy as np
     import pyarrow
@@ -98,9 +98,9 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
 
     path = Path(path)
     if path.is_dir():
-        raise RecordingError(f"{path}: a folder; give a file to write, .csv, .parquet or .npz")
+        raise RecordingError(f"{path} is a folder; give a file, .csv, .parquet or .npz")
     if not path.parent.is_dir():
-        raise RecordingError(f"{path}: there is no folder {path.parent}; make it, or write elsewhere")
+        raise RecordingError(f"{path}: there is no folder {path.parent}; create it, or write elsewhere")
     match path.suffix.lower():
         case ".csv":
             pyarrow.csv.write_csv(pyarrow.table(recording.columns), path)
@@ -111,5 +111,5 @@ def write(recording: Recording, path: str | os.PathLike[str]) -> None:
                 np.savez(stream, **recording.columns)  # type: ignore[arg-type]
         case suffix:
             raise RecordingError(
-                f"{path}: can not write {suffix or 'a file without suffix'}; use .csv, .parquet or .npz"
+                f"{path}: cannot write {suffix or 'a file without suffix'}; use .csv, .parquet or .npz"
             )

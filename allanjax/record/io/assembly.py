@@ -52,7 +52,7 @@ _SKIP = ("-", "_", "")
 
 @dataclass(frozen=True)
 class Layout:
-    """Columns of a table by what they are; `time` holds none, one, or seconds and nanoseconds."""
+    """Columns of a table by role; `time` has no column, one, or seconds and nanoseconds."""
 
     axes: tuple[Column, ...]
     time: tuple[Column, ...]
@@ -65,9 +65,9 @@ class Layout:
 
 
 def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: list[str]) -> Layout:
-    """Find the layout of a table, by the user's columns, else by the labels, else by the units given.
+    """Find the layout of a table from the user's columns, else from the labels, else from the given units.
 
-    Adds what was assumed to the notes.
+    Assumptions are added to the notes.
 
     Args:
         table: the table.
@@ -85,13 +85,13 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
         if repeated:
             raise table.source.error(
                 f"the header names {', '.join(map(repr, repeated))} more than once; correct it, "
-                "or name all columns by columns= (--columns)"
+                "or name all columns with columns= (--columns)"
             )
         found = _recognised(table.labels)
     else:
         names = default_names(len(columns), options.units, "columns= (--columns)", table.source)
         found = _recognised(names)
-        notes.append(f"the file has no header; column order taken as {', '.join(names)}")
+        notes.append(f"the file has no header; columns assumed to be {', '.join(names)}")
     found = [
         replace(c, role="time") if c.role == "auxiliary" and columns[c.index].dtype.kind == "M" else c
         for c in found
@@ -103,7 +103,7 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
     if not axes:
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
-            "name the columns by columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
+            "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
         )
     axes = distinct(axes, table.source)
     notes += _missing_axes(axes)
@@ -116,30 +116,28 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
 
 
 def _recognised(labels: Sequence[str]) -> list[Column]:
-    """Columns by their labels."""
+    """Return the columns recognised by their labels."""
     return [replace(recognise(label), index=i) for i, label in enumerate(labels)]
 
 
 def _repeated(names: Sequence[str]) -> list[str]:
-    """Names that occur more than once."""
+    """Return the names that occur more than once."""
     return sorted({name for name in names if names.count(name) > 1})
 
 
 def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Column]:
-    """Columns of `count` by the user's list: a choice of the header's names, or names by position."""
+    """Columns in the user's list: some names of the header, or names of all `count` by position."""
     entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
     names = [entry for entry in entries if entry not in _SKIP]
     if repeated := _repeated(names):
-        raise table.source.error(
-            f"columns= names {', '.join(repeated)} more than once; name each column once"
-        )
+        raise table.source.error(f"columns= names {', '.join(repeated)} more than once; name each once")
     if table.labels is not None:
         matches = [_match(table, name, len(entries) == count) for name in names]
         if len(names) == len(entries) and all(matches):
             picked = {
                 i: split_unit(name)[1] for name, match in zip(names, matches, strict=True) for i in match
             }
-            # Time stamps are kept, because the rate is taken from them, and a unit that is stated is taken.
+            # Time stamps are kept for the rate, and a stated unit has precedence.
             return [
                 replace(c, unit=picked.get(c.index) or c.unit)
                 for c in _recognised(table.labels)
@@ -148,27 +146,27 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
         unknown = [name for name, match in zip(names, matches, strict=True) if not match]
         if len(entries) != count and unknown:
             raise table.source.error(
-                f"columns= (--columns) asks for {', '.join(unknown)}, and the file has "
-                f"{', '.join(table.labels)}; choose among these, or give one name per column in order, - to "
-                "skip one"
+                f"columns= (--columns) asks for {', '.join(unknown)}, but the file has "
+                f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
+                "to skip one"
             )
     if len(entries) != count:
         has = "no names" if table.labels is None else f"the names {', '.join(table.labels)}"
         raise table.source.error(
             f"columns= has {len(entries)} entries, but the file has {count} columns, with {has}; "
-            "list names of the header, or one entry per column with - for those to skip"
+            "list names of the header, or one entry per column, with - to skip one"
         )
     found = [c for c in _recognised(entries) if entries[c.index] not in _SKIP]
-    # Where the user gives no unit, it is that of the header.
+    # Without a unit from the user, that of the header applies.
     units = [None] * count if table.labels is None else [split_unit(label)[1] for label in table.labels]
     return [replace(c, unit=c.unit or units[c.index]) for c in found]
 
 
 def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
-    """Indices of the columns whose label, or label without unit, or recognised name is `name`.
+    """Return the indices of the columns whose label, label without unit, or recognised name is `name`.
 
-    A sensor's name is all its axes. Where all columns may be named by their positions, a name that several
-    have is none of them.
+    The name of a sensor matches all its axes. If columns may be named by position, an ambiguous name matches
+    none.
     """
     labels = table.labels or ()
     columns = [recognise(label) for label in labels]
@@ -185,9 +183,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
             if by_position:
                 return ()
             listed = ", ".join(repr(labels[i]) for i in found)
-            raise table.source.error(
-                f"columns= names {name!r}, which may be any of {listed}; use the full name"
-            )
+            raise table.source.error(f"columns= names {name!r}, which matches {listed}; use the full name")
         if found:
             return found
     return ()
@@ -196,7 +192,7 @@ def _match(table: Table, name: str, by_position: bool) -> tuple[int, ...]:
 def _chosen_time(
     table: Table, found: Sequence[Column], columns: Columns, options: ReadOptions, notes: list[str]
 ) -> tuple[Column, ...]:
-    """Column of time stamps, or the pair of seconds and nanoseconds; none if there is none to use."""
+    """Return the column of time stamps, or the pair of seconds and nanoseconds; empty if there is none."""
     time = options.time
     if time is False or (time is not None and time.casefold() == "none"):
         return ()
@@ -207,13 +203,13 @@ def _chosen_time(
                 return (named[0],)
         listed = ", ".join(column.label for column in found)
         raise table.source.error(
-            f"no time column {time!r} among {listed}; correct time= (--time), or ignore the stamps by "
-            "time='none' (--time none)"
+            f"no time column {time!r} among {listed}; correct time= (--time), or ignore the time stamps "
+            "with time='none' (--time none)"
         )
-    # One that is empty is none.
+    # An empty column is not one.
     candidates = [c for c in found if c.role == "time" and (columns[c.index] == columns[c.index]).any()]
     if not candidates and (options.rate or table.rate):
-        # Without a rate it is not known what a counter counts.
+        # Without a rate, the unit of a counter is unknown.
         counters = [c for c in found if c.role == "counter" and columns[c.index].dtype.kind in "iu"]
         candidates = [c for c in counters if np.median(np.diff(columns[c.index].astype(float))) > 0.0][:1]
     parts = {column.time_part: column for column in candidates if column.time_part is not None}
@@ -225,32 +221,32 @@ def _chosen_time(
     choices: list[tuple[Column, ...]] = [*((column,) for column in candidates), *pairs]
     if not choices:
         return ()
-    # A pair is one clock; a header's stamp is the time of sampling, others may be that of arrival.
+    # A pair is one clock; the stamp of a header is the time of sampling, others may be that of arrival.
     best = max(choices, key=lambda choice: (len(choice), "header" in choice[0].label.lower()))
     ignored = [column.label for column in candidates if column not in best]
     if ignored:
         used = " and ".join(column.label for column in best)
-        notes.append(f"time from {used}; {', '.join(ignored)} ignored")
+        notes.append(f"times from {used}; {', '.join(ignored)} ignored")
     return best
 
 
 def _missing_axes(axes: Sequence[Column]) -> list[str]:
-    """Notes on sensors that have two axes of x, y and z."""
+    """Return notes on sensors with only two axes of x, y and z."""
     names, notes = {axis.name for axis in axes}, []
     for sensor in SENSORS:
         missing = {f"{sensor}_{axis}" for axis in "xyz"} - names
         if len(missing) == 1:
-            notes.append(f"no column of {missing.pop()}: the other two axes are read without it")
+            notes.append(f"no column for {missing.pop()}; the other two axes are read")
     return notes
 
 
-# Shares of rows: at least and at most so many are samples of a sensor that shares a table, and of these (of
-# all rows, if two take turns) so many are at even intervals, to this part of the interval.
-_LEAST_FRESH, _MOST_FRESH, _REGULAR, _ALIKE = 0.02, 0.92, 0.95, 0.45
+# Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
+# these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
+_LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
 
 
 def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
-    """Make a recording from a table, or say by a RecordingError or UnitError what is missing or wrong."""
+    """Make a recording from a table; RecordingError or UnitError if something is missing or wrong."""
     columns, notes = table.columns(), [*table.notes]
     check_length(len(columns[0]), table.source)
     layout = find_layout(table, columns, options, notes)
@@ -284,7 +280,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
 
 
 class _Stretch(NamedTuple):
-    """Samples of a stretch in the file's units, auxiliary channels, and times [s]."""
+    """Samples of a segment in the file's units, auxiliary channels, and times [s]."""
 
     values: Float[np.ndarray, "samples axes"]
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]
@@ -296,7 +292,7 @@ class _Stretch(NamedTuple):
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
     def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
-        """These rows of it."""
+        """Return these rows."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
         return _Stretch(self.values[rows], auxiliary, self.times[rows])
 
@@ -309,7 +305,7 @@ def _read(
     source: Source,
     notes: list[str],
 ) -> tuple[_Stretch, Source]:
-    """Rows from the start to the stop, without those that repeat others, and their place."""
+    """Return the rows from start to stop, without repeated ones, and their source."""
     samples = len(columns[0])
     if layout.time:
         stamps = [(column, columns[column.index]) for column in layout.time]
@@ -324,7 +320,7 @@ def _read(
     source = source.after(rows.start)
     check_length(rows.stop - rows.start, source)
     if rows != slice(0, samples):
-        notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} taken")
+        notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} read")
     gaps = options.allows_gaps
     values = np.column_stack([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes])
     auxiliary = {}
@@ -338,10 +334,10 @@ def _read(
         return stretch, source
     kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, stretch.times)
     if not kept.all():
-        notes.append(f"{np.count_nonzero(~kept)} packets recorded twice left out")
+        notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
     own = own_rows(values[kept], stretch.times[kept], layout.axes, source)
     if not own.all():
-        notes.append(f"{np.count_nonzero(~own)} rows left out, which repeat the last values")
+        notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
     kept[kept] = own
     stretch, source = stretch.taken(kept), source.at(kept)
     check_length(len(stretch.values), source)
@@ -354,9 +350,9 @@ def own_rows(
     axes: Sequence[Column],
     source: Source,
 ) -> Bool[np.ndarray, " samples"]:
-    """Rows of a table in which its sensors were sampled.
+    """Return the rows of a table in which its sensors were sampled.
 
-    Where several sensors share a table, a row repeats the last values of those that were not sampled then.
+    If several sensors share a table, a row repeats the previous values of those that were not sampled then.
 
     Raises:
         RecordingError: gyros and accelerometers were sampled at different times.
@@ -365,7 +361,7 @@ def own_rows(
     for sensor in dict.fromkeys(column.sensor for column in axes):
         own = values[:, [column.sensor == sensor for column in axes]]
         fresh[sensor] = np.concatenate([[False], (own[1:] != own[:-1]).any(axis=1)])
-    # One that does not change is dead.
+    # A sensor that does not change is dead.
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
     for sensor, rows in fresh.items():
@@ -378,57 +374,57 @@ def own_rows(
     rates = {sensor: rows.sum() / max(times[-1] - times[0], 1e-9) for sensor, rows in fresh.items()}
     listed = " and ".join(f"{sensor} at {rate:.4g} Hz" for sensor, rate in rates.items())
     error = source.error(
-        f"its sensors were sampled at different times, {listed} (other rows repeat their last values), and a "
-        "recording has one rate: read one of them by columns='gyro' or columns='accel' (--columns gyro, "
+        f"the sensors were sampled at different times, {listed} (other rows repeat the previous values), but "
+        "a recording has one rate; read one sensor with columns='gyro' or columns='accel' (--columns gyro, "
         "--columns accel)"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
 
 
 def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
-    """Whether nearly all intervals are alike, as those of a sensor with a rate of its own."""
+    """Return whether nearly all intervals are the same, as for a sensor with its own rate."""
     intervals = np.diff(times)
     typical = np.median(intervals)
-    return bool(np.mean(abs(intervals - typical) < _ALIKE * typical) > _REGULAR)
+    return bool(np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR)
 
 
 def _segments(
     stretch: _Stretch, source: Source, notes: list[str]
 ) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[Gap, ...]]:
-    """The longest stretch without gaps, others, its place, and the gaps."""
+    """Return the longest segment without gaps, other segments, its source, and the gaps."""
     found = stretches_of(stretch.values, after_gaps(stretch.times))
     source = source.after(found.longest.start)
     check_length(found.longest.stop - found.longest.start, source)
     longest = stretch.taken(found.longest)
 
-    def is_alike(rows: slice) -> bool:
+    def has_same_rate(rows: slice) -> bool:
         return abs(stretch.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
 
-    found = found._replace(others=tuple(filter(is_alike, found.others)))
-    notes += found.told(len(stretch.values))
+    found = found._replace(others=tuple(filter(has_same_rate, found.others)))
+    notes += found.notes(len(stretch.values))
     others = tuple(map(stretch.taken, found.others))
     return longest, others, source, found.gaps(stretch.times, 1.0 / longest.interval)
 
 
 def no_rate_error(source: Source) -> RecordingError:
-    """RecordingError for samples without a rate, neither given nor in time stamps."""
+    """Return the RecordingError for samples without a rate and without time stamps."""
     return source.error(
-        "no sample rate: pass rate= in Hz (--rate), or name a column of time stamps by time= (--time) "
+        "no sample rate; pass rate= in Hz (--rate), or name a column of time stamps with time= (--time) "
         "or in the header, e.g. `time [s]`"
     )
 
 
 def check_stretch(rows: slice, duration: float, source: Source) -> None:
-    """Raise `RecordingError` if no row is left of a recording that lasts `duration` [s]."""
+    """Raise `RecordingError` if no row remains of a recording that lasts `duration` [s]."""
     if rows.start == rows.stop:
         raise source.error(
-            f"nothing is left of its {duration:.6g} s; give a time within them by start= or stop= "
+            f"no sample of its {duration:.6g} s remains; give times within them with start= and stop= "
             "(--start, --stop)"
         )
 
 
 def stated_rate(table: Table, given: float | None, notes: list[str]) -> float | None:
-    """Sample rate [Hz] that is given, with a note if the file states another; else that of the file."""
+    """Return the given sample rate [Hz], with a note if the file states another; else that of the file."""
     if given is None:
         return None if table.rate is None else check_rate(table.rate, table.source)
     rate = check_rate(given, table.source)
@@ -438,7 +434,7 @@ def stated_rate(table: Table, given: float | None, notes: list[str]) -> float | 
 
 
 def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) -> slice:
-    """Rows from the first time at or after `start` up to the first at or after `stop`, in s."""
+    """Return the rows from the first time at or after `start` up to the first at or after `stop`, in s."""
     # Tolerance of half a nanosecond for the rounding of stamps.
     first = 0 if start is None else _first_at(times, start - 5e-10)
     last = len(times) if stop is None else _first_at(times, stop - 5e-10)
@@ -446,16 +442,16 @@ def rows_of_times(times: np.ndarray, start: float | None, stop: float | None) ->
 
 
 def _first_at(times: np.ndarray, moment: float) -> int:
-    """Index of the first time at or after a moment."""
+    """Return the index of the first time at or after a moment."""
     late = times >= moment
     return int(np.argmax(late)) if late.any() else len(times)
 
 
 def _auxiliary(column: Column, values: np.ndarray, source: Source) -> tuple[np.ndarray | None, str]:
-    """Auxiliary column as floats, or None if it is text, and a note on it."""
+    """Return an auxiliary column as floats, or None if it is text, and a note on it."""
     if not is_numeric(values):
         cell = str(values[0])[:40]
-        return None, f"column {column.label!r} skipped: not numeric, {cell!r} at {source.locate(0)}"
+        return None, f"column {column.label!r} skipped as it is not numeric: {cell!r} at {source.locate(0)}"
     numbers = values.astype(float)
     unit = f" [{column.unit}]" if column.unit else ""
     missing = np.count_nonzero(~np.isfinite(numbers))
@@ -468,18 +464,18 @@ _BEFORE = 1024
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ChunkedRecording:
-    """Recording in a file whose samples are read anew whenever it is iterated over.
+    """Recording in a file whose samples are read again in each iteration.
 
-    An iteration gives arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the `values`
-    that `read` would give, and also dead axes, which `read` leaves out: constant, or nan throughout. It
-    raises RecordingError at the first bad value, gap of the time stamps or damaged row, and at the end if all
+    An iteration yields arrays [≤ chunk, axes] in SI (rad/s and m/s²), in order; together they are the
+    `values` that `read` returns plus dead axes (constant, or nan throughout), which `read` leaves out. It
+    raises RecordingError at the first bad value, gap in the time stamps or damaged row, and at the end if all
     axes are dead.
 
     Attributes:
         rate: sample rate in Hz.
         axes: axes, one per column.
         name: name of the file without its suffix.
-        notes: assumptions and findings of the reader that the user should know.
+        notes: assumptions and findings of the reader that users should know.
         n: number of samples, if it is known before they are read.
     """
 
@@ -538,19 +534,19 @@ class ChunkedRecording:
 
 
 def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: Any) -> ChunkedRecording:
-    """Open a static recording to read it a chunk at a time: text (also gzip), .npy, Parquet or HDF5.
+    """Open a static recording to read it in chunks: text (also gzip), .npy, Parquet or HDF5.
 
-    Columns are recognised as by `read`. The sample rate is that of the first chunk's time stamps, unless it
-    is given; later stamps must agree with it. Columns that are no axis are left out.
+    Columns are recognised as in `read`. The sample rate is that of the time stamps in the first chunk unless
+    it is given; later stamps must agree with it. Columns that are not axes are left out.
 
     Args:
         path: the file.
         chunk: rows to read at a time.
-        **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop,
+        **reading: as in `read`: rate, gyro_unit, accel_unit, columns, time, time_unit, start, stop,
             topic, instance.
 
     Raises:
-        RecordingError: the file or the arguments are not usable, as far as the first chunk shows.
+        RecordingError: the file or the arguments are unusable, as far as the first chunk shows.
         UnitError: a unit is missing, unknown or contradictory.
     """
     return open_chunks(path, ReadOptions(**reading), chunk)
@@ -566,14 +562,14 @@ def open_chunks(
         raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
     if options.allows_gaps:
         raise source.error(
-            "gaps= (--gaps) needs the whole record: read it by read(), or leave out --stream; or take "
-            "stretches without gaps by start= and stop= (--start, --stop)"
+            "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
+            "without gaps with start= and stop= (--start, --stop)"
         )
     kind = format_of(path, source)
     if not kind.in_chunks:
         raise source.error(
-            f"a file of this kind ({kind.name}) can not be read in chunks: read it as a whole by read() "
-            "(without --stream), or save it once as .npy, Parquet, HDF5 or CSV, e.g. by "
+            f"a file of this kind ({kind.name}) cannot be read in chunks: read it as a whole with read() "
+            "(without --stream), or save it as .npy, Parquet, HDF5 or CSV, e.g. with "
             "write(read(path), 'imu.parquet')"
         )
     table = kind.table(path, source, options)
@@ -600,14 +596,14 @@ def open_chunks(
         else:
             found = rate_from_times(times, layout.time_label, options.rate, place, more=True)
         rate, stretch = found.rate, dataclasses.replace(stretch, stamped=found.stamped)
-        notes.append(found.note + (f", of the first {chunk} samples" if len(times) == chunk else ""))
+        notes.append(found.note + (f", from the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:
         raise no_rate_error(source)
     elif n is not None:
         rows = rows_between(n, rate, start, stop)
         if rows != slice(0, n):
-            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} taken")
+            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} read")
         check_stretch(rows, n / rate, source)
         n = rows.stop - rows.start
         check_length(n, source)
@@ -617,17 +613,15 @@ def open_chunks(
 
 
 def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
-    """Raise RecordingError if rows repeat others as those of two sensors in one table do."""
+    """Raise RecordingError if rows repeat others, as for two sensors in one table."""
     if all(is_numeric(columns[column.index]) for column in layout.axes):
         values = np.column_stack([columns[column.index] for column in layout.axes])
         if not own_rows(values, times, layout.axes, source).all():
-            raise source.error(
-                "rows that repeat the last values are left out only without --stream, by read()"
-            )
+            raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
 
 
 class _Piece(NamedTuple):
-    """Successive rows of a stretch: axes in the file's units, times [s], and their place in the file."""
+    """Successive rows of a part: axes in the file's units, times [s], and their place in the file."""
 
     axes: Columns
     times: Float[np.ndarray, " stamps"]
@@ -647,7 +641,7 @@ class _PartOfFile:
     stamped: float | None = None
 
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
-        """Times [s] of the first samples, at most a chunk of them, and their place in the file."""
+        """Return the times [s] of the first samples, at most a chunk, and their place in the file."""
         times, place = np.zeros(0), self.table.source
         for piece in self.pieces(None):
             place = place if len(times) else piece.source
@@ -657,17 +651,17 @@ class _PartOfFile:
         return times[: self.chunk], place
 
     def pieces(self, rate: float | None) -> Iterator[_Piece]:
-        """Pieces of the stretch, in order; time stamps are checked against their rate if it is known.
+        """Yield the pieces of the part in order; time stamps are checked against their rate if it is known.
 
-        Without stamps times follow from the rate, which is known then.
+        Without stamps, times follow from the rate, which is then known.
         """
-        row, elapsed, seen = 0, 0.0, np.zeros(0)
+        row, elapsed, before = 0, 0.0, np.zeros(0)
         last: Columns | None = None
         for columns in self.table.rows(self.chunk):
             size = len(columns[0])
             stamps = tuple(columns[column.index] for column in self.layout.time)
             if stamps:
-                # The last stamps of the chunk before, from which on the times of this one are counted.
+                # Times continue from the last stamps of the previous chunk.
                 joined = (
                     stamps if last is None else tuple(map(np.concatenate, zip(last, stamps, strict=True)))
                 )
@@ -676,20 +670,20 @@ class _PartOfFile:
                 times = elapsed + seconds_from_first(pairs, self.time_unit, None, source).seconds[-size:]
             else:
                 times = (row + np.arange(size)) / (rate or 1.0)
-            rows = rows_of_times(times, None if len(seen) else self.start, self.stop)
+            rows = rows_of_times(times, None if len(before) else self.start, self.stop)
             piece = self._piece(columns, rows, times[rows], row)
             if len(piece.times):
-                together = np.concatenate([seen, piece.times])
+                together = np.concatenate([before, piece.times])
                 if stamps and self.stamped is not None and len(together) > 1:
-                    place = piece.source.after(-len(seen))
+                    place = piece.source.after(-len(before))
                     check_rate_kept(together, self.layout.time_label, self.stamped, place)
-                seen = together[-_BEFORE:]
+                before = together[-_BEFORE:]
                 yield piece
             if rows.stop < size:
                 return
             row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
 
     def _piece(self, columns: Columns, rows: slice, times: np.ndarray, row: int) -> _Piece:
-        """Piece from these rows of a chunk that begins at row `row` of the file."""
+        """Return the piece with these rows of a chunk that begins at row `row` of the file."""
         axes = tuple(columns[column.index][rows] for column in self.layout.axes)
         return _Piece(axes, times, self.table.source.after(row + rows.start))

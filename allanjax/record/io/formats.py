@@ -1,4 +1,4 @@
-"""Recognition of a file's format by its first bytes, and where they do not tell by its name."""
+"""Recognition of the format of a file by its first bytes, or else by its name."""
 
 from pathlib import Path
 
@@ -14,21 +14,21 @@ from allanjax.record.io.ulog import ULOG
 from allanjax.record.io.vectornav import VECTORNAV
 from allanjax.record.validation import Source
 
-#: Formats in the order in which they are tried: the last one takes what no other knows.
+#: Formats in the order in which they are tried; the last one is the fallback.
 FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TDMS, TEXT)
 
 
 def format_of(path: Path, source: Source) -> Format:
-    """Format of a file, or of the folder of a ROS 2 bag.
+    """Return the format of a file, or of the folder of a ROS 2 bag.
 
     Raises:
-        RecordingError: there is no such file, or it cannot be opened, or is empty.
+        RecordingError: the file does not exist, cannot be opened, or is empty.
     """
     if path.is_dir():
         if is_bag(path):
             return ROS
         raise source.error(
-            f"a folder, and no ROS 2 bag, for want of a metadata.yaml; give a file, or a pattern such as "
+            f"this folder is not a ROS 2 bag, as it has no metadata.yaml; give a file, or a pattern such as "
             f"'{path / '*.csv'}'"
         )
     try:
@@ -37,9 +37,7 @@ def format_of(path: Path, source: Source) -> Format:
     except FileNotFoundError as error:
         raise source.error("no such file; check the path") from error
     except OSError as error:
-        raise source.error(
-            f"can not be opened: {error.strerror}; check the file and its permissions"
-        ) from error
+        raise source.error(f"cannot be opened: {error.strerror}; check its permissions") from error
     if not magic:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
     found = next(kind for kind in FORMATS if kind.begins(magic))
@@ -50,10 +48,10 @@ def format_of(path: Path, source: Source) -> Format:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is the folder of a ROS 2 bag."""
+    """Return whether a path is the folder of a ROS 2 bag."""
     return (path / "metadata.yaml").is_file()
 
 
 def name_of(path: Path) -> str:
-    """Name of a file without its suffix."""
+    """Return the name of a file without its suffix."""
     return path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name

@@ -1,4 +1,4 @@
-"""Recordings from whatever a user gives: arrays, lists, data frames, files."""
+"""Recordings from arrays, lists, data frames and files."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from allanjax.record.validation import Source, as_columns, check_rate, check_val
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A recording as functions take it: itself, samples, a data frame or a path.
+#: Data that functions accept as a recording: a recording, samples, a data frame or a path.
 RecordingLike: TypeAlias = Union[
     Recording, ArrayLike, Sequence, Mapping[str, ArrayLike], "pd.DataFrame", str, os.PathLike[str]
 ]
@@ -33,28 +33,27 @@ def as_recording(
     names: Sequence[str] | None = None,
     gaps: GapChoice | None = None,
 ) -> Recording:
-    """Recording from samples, a data frame or a file; a recording is returned as it is.
+    """Return a recording from samples, a data frame or a file; a recording is returned unchanged.
 
     Args:
-        data: a recording; samples [samples, axes] or [samples], as `Recording.from_array` takes them; a data
-            frame or a mapping of columns, recognised by their names as those of a file; a file's path.
+        data: a recording; samples [samples, axes] or [samples] as for `Recording.from_array`; a data frame or
+            a mapping of columns, recognised by their names as in a file; the path of a file.
         rate, gyro_unit, accel_unit: sample rate [Hz] and units of the samples; a recording has its own, and
             columns may state theirs.
-        names: names of the columns; for a data frame and a file the columns to take, as in `read`.
-        gaps: what to do about samples that are missing, as in `read`; of an array those that are nan.
+        names: names of the columns; for a data frame or a file the columns to use, as in `read`.
+        gaps: what to do about missing samples, as in `read`; in an array these are nan.
 
     Raises:
-        RecordingError, UnitError: something is missing or wrong; the message says what to give.
-        AllanjaxError: what is given is no recording.
+        RecordingError, UnitError: something is missing or wrong; the message states what to give.
+        AllanjaxError: the data are not a recording.
     """
     if isinstance(data, Recording):
-        given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names}
-        given["gaps"] = gaps
-        superfluous = [name for name, value in given.items() if value is not None]
+        given = (rate, gyro_unit, accel_unit, names, gaps)
+        labels = ("rate", "gyro_unit", "accel_unit", "names", "gaps")
+        superfluous = [label for label, value in zip(labels, given, strict=True) if value is not None]
         if superfluous:
             raise AllanjaxError(
-                f"a recording has its own rate, units and names, and no gaps: leave out "
-                f"{', '.join(superfluous)}"
+                f"a recording has its own rate, units and names, and no gaps: omit {', '.join(superfluous)}"
             )
         return data
     if isinstance(data, str | os.PathLike):
@@ -67,7 +66,7 @@ def as_recording(
     values, rate = _samples(data, rate)
     if gyro_unit is None and accel_unit is None and names is None:
         raise AllanjaxError(
-            'an array needs the unit of its samples: give gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
+            'an array needs the unit of its samples: pass gyro_unit= or accel_unit=, e.g. gyro_unit="deg/s"'
         )
     return Recording.from_array(
         values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps or "error"
@@ -93,13 +92,13 @@ def samples_of(
     accel_unit: str | None = None,
     names: Sequence[str] | None = None,
 ) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
-    """Samples, rate [Hz] and axes of the data; axes are None for an array without units.
+    """Return samples, rate [Hz] and axes of the data; axes are None for an array without units.
 
     Raises:
-        RecordingError, UnitError, AllanjaxError: as `as_recording`; another shape.
+        RecordingError, UnitError, AllanjaxError: as for `as_recording`; another shape.
     """
-    told = isinstance(data, Recording | str | os.PathLike) or _columns(data) is not None
-    if told or not gyro_unit is accel_unit is names is None:
+    labelled = isinstance(data, Recording | str | os.PathLike) or _columns(data) is not None
+    if labelled or not gyro_unit is accel_unit is names is None:
         recording = as_recording(data, rate, gyro_unit, accel_unit, names)
         return recording.values, recording.rate, recording.axes
     samples, rate = _samples(data, rate)
@@ -114,7 +113,7 @@ def living_samples(
     accel_unit: str | None,
     names: Sequence[str] | None,
 ) -> tuple[Float[np.ndarray, "samples axes"], float, tuple[Axis, ...] | None]:
-    """What `samples_of` gives; RecordingError for samples that are not finite, constant, or too few."""
+    """Return `samples_of` the data; RecordingError if they are not finite, constant, or too few."""
     values, rate, axes = samples_of(data, rate, gyro_unit, accel_unit, names)
     name = data.name or "recording" if isinstance(data, Recording) else "array"
     check_values(values, names_of(axes, values.shape[1]), Source(name))
@@ -122,7 +121,7 @@ def living_samples(
 
 
 def _columns(data: Any) -> dict[str, np.ndarray] | None:
-    """Columns of a data frame (with its index if it holds times) or a mapping; None for other data."""
+    """Return the columns of a data frame (and its index if that holds times) or a mapping; else None."""
     index: Any = getattr(data, "index", None)
     times = {}
     if hasattr(index, "dtype"):
@@ -138,14 +137,14 @@ def _columns(data: Any) -> dict[str, np.ndarray] | None:
 
 
 def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
-    """Samples as an array of floats, and their rate, which must be given."""
+    """Return the samples as an array of floats, and their rate, which must be given."""
     remedy = (
-        "give what allanjax.read returns, an array with rate= and gyro_unit= or accel_unit=, or a data frame"
+        "pass what allanjax.read returns, a data frame, or an array with rate= and gyro_unit= or accel_unit="
     )
     if isinstance(data, ChunkedRecording):
-        remedy = "accumulate it, allanjax.accumulate(recording).fit(), or read the whole with allanjax.read"
+        remedy = "use allanjax.accumulate(recording).fit(), or read all of it with allanjax.read"
     kind = type(data).__name__
-    message = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind} is no recording: {remedy}"
+    message = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind} is not a recording; {remedy}"
     try:
         values = np.asarray(data, dtype=float)
     except (TypeError, ValueError) as error:
@@ -153,5 +152,5 @@ def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
     if values.ndim == 0:
         raise AllanjaxError(message)
     if rate is None:
-        raise AllanjaxError("an array needs its sample rate: give rate in Hz")
+        raise AllanjaxError("an array needs its sample rate: pass rate= in Hz")
     return values, rate

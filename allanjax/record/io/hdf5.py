@@ -1,4 +1,4 @@
-"""Reader of HDF5 files, those of MATLAB -v7.3 among them; it needs h5py."""
+"""Reader for HDF5 files, including MATLAB -v7.3; it requires h5py."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_told
+from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported
 from allanjax.record.validation import Source
 
-# End of messages: other formats to save the data in.
+# Remedy in messages: other formats for the data.
 _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save it as CSV, Parquet or .npz"
 
 
 def open_hdf5(path: Path, source: Source) -> Table:
-    """Named datasets as the arrays of an .npz file; those in groups are named `group.dataset`."""
+    """Return named datasets like the arrays of an .npz file; those in groups are named `group.dataset`."""
     with _opened(path, source) as file:
         datasets = _datasets(file)
         check_claim(sum(dataset.nbytes for dataset in datasets.values()), path, source)
@@ -42,15 +42,14 @@ def _opened(path: Path, source: Source) -> Iterator[Any]:
         import h5py
     except ModuleNotFoundError as error:
         raise source.error(
-            'an HDF5 file (MATLAB -v7.3), for which h5py is needed: pip install "allanjax[hdf5]", '
-            + _SAVE_AGAIN
+            'reading an HDF5 file (MATLAB -v7.3) requires h5py: pip install "allanjax[hdf5]", ' + _SAVE_AGAIN
         ) from error
-    with damage_told(source, "HDF5", f"copy it again, {_SAVE_AGAIN}"), h5py.File(path, "r") as file:
+    with damage_reported(source, "HDF5", f"copy it again, {_SAVE_AGAIN}"), h5py.File(path, "r") as file:
         yield file
 
 
 def _datasets(file: Any) -> Mapping[str, Any]:
-    """Datasets of numbers by name, without text and empty arrays, which MATLAB writes as numbers."""
+    """Return numeric datasets by name, without text and empty arrays, which MATLAB writes as numbers."""
     import h5py
 
     found: dict[str, Any] = {}
@@ -67,12 +66,12 @@ def _datasets(file: Any) -> Mapping[str, Any]:
 
 
 def _rows(dataset: Any, rows: slice) -> np.ndarray:
-    """Rows of a dataset, [rows] or [rows, columns]."""
+    """Return rows of a dataset, [rows] or [rows, columns]."""
     return dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
 
 
 def _outline(dataset: Any) -> np.ndarray:
-    """Array with the shape of a dataset that takes no memory; the dataset itself if it has no rows."""
+    """An array with the shape of a dataset, without its memory; the dataset itself if it has no rows."""
     if not _is_samples(dataset):
         return np.asarray(dataset[()])
     shape = dataset.shape if _row_axis(dataset) == 0 else dataset.shape[::-1]
@@ -80,12 +79,12 @@ def _outline(dataset: Any) -> np.ndarray:
 
 
 def _is_samples(dataset: Any) -> bool:
-    """Whether a dataset is an array of numbers, not a scalar."""
+    """Return whether a dataset is an array of numbers, not a scalar."""
     return dataset.dtype.kind in "fiub" and dataset.size > 1
 
 
 def _row_axis(dataset: Any) -> int:
-    """Axis along which a dataset has its rows; MATLAB transposes matrices, and vectors may lie either way."""
+    """Return the axis of the rows of a dataset; MATLAB transposes matrices, and vectors may be either."""
     if dataset.ndim != 2:
         return 0
     axis = int("MATLAB_class" in dataset.attrs)

@@ -1,4 +1,4 @@
-"""Reader of MATLAB's files up to -v7."""
+"""Reader for MATLAB files up to -v7."""
 
 import math
 import struct
@@ -11,28 +11,28 @@ from typing import Any
 import numpy as np
 
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import Format, Table, check_claim, damage_told
+from allanjax.record.io.table import Format, Table, check_claim, damage_reported
 from allanjax.record.validation import Source
 
-# Kinds of the elements of a file, and what those of a class of arrays hold after its flags, shape and name.
+# Kinds of elements in a file, and the kinds in an array after its flags, shape and name.
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = frozenset({*range(1, 8), 9, 12, 13})
 _TEXT = frozenset({*range(1, 8), 16, 17, 18})
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _LAST_NUMBER = 1, 2, 3, 4, 5, 15
-# The flag of numbers that have an imaginary part.
+# Flag for complex numbers.
 _COMPLEX = 0x0800
 _HEADER = 128
 
 
 def read_mat(path: Path, source: Source) -> Table:
-    """Named arrays of a MATLAB file up to -v7, as of an .npz file; the fields of a struct count as arrays."""
+    """Named arrays of a MATLAB file up to -v7, as for an .npz file; fields of a struct are arrays, too."""
     from scipy.io import loadmat, whosmat
 
-    with damage_told(source, "a MATLAB file", "save it again with -v7"), warnings.catch_warnings():
-        # What is warned of is damage, too.
+    with damage_reported(source, "a MATLAB file", "save it again with -v7"), warnings.catch_warnings():
+        # Warnings mean damage, too.
         warnings.simplefilter("error", UserWarning)
         content = memoryview(path.read_bytes())
-        # Files up to -v4 have no header, but a number, which has a zero.
+        # Files up to -v4 begin with a number, which has a zero byte, instead of a header.
         if 0 not in content[:4]:
             _check_elements(content, path, source)
         check_claim(sum(math.prod(shape) for _, shape, _ in whosmat(path)), path, source)
@@ -42,7 +42,7 @@ def read_mat(path: Path, source: Source) -> Table:
 
 
 def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    """Arrays of nested structs by their dotted names."""
+    """Return arrays of nested structs by their dotted names."""
     flat: dict[str, np.ndarray] = {}
     for key, value in contents.items():
         if isinstance(value, Mapping):
@@ -53,7 +53,7 @@ def _flat(contents: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray
 
 
 def _check_elements(content: memoryview, path: Path, source: Source) -> None:
-    """Raise ValueError if an element is of a kind that it can not be: a wrong one would end the program."""
+    """Raise ValueError if an element has an invalid kind, which would crash the reading library."""
     order = "<" if content[_HEADER - 2 : _HEADER] == b"IM" else ">"
     claimed = 0
     for kind, payload in _elements(content[_HEADER:], order):
@@ -63,12 +63,12 @@ def _check_elements(content: memoryview, path: Path, source: Source) -> None:
             check_claim(claimed, path, source)
             ((kind, payload),) = _elements(memoryview(inflated), order)
         if kind != _MATRIX:
-            raise ValueError(f"an element of the kind {kind} where an array is expected")
+            raise ValueError(f"an element of kind {kind} where an array is expected")
         _check_matrix(payload, order)
 
 
 def _check_matrix(payload: memoryview, order: str) -> None:
-    """Raise ValueError if an array, or one in it, has an element of a kind that its class does not have."""
+    """Raise ValueError if an array, or a nested one, has an element of a kind its class does not allow."""
     elements = list(_elements(payload, order))
     if not elements:
         return
@@ -87,18 +87,18 @@ def _check_matrix(payload: memoryview, order: str) -> None:
         raise ValueError("an array without its numbers")
     for number, (kind, inner) in enumerate(elements):
         if kind not in (allowed if number >= names else _NUMBERS | _TEXT):
-            raise ValueError(f"an element of the kind {kind} in an array that has none of it")
+            raise ValueError(f"an element of kind {kind} in an array that does not allow it")
         if kind == _MATRIX:
             _check_matrix(inner, order)
 
 
 def _parts(kind: int, is_complex: bool) -> int:
-    """Number of elements that hold the numbers of an array of this class."""
+    """Return the number of elements that hold the numbers of an array of this class."""
     return 1 + is_complex + (2 if kind == _SPARSE else 0)
 
 
 def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of each element; small ones have their size in the same four bytes as their kind."""
+    """Yield kind and content of each element; for small ones, size and kind share four bytes."""
     place = 0
     while place + 8 <= len(content):
         kind, size = struct.unpack_from(f"{order}II", content, place)
@@ -107,7 +107,7 @@ def _elements(content: memoryview, order: str) -> Iterator[tuple[int, memoryview
             kind, size = kind & 0xFFFF, kind >> 16
             begin, step = place + 4, 8
         if begin + size > len(content) or (step == 8 and size > 4):
-            raise ValueError(f"an element of {size} bytes where {len(content) - begin} are left")
+            raise ValueError(f"an element of {size} bytes where only {len(content) - begin} remain")
         yield kind, content[begin : begin + size]
         place += step if kind == _COMPRESSED else (step + 7) // 8 * 8
 

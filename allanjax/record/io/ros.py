@@ -1,4 +1,4 @@
-"""Reader of ROS 1 and ROS 2 bags: messages of sensor_msgs/Imu; it needs rosbags."""
+"""Reader for ROS 1 and ROS 2 bags: messages of sensor_msgs/Imu; it requires rosbags."""
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -9,18 +9,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.record.io.series import Series, recording_of, seconds_between
-from allanjax.record.io.table import Format, Table, damage_told
-from allanjax.record.io.timestamps import told_jitter
+from allanjax.record.io.table import Format, Table, damage_reported
+from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.validation import Source
 
 _IMU = "sensor_msgs/msg/Imu"
-# The text of the frame begins after 16 bytes, the last of which are seconds, nanoseconds and its length.
+# The frame's text begins after 16 bytes, the last of which are seconds, nanoseconds and its length.
 _TEXT = 16
-# A message ends with 37 float64: orientation 4, its covariance 9, angular velocity 3 and 9, acceleration 3
-# and 9.
+# A message ends with 37 float64: orientation 4 + 9 (covariance), angular velocity 3 + 9, acceleration 3 + 9.
 _TAIL = 37 * 8
 _GYRO, _ACCEL = slice(13, 16), slice(25, 28)
-# Messages decoded at a time, and messages by which a topic is described.
+# Messages decoded at a time, and messages from which a topic is described.
 _BLOCK = 1 << 15
 _FIRST = 1000
 _BEGINNINGS = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0")
@@ -37,16 +36,16 @@ class _Messages(NamedTuple):
 
 
 def open_ros(path: Path, source: Source, topic: str | None) -> Table:
-    """Messages of sensor_msgs/Imu of a topic, sorted by the stamps of their headers.
+    """Return the sensor_msgs/Imu messages of a topic, sorted by the stamps of their headers.
 
-    Two topics, of which one has gyros alone and the other accelerometers alone, are read as one recording.
+    Two topics, one with only gyros and one with only accelerometers, are read as one recording.
 
     Raises:
         RecordingError: rosbags is not installed; the bag is damaged, has no such messages, or has several
-            topics of them and none is chosen.
+            such topics and none is chosen.
     """
     reader = _reader(path, source)
-    with damage_told(source, "a ROS bag", _REMEDY), reader(path) as bag:
+    with damage_reported(source, "a ROS bag", _REMEDY), reader(path) as bag:
         topics = _imu_topics(bag, source)
         if topic is None:
             names = _only_topics(bag, topics, source)
@@ -54,20 +53,20 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
             names = [name.strip() for name in topic.split(",")]
             if len(names) > 2 or len(set(names)) < len(names) or not set(names) <= set(topics):
                 raise source.error(
-                    f"topic {topic!r} is not one topic of sensor_msgs/Imu, or two with a comma between; "
-                    f"there are: {_told(bag, topics, source)}"
+                    f"topic {topic!r} is not a topic of sensor_msgs/Imu, or two separated by a comma; topics "
+                    f"are: {_describe(bag, topics, source)}"
                 )
         messages = {name: _messages(bag, topics[name], source) for name in names}
     return _table(messages, source)
 
 
 def _reader(path: Path, source: Source) -> Any:
-    """Class that reads such a bag."""
+    """Return the class that reads such a bag."""
     try:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
     except ModuleNotFoundError as error:
-        raise source.error('a ROS bag, for which rosbags is needed: pip install "allanjax[ros]"') from error
+        raise source.error('reading a ROS bag requires rosbags: pip install "allanjax[ros]"') from error
     if path.is_dir():
         return Reader2
     with path.open("rb") as stream:
@@ -75,13 +74,13 @@ def _reader(path: Path, source: Source) -> Any:
     if magic.startswith(_BEGINNINGS[1:]):
         suffix = ".mcap" if magic.startswith(b"\x89MCAP") else ".db3"
         if path.suffix != suffix:
-            raise source.error(f"a ROS 2 bag whose name does not end in {suffix}; rename it")
+            raise source.error(f"the name of this ROS 2 bag does not end in {suffix}; rename it")
         return Reader2
     return Reader1
 
 
 def _imu_topics(bag: Any, source: Source) -> dict[str, list[Any]]:
-    """Connections of each topic of sensor_msgs/Imu."""
+    """Return the connections of each topic of sensor_msgs/Imu."""
     topics: dict[str, list[Any]] = {}
     for connection in bag.connections:
         if connection.msgtype == _IMU:
@@ -89,14 +88,13 @@ def _imu_topics(bag: Any, source: Source) -> dict[str, list[Any]]:
     if not topics:
         others = sorted({f"{connection.topic} ({connection.msgtype})" for connection in bag.connections})
         raise source.error(
-            f"no topic of sensor_msgs/Imu, but {', '.join(others[:20]) or 'none at all'}; record the topic "
-            "of the IMU"
+            f"no topic of sensor_msgs/Imu (topics: {', '.join(others[:20]) or 'none'}); record the IMU"
         )
     return topics
 
 
 def _only_topics(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> list[str]:
-    """The one topic that there is, or the two of which one has the gyros and the other the accelerometers."""
+    """Return the only topic, or the two topics if one has the gyros and one the accelerometers."""
     names = list(topics)
     if len(names) == 2:
         halves = [_series(name, _messages(bag, topics[name], source, _FIRST)) for name in names]
@@ -104,27 +102,27 @@ def _only_topics(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> l
             return names
     if len(names) > 1:
         raise source.error(
-            f"{len(names)} topics of sensor_msgs/Imu; choose one by topic= (--topic): "
-            f"{_told(bag, topics, source)}"
+            f"{len(names)} topics of sensor_msgs/Imu; choose one with topic= (--topic): "
+            f"{_describe(bag, topics, source)}"
         )
     return names
 
 
-def _told(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> str:
-    """Topics in words: how many messages at which rate, and their frame."""
-    told = []
+def _describe(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> str:
+    """Return the topics in words: number of messages, rate, and frame."""
+    words = []
     for name, connections in topics.items():
         count = sum(connection.msgcount for connection in connections)
         first = _messages(bag, connections, source, _FIRST)
         series = _series(name, first)
-        alone = {(False, True): ", gyros alone", (True, False): ", accelerometers alone"}
+        alone = {(False, True): ", gyros only", (True, False): ", accelerometers only"}
         half = alone.get((series.gyro is None, series.accel is None), "")
-        told.append(f"{name} ({count} messages at {series.rate:.4g} Hz, frame {first.frame!r}{half})")
-    return ", ".join(told)
+        words.append(f"{name} ({count} messages at {series.rate:.4g} Hz, frame {first.frame!r}{half})")
+    return ", ".join(words)
 
 
 def _messages(bag: Any, connections: Sequence[Any], source: Source, count: int | None = None) -> _Messages:
-    """Messages of a topic in the order of the bag, or the first `count` of them."""
+    """Return the messages of a topic in the order of the bag, or the first `count` of them."""
     stamps, arrivals, values, frame = [], [], [], ""
     found = itertools.islice(bag.messages(connections=connections), count)
     for number, block in enumerate(_blocks(found)):
@@ -141,7 +139,7 @@ def _messages(bag: Any, connections: Sequence[Any], source: Source, count: int |
 
 
 def _blocks(messages: Iterable[Any]) -> Iterator[list[Any]]:
-    """Messages in lists of at most _BLOCK."""
+    """Yield the messages in lists of at most _BLOCK."""
     messages = iter(messages)
     while block := list(itertools.islice(messages, _BLOCK)):
         yield block
@@ -150,10 +148,10 @@ def _blocks(messages: Iterable[Any]) -> Iterator[list[Any]]:
 def _decoded(
     raw: Sequence[bytes], topic: str, first: int, source: Source
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 6"]]:
-    """Stamps [ns] and values of serialized messages, of which the first is the topic's message `first`.
+    """Return stamps [ns] and values of serialized messages; the first is message `first` of the topic.
 
-    The layout is fixed up to the text of the frame, whose length is told before it, and again after it: 12
-    bytes, the text, in ROS 2 up to seven bytes more, and the numbers. All numbers have one order of bytes.
+    The layout is fixed up to the frame's text, whose length is stated before it, and again after it: 12
+    bytes, the text, in ROS 2 up to seven bytes more, and the numbers. All numbers have the same byte order.
     """
     lengths = np.fromiter(map(len, raw), int, len(raw))
     stamps, values = np.zeros(len(raw), np.int64), np.zeros((len(raw), 6))
@@ -166,7 +164,7 @@ def _decoded(
             seconds, nanoseconds, text = header.view(f"{order}u4").astype(np.int64).T
             end = _TEXT + text
             fits = (length == end + _TAIL) | (length == 4 + (end + 3) // 8 * 8 + _TAIL)
-            # A length of zero is the same in both orders.
+            # A length of zero is the same in both byte orders.
             fits &= ~intact[same]
             rows = same[fits]
             stamps[rows] = (seconds * 10**9 + nanoseconds)[fits]
@@ -175,65 +173,64 @@ def _decoded(
             intact[rows] = True
     if not intact.all():
         raise source.error(
-            f"message {first + int(np.argmin(intact))} of the topic {topic} (counting from 0) is no "
-            f"sensor_msgs/Imu: it is damaged; {_REMEDY}"
+            f"message {first + int(np.argmin(intact))} of the topic {topic} (from 0) is damaged; {_REMEDY}"
         )
     return stamps, values
 
 
 def _clock(messages: _Messages) -> tuple[str, Int[np.ndarray, " n"], str]:
-    """Stamps [ns] to use, what they are called, and a note if they are not those of the headers."""
+    """Return the stamps [ns] to use, their name, and a note if they are not those of the headers."""
     if len(messages.stamps) and (messages.stamps == messages.stamps[0]).all():
-        note = "header.stamp is always the same: the bag's time is used"
+        note = "header.stamp never changes; the time of the bag is used"
         return "bag_time", messages.arrivals, note
     return "header.stamp", messages.stamps, ""
 
 
 def _series(name: str, messages: _Messages) -> Series:
-    """Series of a topic, without a half that is zero throughout."""
+    """Return the series of a topic, without a sensor that is zero throughout."""
     gyro, accel = (half if half.any() else None for half in (messages.values[:, :3], messages.values[:, 3:]))
     return Series(name, _clock(messages)[1], gyro, accel)
 
 
 def _are_halves(series: Sequence[Series]) -> bool:
-    """Whether one of two series has the gyros alone and the other the accelerometers alone."""
+    """Return whether one of two series has only gyros and the other only accelerometers."""
     return sorted((one.gyro is None, one.accel is None) for one in series) == [(False, True), (True, False)]
 
 
 def _table(messages: Mapping[str, _Messages], source: Source) -> Table:
-    """Table of the topic that was chosen, or of two."""
+    """Return the table of the chosen topic, or of two."""
     found, notes = [], []
     for name, given in messages.items():
         series = _series(name, given)
         if not len(series.times):
-            raise source.error(f"the topic {name} has no messages; choose another by topic= (--topic)")
+            raise source.error(f"the topic {name} has no messages; choose another with topic= (--topic)")
         if series.gyro is None and series.accel is None:
-            raise source.error(f"the topic {name} has nothing but zeros; record it with its sensor running")
+            raise source.error(f"the topic {name} has only zeros; record it while its sensor is running")
         notes += _notes(series, given)
         found.append(series.in_order())
     clock = _clock(next(iter(messages.values())))[0]
     if len(found) > 1 and not _are_halves(found):
         raise source.error(
-            f"{' and '.join(messages)} are not gyros and accelerometers apart; choose one by topic= (--topic)"
+            f"{' and '.join(messages)} are not gyros and accelerometers; choose one with topic= (--topic)"
         )
     gyros_first = sorted(found, key=lambda series: series.gyro is None)
     return recording_of(gyros_first, source).table(clock, source, notes)
 
 
 def _notes(series: Series, messages: _Messages) -> list[str]:
-    """What is to be known of a topic: its frame, its stamps and what it lacks."""
+    """Return notes on a topic: its frame, its stamps and missing sensors."""
     clock, times, note = _clock(messages)
-    notes = [f"{series.name}: {len(times)} messages of the frame {messages.frame!r}", note]
+    notes = [f"{series.name}: {len(times)} messages, frame {messages.frame!r}", note]
     late = int(np.count_nonzero(np.diff(times) < 0))
     if late:
         notes.append(f"{series.name}: {late} messages out of order, sorted by {clock}")
     between = [seconds_between(stamps) for stamps in (messages.stamps, messages.arrivals)]
     if not note and all(len(intervals) for intervals in between):
-        jitters = [told_jitter(float(np.std(intervals))) for intervals in between]
-        notes.append(f"{series.name}: jitter of header.stamp {jitters[0]}, of the bag's time {jitters[1]}")
+        jitters = [format_jitter(float(np.std(intervals))) for intervals in between]
+        notes.append(f"{series.name}: jitter of header.stamp {jitters[0]}, of the bag time {jitters[1]}")
     for what, half in (("angular velocities", series.gyro), ("accelerations", series.accel)):
         if half is None:
-            notes.append(f"{series.name}: {what} are zero throughout, and left out")
+            notes.append(f"{series.name}: {what} are zero throughout and left out")
     return [note for note in notes if note]
 
 

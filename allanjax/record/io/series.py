@@ -1,4 +1,4 @@
-"""Samples of gyros and accelerometers with stamps of their own, as logs hold them, made into one table."""
+"""Samples of gyros and accelerometers with separate stamps, as in logs, joined into one table."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +13,7 @@ from allanjax.record.validation import Source
 
 # Units of the samples in all logs.
 _UNITS: dict[Sensor, str] = {"gyro": "rad/s", "accel": "m/s²"}
-# Smallest share of samples that must have a partner in the other series.
+# Smallest share of samples with a partner in the other series.
 _MATCHED = 0.9
 
 
@@ -37,23 +37,23 @@ class Series:
 
     @property
     def rate(self) -> float:
-        """Sample rate in Hz by the stamps, gaps left out; 0 if it cannot be told."""
+        """Sample rate in Hz from the stamps, without gaps; 0 if unknown."""
         intervals = seconds_between(self.times)
         mean = float(intervals.mean()) if intervals.size else 0.0
         return 1.0 / mean if mean > 0.0 else 0.0
 
     def taken(self, rows: np.ndarray) -> "Series":
-        """Series of these rows."""
+        """Return the series of these rows."""
         gyro, accel = (None if half is None else half[rows] for half in (self.gyro, self.accel))
         others = {label: values[rows] for label, values in self.auxiliary.items()}
         return replace(self, times=self.times[rows], gyro=gyro, accel=accel, auxiliary=others)
 
     def in_order(self) -> "Series":
-        """Series sorted by its stamps."""
+        """Return the series sorted by its stamps."""
         return self if (np.diff(self.times) >= 0).all() else self.taken(np.argsort(self.times, kind="stable"))
 
     def table(self, clock: str, source: Source, notes: Sequence[str]) -> Table:
-        """Table with the stamps, whose label is `clock` [ns], the axes and the auxiliary columns."""
+        """Return a table with the stamps, labelled `clock` [ns], the axes and the auxiliary columns."""
         columns = {f"{clock} [ns]": self.times}
         for sensor, half in (("gyro", self.gyro), ("accel", self.accel)):
             if half is not None:
@@ -64,25 +64,25 @@ class Series:
 
 
 def seconds_between(stamps: Int[np.ndarray, " n"]) -> Float[np.ndarray, " intervals"]:
-    """Intervals [s] between stamps [ns] in their order of time, gaps left out."""
+    """Return intervals [s] between stamps [ns] in time order, without gaps."""
     ordered = np.sort(stamps)
     return regular_intervals(1e-9 * (ordered - ordered[:1]))
 
 
 def joined(gyro: Series, accel: Series, source: Source) -> Series:
-    """One series of the gyros and the accelerometers of two, which are sorted, with the gyros' stamps.
+    """Return the gyros of one and the accelerometers of another sorted series, with the stamps of the gyros.
 
-    A sample whose partner is missing is left out, which leaves a gap.
+    A sample without partner is left out, which leaves a gap.
 
     Raises:
-        RecordingError: the rates differ, or the samples are not taken at the same times.
+        RecordingError: the rates differ, or the samples were not taken at the same times.
     """
     rates = gyro.rate, accel.rate
-    choose = f"choose one by topic= (--topic), {gyro.name} or {accel.name}"
+    choose = f"choose one with topic= (--topic), {gyro.name} or {accel.name}"
     if not all(rates) or abs(rates[0] / rates[1] - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
             f"the gyros of {gyro.name} are at {rates[0]:.6g} Hz and the accelerometers of {accel.name} at "
-            f"{rates[1]:.6g} Hz, which is no recording of one rate; {choose}"
+            f"{rates[1]:.6g} Hz, but a recording has one rate; {choose}"
         )
     half = round(0.5e9 / rates[0])
     partner = np.searchsorted(accel.times, gyro.times - half)
@@ -107,13 +107,13 @@ def choose(
     instance: int | None,
     source: Source,
 ) -> list[Series]:
-    """Series of a flight log that are to be read: one, or that of the gyros and that of the accelerometers.
+    """Return the series of a flight log to read: one, or one of the gyros and one of the accelerometers.
 
     Args:
         found: series by message and number of the sensor.
-        groups: messages that are one recording, gyros first.
-        topic: the message, or two with a comma between; without it the group whose rate is highest.
-        instance: number of the sensor; without it the first.
+        groups: messages that form one recording, gyros first.
+        topic: the message, or two separated by a comma; by default the group with the highest rate.
+        instance: number of the sensor; by default the first.
         source: origin of the series.
 
     Raises:
@@ -123,7 +123,7 @@ def choose(
     if not kept:
         numbers = sorted({number for _, number in found})
         raise source.error(
-            f"no instance {instance}; choose one of {', '.join(map(str, numbers))} by instance= (--instance)"
+            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
         )
     names = {name for name, _ in kept}
     if topic is None:
@@ -133,7 +133,7 @@ def choose(
         wanted = {name.strip() for name in topic.split(",")}
         if not wanted <= names or not any(wanted <= {*group} for group in groups):
             raise source.error(
-                f"topic {topic!r} is not one recording in the log; there are "
+                f"topic {topic!r} is not a recording in the log; topics are "
                 f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
             )
     first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
@@ -141,12 +141,12 @@ def choose(
 
 
 def recording_of(chosen: Sequence[Series], source: Source) -> Series:
-    """The series that was chosen, or two that were, joined."""
+    """Return the chosen series, or two joined."""
     return chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
 
 
-def told_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
-    """What was taken of a flight log, and what else there is, in words."""
+def describe_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
+    """Return a note on what was read from a flight log, and what else it has."""
     words = {
         id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
     }

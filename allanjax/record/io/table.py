@@ -1,4 +1,4 @@
-"""Columns of a file as they are read, before their meaning is known."""
+"""Columns of a file before they are identified."""
 
 import re
 import sys
@@ -18,24 +18,24 @@ from allanjax.record.validation import Source, bad_cells
 
 #: Columns of equal length: numbers, datetime64, or objects where a text file has text.
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
-#: Options of reading that choose among the recordings of a file.
+#: Options that select one of several recordings in a file.
 CHOICES = ("topic", "instance")
-# Largest factor by which a file may be compressed; that of deflate, which most use, is below 1033.
+# Largest plausible compression factor of a file; that of deflate, the most common, is below 1033.
 _EXPANSION = 1100
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length, which are read some rows at a time.
+    """Columns of equal length that are read some rows at a time.
 
     Attributes:
-        rows: function of a number of rows: iterator over the columns of successive stretches, none longer.
+        rows: function of a number of rows: iterator over the columns of successive parts, none longer.
         labels: labels of the columns, or None if the file has no names.
         source: origin of the columns.
-        n: number of rows in all, if the file states it.
-        rate: sample rate in Hz that the file itself states, if any.
-        notes: actions of the reader that the user should know.
-        units: unit of each sensor by the format's definition, where neither labels nor options give one.
+        n: total number of rows, if the file states it.
+        rate: sample rate in Hz that the file states, if any.
+        notes: actions of the reader that users should know.
+        units: unit of each sensor as the format defines it, for use without a unit in labels or options.
     """
 
     rows: Callable[[int], Iterator[Columns]]
@@ -55,7 +55,7 @@ class Table:
         rate: float | None = None,
         notes: tuple[str, ...] = (),
     ) -> "Table":
-        """Table of columns that are in memory."""
+        """Return a table of columns in memory."""
         n = len(columns[0]) if columns else 0
 
         def rows(chunk: int) -> Iterator[Columns]:
@@ -65,10 +65,10 @@ class Table:
         return cls(rows, labels, source, n, rate, notes)
 
     def columns(self) -> Columns:
-        """All rows.
+        """Return all rows.
 
         Raises:
-            RecordingError: there are none, or the file is damaged.
+            RecordingError: there are no rows, or the file is damaged.
         """
         parts = list(self.rows(sys.maxsize))
         if not parts:
@@ -76,11 +76,11 @@ class Table:
         return parts[0] if len(parts) == 1 else tuple(map(np.concatenate, zip(*parts, strict=True)))
 
     def units_with(self, options: ReadOptions) -> dict[Sensor, str | None]:
-        """Unit of each sensor's samples: that of the options, else that of the format."""
+        """Return the unit of each sensor's samples: that of the options, else that of the format."""
         return {sensor: unit or self.units.get(sensor) for sensor, unit in options.units.items()}
 
     def no_rows(self) -> RecordingError:
-        """RecordingError for a file without rows."""
+        """Return the RecordingError for a file without rows."""
         return self.source.error("the file has no rows; give a file with one row of numbers per sample")
 
 
@@ -89,12 +89,12 @@ class Format:
     """A kind of file: how it is recognised and read.
 
     Attributes:
-        name: what messages call it, a usual suffix.
-        begins: whether a file with these first 520 bytes is of the kind.
-        open: the table of a file, which messages name by the source; RecordingError if it is damaged.
-        suffixes: names by which a binary file is told that begins like none.
-        in_chunks: whether the table is read some rows at a time, not as a whole.
-        choices: options of reading that `open` takes, too, because such files hold several recordings.
+        name: name in messages, a usual suffix.
+        begins: whether a file with these first 520 bytes is of this kind.
+        open: function that returns the table of a file; RecordingError if it is damaged.
+        suffixes: suffixes that identify a binary file whose first bytes are unknown.
+        in_chunks: whether the table can be read some rows at a time.
+        choices: further options for `open`, since such files hold several recordings.
     """
 
     name: str
@@ -105,24 +105,24 @@ class Format:
     choices: tuple[str, ...] = ()
 
     def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
-        """Table of a file of this kind.
+        """Return the table of a file of this kind.
 
         Raises:
-            RecordingError: the file is damaged, or an option chooses what such files do not have.
+            RecordingError: the file is damaged, or an option does not apply to such files.
         """
         for name in CHOICES:
             if name not in self.choices and getattr(options, name) is not None:
                 raise source.error(
-                    f"a file of this kind ({self.name}) has no {name}s; leave out {name}= (--{name})"
+                    f"a file of this kind ({self.name}) has no {name}s; omit {name}= (--{name})"
                 )
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
 
 @contextmanager
-def damage_told(source: Source, kind: str, remedy: str) -> Iterator[None]:
-    """Context that turns whatever a library raises about a damaged file into a RecordingError.
+def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
+    """Context that turns any error of a library about a damaged file into a RecordingError.
 
-    Damaged files make libraries raise nearly anything: errors of indices, of memory, of arithmetic.
+    Libraries raise nearly anything for damaged files: errors of indices, memory or arithmetic.
     """
     try:
         yield
@@ -130,25 +130,25 @@ def damage_told(source: Source, kind: str, remedy: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise source.error(f"can not be read as {kind}: {reason}; {remedy}") from error
+        raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
 
 
 def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
-    """Whether a column has a dtype of real numbers or booleans."""
+    """Return whether a column has a dtype of real numbers or booleans."""
     return values.dtype.kind in "fiub"
 
 
 def check_claim(claimed: int, path: Path, source: Source) -> None:
-    """Raise RecordingError if a file claims more bytes than it can hold, before memory is taken for them."""
+    """Raise RecordingError if a file claims more bytes than it can hold, before memory is allocated."""
     size = path.stat().st_size
     if claimed > _EXPANSION * size:
         raise source.error(
-            f"it claims to hold {claimed} bytes, which its own {size} can not: it is damaged; copy it again"
+            f"the file claims to hold {claimed} bytes but has only {size}: it is damaged; copy it again"
         )
 
 
 def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Numbers as float64; the bits of a damaged one may be a nan that may not be converted."""
+    """Return numbers as float64; a damaged one may be a nan whose conversion would warn."""
     with np.errstate(invalid="ignore"):
         return values.astype(float)
 
@@ -156,10 +156,10 @@ def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
 def as_float(
     values: Shaped[np.ndarray, " samples"], label: str, source: Source, gaps: bool = False
 ) -> np.ndarray:
-    """Column as floats; NaN stays, as do a column without a single value and, with `gaps`, empty cells.
+    """Return a column as floats; NaN is kept, as are columns without any value and, with `gaps`, empty cells.
 
     Raises:
-        RecordingError: a cell is text that is no number.
+        RecordingError: a cell is text that is not a number.
     """
     if is_numeric(values):
         return floats(values)
@@ -171,6 +171,6 @@ def as_float(
         cell = values[bad[0]]
         comma = re.fullmatch(r"\s*[+-]?\d+,\d+\s*", str(cell))
         text = repr(cell) + (" (write numbers with a decimal point)" if comma else "")
-        text += ", the header once more (delete that line)" if str(cell).strip() == label else ""
+        text += ", a repeated header (delete that line)" if str(cell).strip() == label else ""
         raise bad_cells(label, bad.size, int(bad[0]), source, None if pd.isna(cell) else text)
     return numbers

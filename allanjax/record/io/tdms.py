@@ -1,4 +1,4 @@
-"""Reader of LabVIEW's TDMS files; it needs nptdms."""
+"""Reader for LabVIEW's TDMS files; it requires nptdms."""
 
 import logging
 from collections.abc import Iterator
@@ -10,14 +10,14 @@ import numpy as np
 
 from allanjax.record.columns import split_unit
 from allanjax.record.io.binary import from_named
-from allanjax.record.io.table import Format, Table, damage_told
+from allanjax.record.io.table import Format, Table, damage_reported
 from allanjax.record.validation import Source
 
 
 def read_tdms(path: Path, source: Source) -> Table:
-    """Channels as the arrays of an .npz file, with their units and the interval of their samples.
+    """Return channels like the arrays of an .npz file, with their units and sample interval.
 
-    Where several groups have channels, these are named `group.channel`.
+    If several groups have channels, these are named `group.channel`.
 
     Raises:
         RecordingError: nptdms is not installed, the file is damaged, or the channels do not fit together.
@@ -25,14 +25,14 @@ def read_tdms(path: Path, source: Source) -> Table:
     try:
         from nptdms import TdmsFile
     except ModuleNotFoundError as error:
-        raise source.error('a TDMS file, for which nptdms is needed: pip install "allanjax[tdms]"') from error
+        raise source.error('reading a TDMS file requires nptdms: pip install "allanjax[tdms]"') from error
     arrays: dict[str, np.ndarray] = {}
     warnings: list[str] = []
     intervals = set()
     size = path.stat().st_size
     with (
         _warnings_kept(warnings),
-        damage_told(source, "a TDMS file", "copy it again, or export it as CSV"),
+        damage_reported(source, "a TDMS file", "copy it again, or export it as CSV"),
         TdmsFile.open(path) as file,
     ):
         groups = [group for group in file.groups() if any(len(channel) for channel in group.channels())]
@@ -40,8 +40,7 @@ def read_tdms(path: Path, source: Source) -> Table:
             for channel in group.channels():
                 if len(channel) > size:
                     raise source.error(
-                        f"{channel.name!r} has {len(channel)} samples by its header, and the file "
-                        f"{size} bytes; copy it again"
+                        f"{channel.name!r} claims {len(channel)} samples in {size} bytes; copy it again"
                     )
                 name = channel.name if len(groups) == 1 else f"{group.name}.{channel.name}"
                 unit = str(channel.properties.get("unit_string", "")).strip()
@@ -58,7 +57,7 @@ def read_tdms(path: Path, source: Source) -> Table:
 
 @contextmanager
 def _warnings_kept(warnings: list[str]) -> Iterator[None]:
-    """Context in which nptdms adds its warnings to a list, and does not print them."""
+    """Context in which nptdms appends its warnings to a list instead of printing them."""
     from nptdms.log import log_manager
 
     def kept(record: logging.LogRecord) -> bool:

@@ -1,4 +1,4 @@
-"""Reader of text files: comma, semicolon, tab or white space between columns, with or without a header."""
+"""Reader for text files: comma, semicolon, tab or white space between columns, with or without a header."""
 
 import csv
 import gzip
@@ -13,31 +13,31 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from allanjax.record.columns import recognise, split_unit
-from allanjax.record.io.table import Columns, Format, Table, damage_told
+from allanjax.record.io.table import Columns, Format, Table, damage_reported
 from allanjax.record.units import is_unit
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# First bytes of a gzip-compressed file, and marks at the beginning of comments.
+# First bytes of a gzip-compressed file, and marks at the start of comments.
 _GZIP_MAGIC = b"\x1f\x8b"
 _COMMENT_MARKS = ("#", "%", "//")
 _SAVE_AGAIN = "copy, save or compress it again"
-# Line of Excel that names the delimiter, and one before the data that states the sample rate.
+# Excel's line that names the delimiter, and a line before the data that states the sample rate.
 _SEP = re.compile(r"\"?sep=(.)\"?\s*", re.IGNORECASE)
 _RATE = re.compile(
     r"(?:(?:sampl\w*|update|output data)[\s_]*(?:rate|freq\w*)|\bodr)\W*(?:hz\W+)?"
     r"(\d+(?:\.\d+)?)\s*(k?)(?:hz|sps)?\W*$",
     re.IGNORECASE,
 )
-# Lines among which the first row of numbers is sought.
+# Lines that are searched for the first row of numbers.
 _LINES_BEFORE_DATA = 1000
-# Lines between the names of the columns and the data, one of which has units.
+# Lines between column names and data, one of which has units.
 _LINES_OF_UNITS = 3
-# Bytes of a line at most, for the last one.
+# Largest number of bytes in the last line.
 _LONGEST_LINE = 1 << 16
-# Lines of numbers with decimal commas; what else they may have are whole numbers.
+# Lines of numbers with decimal commas, and possibly whole numbers.
 _COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
 _DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
 
@@ -59,12 +59,12 @@ class _Layout:
 
 
 def open_text(path: Path, source: Source) -> Table:
-    """Text file, gzip-compressed or not."""
+    """Return the table of a text file, gzip-compressed or not."""
     import pandas as pd
 
-    with damage_told(source, "text", _SAVE_AGAIN):
+    with damage_reported(source, "text", _SAVE_AGAIN):
         layout = _layout(path, source)
-    # Samples are located by the lines of the file.
+    # Samples are located by lines of the file.
     source = Source(
         source.label,
         lambda row: f"line {next(itertools.islice(_rows(path, layout), row, None))[0]}",
@@ -73,7 +73,7 @@ def open_text(path: Path, source: Source) -> Table:
 
     cut, notes = _cut_line(path, layout), layout.notes
     if cut:
-        notes += (f"the file ends within a line, {cut[:60]!r}: left out",)
+        notes += (f"the file ends within a line, which is left out: {cut[:60]!r}",)
 
     def rows(chunk: int) -> Iterator[Columns]:
         with (
@@ -93,7 +93,7 @@ def open_text(path: Path, source: Source) -> Table:
 
 
 def _cut_line(path: Path, layout: _Layout) -> str:
-    """The last line of a file that ends within it, as when a logger is switched off, else ""."""
+    """Return the last line if the file ends within it, as when a logger is switched off, else ""."""
     if layout.compressed or layout.encoding == "utf-16":
         return ""
     with path.open("rb") as stream:
@@ -105,7 +105,7 @@ def _cut_line(path: Path, layout: _Layout) -> str:
 
 
 def _options(layout: _Layout) -> dict[str, Any]:
-    """Arguments of `pandas.read_csv` for this layout."""
+    """Return the arguments of `pandas.read_csv` for this layout."""
     return {
         "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
         "header": None,
@@ -122,20 +122,20 @@ def _options(layout: _Layout) -> dict[str, Any]:
 
 @contextmanager
 def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[None]:
-    """Context that turns errors of pandas into RecordingErrors that name the line."""
+    """Context that turns errors of pandas into RecordingErrors with the line."""
     import pandas as pd
 
-    with damage_told(source, "text", _SAVE_AGAIN):
+    with damage_reported(source, "text", _SAVE_AGAIN):
         try:
             yield
         except pd.errors.ParserError as error:
-            raise source.error(_ragged_row(path, layout) or f"can not be read: {error}") from error
+            raise source.error(_ragged_row(path, layout) or f"cannot be read: {error}") from error
 
 
 def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> Columns:
-    """Columns of a data frame, as many as the layout has."""
+    """Return as many columns of a data frame as the layout has."""
     columns = [frame[name].to_numpy() for name in frame.columns]
-    # A delimiter at the end of every line makes one empty column too many.
+    # A delimiter at the end of every line adds an empty column.
     if len(columns) == layout.fields + 1 and frame[layout.fields].isna().all():
         columns.pop()
     if len(columns) != layout.fields:
@@ -144,7 +144,7 @@ def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source)
 
 
 def _layout(path: Path, source: Source) -> _Layout:
-    """Layout of a file, from its first lines."""
+    """Return the layout of a file, from its first lines."""
     compressed, encoding = _encoding(path, source)
     lines = itertools.islice(_lines(path, compressed, encoding), _LINES_BEFORE_DATA)
     head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
@@ -176,14 +176,14 @@ def _layout(path: Path, source: Source) -> _Layout:
     rate = None
     for text, match in stated[:1]:
         rate = float(match[1]) * (1e3 if match[2] else 1.0)
-        notes += (f"sample rate {rate:g} Hz by the line {text[:60]!r}",)
+        notes += (f"sample rate {rate:g} Hz from the line {text[:60]!r}",)
     return replace(found, notes=found.notes + notes, rate=rate)
 
 
 def _first_row(head: list[tuple[int, str]], sep: str | None) -> int | None:
-    """Index in `head` of the first row of data: after names of axes, else with at least half numbers.
+    """Return the index in `head` of the first row of data: after axis names, or else half numbers at least.
 
-    Between the names and the data there may be a line of units, and other lines beside it.
+    A line of units and other lines may be between the names and the data.
     """
     plain = [k for k, (_, line) in enumerate(head) if not _is_comment(line)]
     for place, (before, k) in enumerate(itertools.pairwise(plain)):
@@ -202,15 +202,14 @@ def _first_row(head: list[tuple[int, str]], sep: str | None) -> int | None:
 
 
 def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]) -> _Layout:
-    """Layout with the header, which is sought among the lines before the first with numbers."""
+    """Return the layout with the header, which is searched before the first line with numbers."""
     plain = [(number, line) for number, line in before if not _is_comment(line)]
     comments = [line for _, line in before if _is_comment(line)]
     headers = [(number, line, _trim(_split(line, bare.delimiter))) for number, line in plain]
     named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
     for number, _, labels in named or headers:
         if _fits(fields, len(labels)):
-            # All lines after the header are data, even those without numbers, which will be reported; but not
-            # the columns' units, nor what is before these.
+            # All lines after the header are data, except a line of units and what precedes it.
             notes, start = _skipped([line for n, line in plain if n < number]), number + 1
             if units := _units([cells for n, _, cells in headers if n > number]):
                 pairs = itertools.zip_longest(labels, units[: len(labels)], fillvalue="")
@@ -218,7 +217,7 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
                 start = bare.start
             return replace(bare, start=start, labels=tuple(labels), fields=len(labels), notes=notes)
     for line in reversed(comments):
-        # The % of `%time`, as ROS writes it, belongs to the name.
+        # The % of `%time`, as ROS writes it, is part of the name.
         labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter))
         if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
             return replace(bare, labels=tuple(labels), fields=len(labels))
@@ -226,7 +225,7 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
 
 
 def _units(lines: list[list[str]]) -> list[str]:
-    """Units of the columns, if one of these lines below the header has any."""
+    """Return the units of the columns, if one of these lines below the header has any."""
     for cells in lines:
         units = [re.sub(r"^[\[(](.*)[\])]$", r"\1", cell) for cell in cells]
         if any(map(is_unit, units)):
@@ -235,27 +234,26 @@ def _units(lines: list[list[str]]) -> list[str]:
 
 
 def _skipped(lines: list[str]) -> tuple[str, ...]:
-    """Note on lines before the data that were skipped, if any."""
+    """Return a note on skipped lines before the data, if any."""
     if not lines:
         return ()
-    return (f"{len(lines)} lines before the data skipped, the first {lines[0].strip()[:60]!r}",)
+    return (f"{len(lines)} lines before the data are skipped, the first is {lines[0].strip()[:60]!r}",)
 
 
 def _encoding(path: Path, source: Source) -> tuple[bool, str]:
-    """Whether a file is gzip-compressed, and its encoding."""
+    """Return whether a file is gzip-compressed, and its encoding."""
     with path.open("rb") as stream:
         compressed = stream.read(2) == _GZIP_MAGIC
     try:
         with _opened(path, compressed) as stream:
             head = stream.read(1 << 16)
     except (EOFError, OSError, zlib.error) as error:
-        raise source.error(f"can not be read: {error}; copy or compress it again") from error
+        raise source.error(f"cannot be read: {error}; copy or compress it again") from error
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return compressed, "utf-16"
     if b"\0" in head:
         raise source.error(
-            "neither text nor a binary format that is known; save it as CSV, Parquet, NumPy .npy or "
-            ".npz, or MATLAB -v7"
+            "neither text nor a known binary format; save it as CSV, Parquet, .npy, .npz, or MATLAB -v7"
         )
     try:
         # The last bytes may be half a character.
@@ -266,25 +264,25 @@ def _encoding(path: Path, source: Source) -> tuple[bool, str]:
 
 
 def _opened(path: Path, compressed: bool) -> IO[bytes]:
-    """Bytes of a file, decompressed."""
+    """Return the decompressed bytes of a file."""
     return gzip.open(path) if compressed else path.open("rb")  # type: ignore[return-value]
 
 
 def _lines(path: Path, compressed: bool, encoding: str) -> Iterator[str]:
-    """Lines of a file."""
+    """Yield the lines of a file."""
     with io.TextIOWrapper(_opened(path, compressed), encoding, errors="replace") as stream:
         yield from stream
 
 
 def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, str]]:
-    """Line number (from 1) and text of each row of data."""
+    """Yield line number (from 1) and text of each row of data."""
     for number, line in enumerate(_lines(path, layout.compressed, layout.encoding), start=1):
         if number > layout.start and not _is_blank(line) and not line.lstrip().startswith(layout.comment):
             yield number, line
 
 
 def _ragged_row(path: Path, layout: _Layout) -> str | None:
-    """Error message about the first row with another number of columns, or None."""
+    """Return an error message on the first row with another number of columns, or None."""
     for number, line in _rows(path, layout):
         fields = _split(line.split(layout.comment)[0], layout.delimiter)
         if not _fits(fields, layout.fields):
@@ -296,49 +294,49 @@ def _ragged_row(path: Path, layout: _Layout) -> str | None:
 
 
 def _has_decimal_commas(line: str) -> bool:
-    """Whether a line has numbers with decimal commas, between which are semicolons, tabs or spaces."""
+    """Return whether a line has numbers with decimal commas, separated by semicolons, tabs or spaces."""
     if "," not in line or not _DECIMAL_COMMA.fullmatch(line):
         return False
     return _delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line) is not None
 
 
 def _is_comment(line: str) -> bool:
-    """Whether a line begins with a mark of comments."""
+    """Return whether a line is a comment."""
     return line.lstrip().startswith(_COMMENT_MARKS)
 
 
 def _is_blank(line: str) -> bool:
-    """Whether a line is empty; tabs alone are empty cells."""
+    """Return whether a line is empty; tabs alone are empty cells."""
     return not line.strip(" \r\n")
 
 
 def _delimiter(line: str) -> str | None:
-    """Delimiter of a line; None for white space."""
+    """Return the delimiter of a line; None for white space."""
     return next((mark for mark in "\t;," if mark in line), None)
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
-    """Fields of a line."""
+    """Return the fields of a line."""
     line = line.strip(" \r\n")
     if delimiter is None:
-        # A unit belongs to the name before it, and may itself have spaces.
+        # A unit belongs to the name before it and may contain spaces.
         return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", line.strip())
     fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     return [field.strip() for field in fields]
 
 
 def _trim(fields: list[str]) -> list[str]:
-    """Fields without the empty one after a delimiter at the line's end."""
+    """Return the fields without an empty one after a delimiter at the end of the line."""
     return fields[:-1] if len(fields) > 1 and not fields[-1] else fields
 
 
 def _fits(fields: list[str], count: int) -> bool:
-    """Whether there are `count` fields, but for a delimiter at the line's end."""
+    """Return whether there are `count` fields, apart from a delimiter at the end of the line."""
     return len(fields) == count or (len(fields) == count + 1 and not fields[-1])
 
 
 def _is_number(text: str) -> bool:
-    """Whether a field is a number."""
+    """Return whether a field is a number."""
     try:
         float(text)
     except ValueError:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from allanjax.base.errors import RecordingError, UnitError
+from allanjax.base.wording import plain
 from allanjax.record.columns import Column
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.io.table import as_float, is_numeric
@@ -15,7 +16,7 @@ from allanjax.record.units import convert, same_unit
 from allanjax.record.validation import MIN_SAMPLES, Source, check_length
 
 # An interval longer than the median by this factor is a gap if the stamps after it are half an interval later
-# than those before it let expect; else a stamp is late. So many are looked at on either side.
+# than expected from those before it; else a stamp is late. So many stamps on either side are compared.
 _GAP = 1.5
 _ABOUT = 8
 # Largest rms jitter of the other intervals, over their mean.
@@ -24,21 +25,20 @@ _MAX_JITTER = 0.2
 MAX_RATE_DIFFERENCE = 0.01
 # Share of long intervals above which sampling is irregular, not interrupted by gaps.
 _MANY_GAPS = 0.05
-# A remedy in many messages.
-_IGNORE = "ignore the stamps by time='none' and rate= (--time none --rate)"
-# Numbers after which counters start again from zero: of 8 to 32 bits, and those of a second, a minute, an
-# hour, a day, a week; in units, or thousandths and millionths of them. Most samples lost just there.
+_IGNORE = "ignore the stamps with time='none' and rate= (--time none --rate)"
+# Numbers at which counters restart from zero: 8 to 32 bits, and a second, a minute, an hour, a day, a week;
+# in units, or thousandths and millionths of them. The most samples that may be lost at a restart.
 _TURNS = (2**8, 2**16, 2**24, 2**32, 60, 1000, 3600, 10**6, 86_400, 86_400_000, 604_800, 604_800_000)
 _PARTS, _LOST_AT_TURN = (1, 1e-3, 1e-6), 100
-# Units that stamps without one may have.
+# Possible units of stamps without a unit.
 _UNITS = ("s", "ms", "us", "ns")
-# What stamps without a unit must fit: UNIX time in s, 2001 to 2065, and the rates of inertial sensors in Hz.
+# Criteria for stamps without a unit: UNIX time in s, 2001 to 2065, and rates of inertial sensors in Hz.
 _UNIX_SECONDS = (1e9, 3e9)
 _PLAUSIBLE_RATES = (1.0, 2e4)
 
 
 class Times(NamedTuple):
-    """Times in s from the first sample; the stamps' unit, if they are numbers in one column; and notes."""
+    """Times in s from the first sample; the unit of the stamps, if they are one numeric column; and notes."""
 
     seconds: Float[np.ndarray, " samples"]
     unit: str | None
@@ -51,11 +51,11 @@ def seconds_from_first(
     rate: float | None,
     source: Source,
 ) -> Times:
-    """Times in s from the first sample, from one column or from seconds and nanoseconds.
+    """Return times in s from the first sample, from one column or from seconds and nanoseconds.
 
     Raises:
-        RecordingError: a stamp is missing or not a number, or the unit cannot be told.
-        UnitError: the unit is not one of time, or stated twice and differently.
+        RecordingError: a stamp is missing or not a number, or the unit is unknown.
+        UnitError: the unit is not a unit of time, or is stated twice and differently.
     """
     if len(stamps) == 2:
         parts = [_since_first(values, column.label, source) for column, values in stamps]
@@ -75,15 +75,17 @@ def seconds_from_first(
     wrapped = int(np.count_nonzero(values[1:] < values[:-1]))
     if wrapped and (np.diff(times) > 0).all():
         again = f"{wrapped} times" if wrapped > 1 else "once"
-        notes += (f"column {column.label!r} starts again {again}, as a counter of few bits: continued",)
+        notes += (
+            f"column {column.label!r} starts again {again}, like a counter that overflows; it is continued",
+        )
     return Times(convert(times, unit, "s"), unit, notes)
 
 
 class Rate(NamedTuple):
     """Sample rate [Hz], a note on where it comes from, and the rms jitter [s] of the intervals.
 
-    `places` are the samples' numbers on the grid of the rate, which count those that are missing; `stamped`
-    is the rate by the stamps, which the one that is given may contradict.
+    `places` are the numbers of the samples on the grid of the rate, missing ones included; `stamped` is the
+    rate according to the stamps, which may differ from a given rate.
     """
 
     rate: float
@@ -96,17 +98,15 @@ class Rate(NamedTuple):
 def uniform_rate(
     times: Float[np.ndarray, " samples"], label: str, rate: float | None, source: Source
 ) -> Rate:
-    """Mean sample rate of times in s, or that given, for samples that are even whatever their stamps say."""
+    """Return the mean sample rate of times in s, or the given rate, for samples known to be evenly spaced."""
     span = float(times[-1] - times[0])
     if not span > 0.0:
-        raise source.error(f"column {label!r} ends no later than it begins; {_IGNORE}", "jitter")
+        raise source.error(f"column {label!r} does not advance; {_IGNORE}", "jitter")
     mean = (len(times) - 1) / span
-    note = f"{mean:.9g} Hz, the mean of column {label!r}, as of evenly spaced samples"
-    note = (
-        f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given, stamps give {note}"
-    )
+    note = f"{mean:.9g} Hz, the mean of column {label!r} for evenly spaced samples"
+    note = f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given (stamps: {note})"
     if (unsteady := _unsteadiness(times)) > MAX_RATE_DIFFERENCE:
-        note += f", although the rates of its halves differ by {unsteady:.0%}"
+        note += f"; the rates of its halves differ by {unsteady:.0%}"
     return Rate(rate or mean, note, float(np.std(np.diff(times))), np.arange(len(times)), mean)
 
 
@@ -118,20 +118,20 @@ def rate_from_times(
     more: bool = False,
     gaps: bool = False,
 ) -> Rate:
-    """Sample rate from times in s; a `rate` [Hz] that is given is used instead, with a note if they differ.
+    """Return the sample rate from times in s; a given `rate` [Hz] has precedence, with a note if they differ.
 
-    `more` says that the times are not all that there are: which stretch is the longest is not known then.
-    `gaps` says that samples may be missing.
+    `more` means that further times follow, so that the longest part is unknown. `gaps` means that samples may
+    be missing.
 
     Raises:
-        RecordingError: times that repeat, run backwards, have gaps or too much jitter.
+        RecordingError: times that repeat, go back, or have gaps or too much jitter.
     """
     intervals = np.diff(times)
     if (intervals <= 0.0).any():
         raise source.error(_backwards(times, label, source, more), "jitter")
     typical = float(np.median(intervals))
     long = intervals > _GAP * typical
-    # Where they are many, a stamp cannot be told to be late by those about it.
+    # If there are many, late stamps cannot be identified by their neighbours.
     if not gaps or np.mean(long) <= _MANY_GAPS:
         long = _gaps(times)
     jitter, regular = float(np.std(intervals[~long])), float(np.mean(intervals[~long]))
@@ -141,21 +141,21 @@ def rate_from_times(
         jitter = on_grid
     drawn = lost if on_grid <= _MAX_JITTER * regular and lost <= MOST_MISSING * (lost + len(times)) else 0
     if jitter > _MAX_JITTER * regular or (np.mean(long) > _MANY_GAPS and not gaps):
-        fill = "if samples are missing, draw them by gaps='fill' (--gaps fill); "
+        fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
-            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps, longer than "
-            f"{_GAP} times the median; jitter up to {_MAX_JITTER:.0%} is accepted; {_evenly(times)}"
-            f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; resampling to even times would "
-            "smooth the noise, which is what is measured",
+            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps (longer than "
+            f"{_GAP} times the median); jitter up to {_MAX_JITTER:.0%} is accepted; {_evenly(times)}"
+            f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; do not resample, which smooths the "
+            "noise",
             "jitter",
         )
     if np.any(long) and not gaps:
         gap = _gap(times, np.flatnonzero(long), typical, source, more, drawn)
-        raise source.error(f"column {label!r} has {gap}, or if no sample is lost {_IGNORE}", "gaps")
+        raise source.error(f"column {label!r} has {gap}, or if no sample is missing, {_IGNORE}", "gaps")
     places = np.concatenate([[0], np.cumsum(steps)]).astype(int)
     measured = int(places[-1]) / float(times[-1] - times[0])
-    note = f"{measured:.9g} Hz from column {label!r}, jitter {told_jitter(jitter)}"
+    note = f"{measured:.9g} Hz from column {label!r}, jitter {format_jitter(jitter)}"
     if rate is not None:
         differ = abs(measured / rate - 1.0) > MAX_RATE_DIFFERENCE
         note = f"{rate:.9g} Hz as given, {'not' if differ else 'and'} {note}"
@@ -163,18 +163,18 @@ def rate_from_times(
 
 
 def check_rate_kept(times: Float[np.ndarray, " samples"], label: str, stamped: float, source: Source) -> None:
-    """Raise RecordingError if later times of a file are unusable, or have another rate than the first."""
+    """Raise RecordingError if later times of a file are unusable or have another rate than the first."""
     later = rate_from_times(times, label, None, source, more=True).stamped
     if abs(later / stamped - 1.0) > MAX_RATE_DIFFERENCE:
         raise source.error(
-            f"column {label!r} gives {stamped:.6g} Hz at first, {later:.6g} Hz from {source.locate(0)} on; "
-            f"take a stretch of one rate by start= and stop= (--start, --stop), or {_IGNORE}",
+            f"column {label!r} has {stamped:.6g} Hz at first, but {later:.6g} Hz from {source.locate(0)} on; "
+            f"read a part with one rate with start= and stop= (--start, --stop), or {_IGNORE}",
             "rate",
         )
 
 
 def _unsteadiness(times: Float[np.ndarray, " samples"]) -> float:
-    """Relative difference of the mean intervals of both halves, beyond what the jitter makes of it."""
+    """Return the relative difference of the mean intervals of both halves, beyond the effect of jitter."""
     half, span = len(times) // 2, float(times[-1] - times[0])
     drift = abs(float(times[-1] - times[-1 - half]) - float(times[half] - times[0]))
     beyond = max(drift - 4.0 * float(np.std(np.diff(times))), 0.0)
@@ -182,60 +182,60 @@ def _unsteadiness(times: Float[np.ndarray, " samples"]) -> float:
 
 
 def _evenly(times: Float[np.ndarray, " samples"]) -> str:
-    """Remedy for samples that are even although their stamps are not, if the mean rate is steady."""
+    """Return the remedy for evenly spaced samples with uneven stamps, if the mean rate is steady."""
     if _unsteadiness(times) > MAX_RATE_DIFFERENCE:
         return ""
     mean = (len(times) - 1) / float(times[-1] - times[0])
-    how = "by time='uniform' (--time uniform); "
-    return f"if the samples are evenly spaced, at {mean:.6g} Hz on average, read them so {how}"
+    how = "pass time='uniform' (--time uniform); "
+    return f"if the samples are evenly spaced (at {mean:.6g} Hz on average), {how}"
 
 
 def _backwards(times: Float[np.ndarray, " samples"], label: str, source: Source, more: bool) -> str:
-    """Stamps that repeat or go back in words, and what can be read instead."""
+    """Return a message on stamps that repeat or go back, and what can be read instead."""
     intervals, uniform = np.diff(times), _evenly(times)
     back = np.flatnonzero(intervals < 0.0)
     first = int(back[0] if back.size else np.argmax(intervals == 0.0)) + 1
-    what, why, segments = "repeats the time before it", "stamps coarser than the samples", ""
+    what, why, segments = "repeats the previous time", "the stamps are too coarse", ""
     if back.size:
-        what = f"is earlier than the time before it, by {-intervals[first - 1]:.6g} s,"
-        why = "late stamps" if uniform else "a clock that was set, or packets out of order"
+        what = f"goes back by {-intervals[first - 1]:.6g} s"
+        why = "late stamps" if uniform else "the clock was set, or packets are out of order"
         longest = max(np.split(times, np.flatnonzero(after_gaps(times))), key=len)
         with suppress(RecordingError):
             check_length(0 if more else len(longest), source)
             rate_from_times(longest, label, None, source)
-            segments = f"take the longest stretch without, {len(longest)} samples, by gaps='segments' "
+            segments = f"read the longest part without ({len(longest)} samples) with gaps='segments' "
             segments += "(--gaps segments); "
     return (
-        f"column {label!r} {what} at {source.locate(first)} ({np.sum(intervals <= 0.0)} such in all: {why}); "
+        f"column {label!r} {what} at {source.locate(first)} ({np.sum(intervals <= 0.0)} in total: {why}); "
         f"{uniform}{segments}{_IGNORE}"
     )
 
 
 def after_gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " samples"]:
-    """Which samples come after a gap of their times, or after the clock was set back."""
+    """Return which samples follow a gap in the times, or follow the clock being set back."""
     return np.concatenate([[False], _gaps(times) | (np.diff(times) < 0.0)])
 
 
 def regular_intervals(times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " intervals"]:
-    """Intervals between successive times that are no gaps."""
+    """Return the intervals between successive times that are not gaps."""
     intervals = np.diff(times)
     return intervals[~_gaps(times)] if intervals.size else intervals
 
 
-def told_jitter(jitter: float) -> str:
-    """Jitter [s] in words; below a nanosecond it is due to the rounding of the stamps."""
-    return f"{jitter * 1e6:.3g} µs rms" if jitter >= 1e-9 else "below 1 ns"
+def format_jitter(jitter: float) -> str:
+    """Return a jitter [s] as text; below a nanosecond it is due to rounding of the stamps."""
+    return f"{plain(jitter * 1e6, 3)} µs rms" if jitter >= 1e-9 else "below 1 ns"
 
 
 def _gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " intervals"]:
-    """Which of the intervals are gaps."""
+    """Return which of the intervals are gaps."""
     intervals = np.diff(times)
     typical = np.median(intervals)
     gaps = intervals > _GAP * typical
     if typical <= 0.0:
         return gaps
     rows = np.flatnonzero(gaps)[:, None]
-    # How much later than expected from that before the interval, in intervals, is each stamp about it?
+    # Delay of each nearby stamp, in intervals, against what the stamp before the interval implies.
     about = np.clip(rows + np.arange(-_ABOUT, _ABOUT) + 1, 0, len(intervals))
     delays = (times[about] - times[rows]) / typical - (about - rows)
     gaps[rows[:, 0]] = np.median(delays[:, _ABOUT:], axis=1) - np.median(delays[:, :_ABOUT], axis=1) > 0.5
@@ -243,7 +243,7 @@ def _gaps(times: Float[np.ndarray, " samples"]) -> Bool[np.ndarray, " intervals"
 
 
 def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Source) -> np.ndarray:
-    """Stamps minus the first one: 19-digit integers lose digits as floats, their differences do not."""
+    """Return stamps minus the first: 19-digit integers lose digits as floats, their differences do not."""
     if is_numeric(values) and values.dtype.kind in "iu":
         return _unwrapped((values - values[0]).astype(np.int64)).astype(float)
     numbers = as_float(values, label, source)
@@ -256,7 +256,7 @@ def _since_first(values: Shaped[np.ndarray, " samples"], label: str, source: Sou
 
 
 def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " samples"]:
-    """Counts of a counter that starts again from zero, continued, also where samples are lost just there."""
+    """Return the continued counts of a counter that restarts from zero, even if samples are lost there."""
     steps = np.diff(counts)
     back = steps < 0
     if not back.any() or back.all():
@@ -272,7 +272,7 @@ def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " s
 
 
 def _iso_dates(values: Shaped[np.ndarray, " samples"]) -> np.ndarray:
-    """Dates as datetime64 if all cells are ISO 8601, else the cells as they are."""
+    """Return dates as datetime64 if all cells are ISO 8601, else the cells unchanged."""
     import pandas as pd
 
     dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
@@ -287,7 +287,7 @@ def _unit(
     rate: float | None,
     source: Source,
 ) -> tuple[str, tuple[str, ...]]:
-    """Unit of the stamps, and notes: stated, or the only one that fits, or what makes them a known rate."""
+    """Return the unit of the stamps, and notes: stated, the only plausible one, or implied by the rate."""
     name, stated = f"column {column.label!r}", time_unit or column.unit
     if stated is not None:
         try:
@@ -299,27 +299,27 @@ def _unit(
             ) from error
         if column.unit is None or same_unit(column.unit, stated):
             return stated, ()
-        return stated, (f"{name} in {stated} as stated, not in {column.unit} as its label says",)
+        return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
     typical = float(np.median(np.diff(times)))
     rates = {unit: 1.0 / (typical * convert(1.0, unit, "s")) for unit in _UNITS if typical > 0.0}
     fitting = [unit for unit in rates if _fits(unit, rates[unit], values, rate)]
     if len(fitting) == 1:
-        return fitting[0], (f"{name} taken to be in {fitting[0]}, the only unit that fits",)
+        return fitting[0], (f"{name} has no unit; assuming {fitting[0]}, the only plausible one",)
     low, high = _PLAUSIBLE_RATES
-    possible = (f"in {unit} they are {hz:.4g} Hz" for unit, hz in rates.items() if low <= hz <= high)
+    possible = (f"in {unit} the rate is {hz:.4g} Hz" for unit, hz in rates.items() if low <= hz <= high)
     listed = ", ".join(possible) or "no unit gives a plausible rate"
     if rate is not None and typical > 0.0:
         step = 1.0 / rate / typical
-        note = f"no unit of time makes the stamps of {name} {rate:g} Hz ({listed})"
-        return f"{step!r} s", (f"{note}: taken as counts of {step:.6g} s each",)
+        note = f"{name} has no unit that fits {rate:g} Hz ({listed})"
+        return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
     raise source.error(
-        f"{name} has no unit, and which it is cannot be seen ({listed}); pass time_unit= (--time-unit), such "
-        f"as s, ms or '0.1 ms', or rate= (--rate), or write the unit in the header as `{column.name} [s]`"
+        f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
+        f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
     )
 
 
 def _fits(unit: str, hz: float, values: np.ndarray, rate: float | None) -> bool:
-    """Whether stamps that make this rate in `unit` are plausible: by that given, or as fractions or dates."""
+    """Whether stamps with this rate in `unit` are plausible: by a given rate, as fractions or dates."""
     if rate is not None:
         return abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE
     low, high = _PLAUSIBLE_RATES
@@ -336,9 +336,9 @@ def _gap(
     more: bool,
     drawn: int,
 ) -> str:
-    """Gaps after these samples in words: length and place of the first, and what can be read instead.
+    """Return a message on gaps after these samples: length and place of the first, and what to read instead.
 
-    `drawn` is how many missing samples can be drawn.
+    `drawn` is how many missing samples can be filled in.
     """
     first = int(gaps[0])
     before, after = times[first], times[first + 1]
@@ -348,7 +348,7 @@ def _gap(
     )
     if more:
         return (
-            f"{text}; take what comes before it by stop={_before(before):.3f} (--stop) or after it by "
+            f"{text}; read the part before it with stop={_before(before):.3f} (--stop) or after it with "
             f"start={_after(after):.3f} (--start)"
         )
     edges = np.concatenate([[-1], gaps, [len(times) - 1]])
@@ -357,23 +357,22 @@ def _gap(
     remedies = []
     if np.diff(edges)[longest] > MIN_SAMPLES:
         remedies.append(
-            f"take a stretch without gaps, the longest by start={_after(begin):.3f}, stop={_before(end):.3f} "
-            "(--start, --stop) or by gaps='segments' (--gaps segments)"
+            f"read a part without gaps, the longest with start={_after(begin):.3f}, stop={_before(end):.3f} "
+            "(--start, --stop) or gaps='segments' (--gaps segments)"
         )
     if drawn:
         remedies.append(
-            f"let the {drawn} missing samples be drawn given the {len(times)} others by gaps='fill' "
-            "(--gaps fill)"
+            f"fill in the {drawn} missing of {drawn + len(times)} samples with gaps='fill' (--gaps fill)"
         )
     count = "the only gap" if len(gaps) == 1 else f"the first of {len(gaps)} gaps"
-    return f"{text}, {count}; {', or '.join(remedies) or 'too little is left for a recording'}"
+    return f"{text}, {count}; {', or '.join(remedies) or 'too few samples remain for a recording'}"
 
 
 def _after(time: float) -> float:
-    """Time rounded up to ms, to stay clear of a gap before it; a whole ms stays as it is."""
+    """Return the time rounded up to ms, to avoid a gap before it; a whole ms is unchanged."""
     return float(np.ceil(time * 1e3 - 1e-7) / 1e3) + 0.0
 
 
 def _before(time: float) -> float:
-    """Time rounded down to ms, to stay clear of a gap after it; a whole ms stays as it is."""
+    """Return the time rounded down to ms, to avoid a gap after it; a whole ms is unchanged."""
     return float(np.floor(time * 1e3 + 1e-7) / 1e3)

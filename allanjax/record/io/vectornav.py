@@ -1,4 +1,4 @@
-"""Reader of what VectorNav's sensors write as text: lines such as `$VNYMR,...*65`, which have no stamps."""
+"""Reader for the text output of VectorNav sensors: lines such as `$VNYMR,...*65`, without time stamps."""
 
 import io
 import re
@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
-from allanjax.record.io.table import Format, Table, damage_told
+from allanjax.record.io.table import Format, Table, damage_reported
 from allanjax.record.validation import Source
 
 _GYRO = tuple(f"gyro_{axis} [rad/s]" for axis in "xyz")
 _ACCEL = tuple(f"accel_{axis} [m/s²]" for axis in "xyz")
 _MAG = tuple(f"mag_{axis} [gauss]" for axis in "xyz")
 _ANGLES = tuple(f"{angle} [deg]" for angle in ("yaw", "pitch", "roll"))
-# Fields of the messages that have samples.
+# Fields of messages with samples.
 _FIELDS = {
     b"$VNYMR": (*_ANGLES, *_MAG, *_ACCEL, *_GYRO),
     b"$VNQMR": (*(f"quaternion_{k}" for k in range(4)), *_MAG, *_ACCEL, *_GYRO),
@@ -31,12 +31,12 @@ _FIELDS = {
     b"$VNACC": _ACCEL,
 }
 _LINE = re.compile(rb"(?:^|\n)\$VN[A-Z]{3},")
-# A line's sum of the bytes after the $, each bit alone, in two hexadecimal digits at its end.
+# Exclusive or of the bytes after the $, in two hexadecimal digits at the end of a line.
 _ENDED = re.compile(rb"\*([0-9A-Fa-f]{2})\s*$")
 
 
 def read_vectornav(path: Path, source: Source) -> Table:
-    """Lines of the message that is there most often; a damaged line is a sample that is nan.
+    """Return the lines of the most frequent message; a damaged line is a sample with nan.
 
     Raises:
         RecordingError: no message has samples.
@@ -49,10 +49,10 @@ def read_vectornav(path: Path, source: Source) -> Table:
     if not known:
         there = ", ".join(sorted(kind.decode("latin-1") for kind in count))
         wanted = ", ".join(kind.decode() for kind in _FIELDS)
-        raise source.error(f"no message with samples, but {there}; let the sensor write one of {wanted}")
+        raise source.error(f"no message with samples (only {there}); let the sensor write {wanted}")
     kind = max(known, key=lambda kind: known[kind])
     places = [k for k, line in enumerate(lines) if line.startswith(kind)]
-    # What is no message at all between two of them was one.
+    # Lines between messages that are not messages are damaged ones.
     torn = (
         k
         for k in range(places[0], places[-1])
@@ -67,20 +67,20 @@ def read_vectornav(path: Path, source: Source) -> Table:
         row[7:].partition(b"*")[0].strip() if good else nothing
         for row, good in zip(rows, intact, strict=True)
     ]
-    with damage_told(source, "lines of numbers", "repair the lines, or save it as CSV"):
+    with damage_reported(source, "lines of numbers", "repair the lines, or save it as CSV"):
         text = io.BytesIO(b"\n".join(bodies))
         frame = pd.read_csv(text, header=None, encoding="latin-1", skip_blank_lines=False, low_memory=False)
     notes = [f"{known[kind]} lines of {kind.decode()}"]
     others = len(lines) - len(rows) - sum(not line.strip() for line in lines)
     if others:
-        notes.append(f"{others} other lines skipped")
+        notes.append(f"{others} other lines are skipped")
     source = Source(source.label, lambda row: f"line {places[row] + 1}", "a damaged line")
     columns = tuple(frame[name].to_numpy() for name in frame.columns)
     return Table.of(columns, labels, source, notes=tuple(notes))
 
 
 def _are_intact(rows: Sequence[bytes], fields: int) -> Bool[np.ndarray, " rows"]:
-    """Whether each line has so many fields, and the check sum that it tells, if it tells one."""
+    """Return whether each line has so many fields and, if it states a check sum, the right one."""
     ends = [_ENDED.search(row) for row in rows]
     intact = np.array([row.count(b",") == fields for row in rows], bool)
     summed = [k for k, end in enumerate(ends) if end is not None and intact[k]]
