@@ -1,11 +1,11 @@
-"""The critic: what a simulation of the fitted sensor gets wrong, why, and what is gained by mending it.
+"""The critic: what a simulation of the fitted sensor gets wrong, why, and how much a correction gains.
 
-A cause of one's own whose waveform is known but for its amplitude and one parameter is a `Template`: a
-function and the values of the parameter. Any other is a subclass of `Cause` with a `name` and a method
-`detect(view)`, which is handed a `View` of one axis and returns its best `Candidate`, or None. The
-candidate's parameters are `Estimate`s, made by `View.estimate`, `time_estimate`, `amplitude_estimate` or
-`log_estimate`. A shape that is known up to some parameters goes into a `Bank` of such shapes, `centred`, and
-`additive` finds the best of them. What is asked of a candidate before it is a finding is in `critic.policy`.
+To add a cause whose waveform is known except for its amplitude and one parameter, make a `Template` from a
+function and the values of the parameter. Any other cause is a subclass of `Cause` with a `name` and a method
+`detect(view)`, which takes a `View` of one axis and returns its best `Candidate`, or None. The candidate's
+parameters are `Estimate`s made by `View.estimate`, `time_estimate`, `amplitude_estimate` or `log_estimate`.
+Shapes that are known except for some parameters go into a `Bank`, after `centred`, and `additive` finds the
+best of them. `critic.policy` has the rule by which a candidate becomes a finding.
 """
 
 from pathlib import Path

@@ -71,7 +71,7 @@ class Matched:
     No copy of all shapes is made: that would cost more than the sums over them.
 
     Attributes:
-        shapes: cosine coefficients, one row a shape.
+        shapes: cosine coefficients, one row per shape.
         root: standard deviation of the coefficients.
         nuisances: orthonormal basis of the nuisance directions.
         common: products of the whitened shapes with these.
@@ -100,7 +100,7 @@ class Matched:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Bank:
-    """Shapes that are searched for, each as its lowest `SLOW` cosine coefficients: one row a shape."""
+    """Shapes to search for, each as its lowest `SLOW` cosine coefficients: one row per shape."""
 
     shapes: Float[np.ndarray, "shapes slow"]
 
@@ -110,7 +110,7 @@ class Bank:
         return self.shapes**2
 
     def matched(self, view: View, noise: Noise) -> Matched:
-        """Matched filters in this noise; its ramp and the shapes `view.nuisances` are nuisances."""
+        """Matched filters in this noise; its ramp and the shapes in `view.nuisances` are projected out."""
         J = self.shapes.shape[1]
         v = view.lowest(noise, J)
         root = np.sqrt(v)
@@ -125,15 +125,15 @@ class Bank:
         return Matched(self.shapes, root, e - basis @ (e @ basis), basis, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:
-        """Outputs of all matched filters, and the amplitudes that they estimate."""
+        """Outputs of all matched filters, and their estimates of the amplitude."""
         matched = self.matched(view, noise)
         projected, norms = matched.products(matched.whitened), matched.lengths
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
-        """Gain in log-likelihood [nats] on held-out data by the effect that is subtracted in `after`.
+        """Gain in log-likelihood on held-out data by the effect that `after` lacks [nats].
 
-        The whole bank is searched without the part that is held out, in this noise or that of `after`.
+        The whole bank is searched without the held-out part, in the noise of the view or of `after`.
         """
         noise = noise or after.noise
         matched = self.matched(view, noise)

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 
 class Cause(ABC):
-    """An effect that a sensor's model may lack; what is asked of a candidate is in `critic.policy`."""
+    """An effect that a sensor's model may lack; `critic.policy` has the rule for accepting it."""
 
     name: str
-    #: Whether it is seen in the samples themselves and must be undone before anything else is looked for.
+    #: Whether it is visible directly in the samples and must be undone before the search for others.
     is_preprocessing: ClassVar[bool] = False
-    #: Whether it is refitted when later findings change what it was conditional on: at once, since its misfit
-    #: would be taken for other effects, or at last.
+    #: Whether it is refitted when later findings change what it was conditional on: "at once", if its misfit
+    #: would be mistaken for other effects, or "at last".
     refit: ClassVar[Literal["", "at once", "at last"]] = ""
 
     def __repr__(self) -> str:
@@ -30,16 +30,16 @@ class Cause(ABC):
         """Best candidate of this cause in a view, or None."""
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
-        """Finding refitted in a view with other findings than before; None if nothing is left of it."""
+        """The finding refitted in a view with other findings; None if nothing remains of it."""
         return self.detect(view)
 
     def at(self, places: Sequence[Place]) -> Cause | None:
-        """The same cause, looked for only at places known from other axes; None if it never is."""
+        """The cause that searches only at places known from other axes; None if there is no such search."""
         return None
 
     def p_value(self, view: View) -> float | None:
-        """p-value of this cause's statistic if the view has noise only, corrected for the search over places.
+        """p-value of this cause's statistic under noise alone, corrected for the search over places.
 
-        None where the cause has no such statistic.
+        None if the cause has no such statistic.
         """
         return None

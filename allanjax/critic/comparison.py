@@ -40,7 +40,7 @@ _CURVE_PER_OCTAVE = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StageResiduals:
-    """One axis at one stage of the critique; `scale` is the factor from its own unit to SI."""
+    """One axis at one stage of the critique; `scale` converts its own unit to SI."""
 
     axis: Axis
     scale: float
@@ -59,7 +59,7 @@ class StageResiduals:
 
     @functools.cached_property
     def samples(self) -> Float[np.ndarray, " n"]:
-        """Samples without what was found and without the model's ramp, which simulations lack too [SI]."""
+        """Samples less the findings and the model's ramp, which simulations lack, too [SI]."""
         x, ramp = self.stage.x, self.stage.ramp
         if ramp and np.isfinite(ramp):
             x = x - ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / self.rate

@@ -72,7 +72,7 @@ def criticize(
     failed: dict[str, DeadAxis] = {}
     searches, fit = _searches(recording, seen, given, causes, per_axis, tell, failed)
     recording = _left(recording, failed)
-    tell("comparing measurement and simulation")
+    tell("comparing the measurement with simulations")
     stages = [_stages(s) for s in searches]
 
     def residuals(k: int, stage: int) -> StageResiduals:
@@ -96,7 +96,7 @@ def criticize(
         before = _compared(k, first, s.start.recorded(s.start.raw), recording)
         now = s.end.samples if s.preprocessed else s.start.raw
         after = _compared(k, last, s.end.recorded(now), recording)
-        tell(f"{axis.name}: measuring the gain")
+        tell(f"{axis.name}: testing findings on held-out data")
         middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
         records = [first[k], *middle, *([last[k]] if s.steps else [])]
         findings = [
@@ -117,7 +117,10 @@ def criticize(
     _left(recording, failed)
     unfitted = [r for r in fit.results if not r.converged]
     notes = [*fit.notes]
-    notes += [f"{r.axis.name}: no fit ({r.reason}), the baseline is by evidence" for r in unfitted]
+    notes += [
+        f"{r.axis.name}: the fit failed ({r.reason}); the baseline has the most probable terms"
+        for r in unfitted
+    ]
     notes += [note for s in searches for note in s.notes]
     axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
     return Critique(recording.name, recording.rate, fit, axes, shared, tuple(notes), dead)
@@ -141,8 +144,8 @@ def _guarded(
             *_, (frame, line) = traceback.walk_tb(error.__traceback__)
             place = f"{Path(frame.f_code.co_filename).name}:{line}"
             reason = (
-                f"its critique failed by a fault of allanjax, {type(error).__name__} in {place} ({error}); "
-                "please report it together with the recording"
+                f"its critique failed because of a bug in allanjax: {type(error).__name__} in {place} ({error}); "
+                "please report it with the recording"
             )
         failed[axes[k].name] = DeadAxis(axes[k], reason)
         return None
@@ -169,11 +172,11 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     whole = 0.0, recording.duration
     start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
     if (start, stop) != whole:
-        text = f"{seen.said}: the critique is of {plain(start)} to {plain(stop)} s"
+        text = f"{seen.said}: the critique uses {plain(start)} to {plain(stop)} s only"
         facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
         recording = recording.between(start, stop)
     elif seen.refusal:
-        text = f"{seen.said}: the critique is of all of it, as too little would be left without"
+        text = f"{seen.said}: the critique uses all samples, because too few would remain"
         facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 
@@ -224,20 +227,20 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
         raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
     if recording.n < _SHORTEST:
         raise FitError(
-            f"{label}: {recording.n} samples are too few to criticize; record at least {_SHORTEST}"
+            f"{label}: {recording.n} samples are too few for a critique; record at least {_SHORTEST}"
         )
     if given is not None and given.axes != recording.names:
         raise AllanjaxError(
-            f"the fit is of {', '.join(given.axes)}, the recording has {', '.join(recording.names)}"
+            f"the fit has the axes {', '.join(given.axes)}, but the recording has {', '.join(recording.names)}"
         )
     if given is not None and given.template.response is not None:
         raise FitError(
-            f"{label}: the critique does not judge a model with a response ({given.template.response!r}) "
-            "yet: leave the fit out, and it looks for a filter itself"
+            f"{label}: critique does not support models with a response ({given.template.response!r}); "
+            "call it without the fit, and it looks for a filter itself"
         )
     for result in given.results if given else ():
         if not result.converged:
-            raise FitError(f"{label}: {result.axis.name} has no fit to criticize: {result.reason}")
+            raise FitError(f"{label}: the fit of {result.axis.name} failed: {result.reason}")
 
 
 def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:

@@ -27,30 +27,33 @@ def critique(
     names: Sequence[str] | None = None,
     gaps: GapChoice | None = None,
 ) -> Critique:
-    """Say what a simulation of the fitted noise model gets wrong, why, and what mending it gains.
+    """Find out what a simulation of the fitted noise model gets wrong, why, and how much a correction gains.
 
-    Every axis is whitened by its model; each cause looks in the residuals for its own signature with the best
-    filter for it. Competing explanations, among them other basic noise terms, are compared by their evidence.
-    The best one is accepted if it is significant and predicts data that it was not estimated from; it is
-    subtracted, and the search begins anew. Earlier findings are refitted conditional on it where that
-    matters, and dropped where nothing is left of them. What disturbs the beginning and the end of the
-    recording is left out, see `inspect`. See `allanjax.critic` for writing a cause of your own.
+    Every axis is whitened by its model, and each cause searches the residuals for its signature with the best
+    filter for it. Competing explanations, including other basic noise terms, are compared by their evidence.
+    The best one is accepted if it is significant and predicts data from which it was not estimated; it is
+    subtracted, and the search starts again. Earlier findings are refitted if the new one affects them, and
+    dropped if nothing remains of them. Disturbed parts at the beginning and the end of the recording are left
+    out, see `inspect`. See `allanjax.critic` for adding your own causes.
 
     Args:
-        recording: what `read` returns, or what else `allanjax.fit` takes.
+        recording: a recording from `read`, or anything else that `allanjax.fit` accepts.
         fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
-            are causes too; if they were chosen, the choice is made anew with every finding.
-        causes: what to look for; by default `allanjax.critic.causes.CAUSES`.
-        false_alarms: probability that a recording without any effect has a finding; it is shared by its
-            axes. Basic terms that a given model lacks come on top, as often again (`critic.policy`).
-        vibrating: whether the platform is meant to move or vibrate: it is not tested for rest.
-        progress: called with a text that says what is being done.
+            are causes, too; if they were chosen, they are chosen again with every finding.
+        causes: causes to look for; by default `allanjax.critic.causes.CAUSES`.
+        false_alarms: probability of any finding in a recording without an effect, shared by its axes. Basic
+            terms that a given model lacks have the same probability in addition (`critic.policy`).
+        vibrating: whether the platform is meant to move or vibrate; the test for rest is then skipped.
+        progress: called with a text that describes the current step.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.
-        gaps: what to do about missing samples, as in `read`; of an array those that are nan.
+        gaps: how to treat missing samples, as in `read`; in an array these are the nan.
+
+    Returns:
+        The critique; `print` shows its findings, and `details()` all that it reports.
 
     Raises:
-        AllanjaxError: `fit` is of other axes; `false_alarms` is not between 0 and 1.
-        FitError: a record of fewer than 1024 samples, or an axis without a fit.
+        AllanjaxError: `fit` has other axes; `false_alarms` is not between 0 and 1.
+        FitError: the record has fewer than 1024 samples, or the fit of an axis failed.
     """
     # What it needs takes half a second to load.
     from threadpoolctl import threadpool_limits

@@ -1,4 +1,4 @@
-"""Findings: causes that were found, what they change, and the discrepancies that they explain."""
+"""Findings: detected causes, what they change, and the discrepancies that they explain."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from allanjax.record.units import Sensor
 
 #: Coefficients by whose change a finding's effect is measured, beside the drift and the Allan deviation.
 MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
-# Parameters that say how large an effect is in an axis, the first that a finding has.
+# Parameters that are the size of an effect in an axis; the first that a finding has counts.
 _SIZES = (
     *("amplitude", "coefficient", "peak", "scale", "step", "ratio", "bandwidth"),
     *("upper_level", "lower_level", "fraction"),
@@ -43,11 +43,11 @@ class Discrepancy(ByValue):
     Attributes:
         statistic: name of the statistic, e.g. "allan_deviation".
         where: place of the largest difference, e.g. 0.7.
-        where_unit: its unit, "s" or "Hz", or "" where there is no place.
-        measured, simulated: the statistic there, in `unit`; simulated is the ensemble's median.
-        unit: of these two.
-        p_value: probability of a difference as large anywhere, under the model.
-        channel: the other axis or channel, of a correlation.
+        where_unit: unit of the place, "s" or "Hz"; "" if the statistic has no place.
+        measured, simulated: the statistic at that place, in `unit`; the simulated one is the median.
+        unit: unit of these two.
+        p_value: probability under the model of a difference as large at any place.
+        channel: the other axis or channel of a correlation.
     """
 
     statistic: str
@@ -61,17 +61,17 @@ class Discrepancy(ByValue):
 
     @property
     def size(self) -> float:
-        """Relative error of the simulation, simulated/measured − 1; nan where measured is zero."""
+        """Relative error of the simulation, simulated/measured − 1; nan if the measured value is zero."""
         return self.simulated / self.measured - 1.0 if self.measured else float("nan")
 
 
 @dataclasses.dataclass(frozen=True)
 class Rival:
-    """Another cause that explains nearly as much.
+    """Another cause that explains the data nearly as well.
 
     Attributes:
         cause: name of the cause.
-        odds: odds of the finding's cause against it.
+        odds: odds for the finding's cause against this one.
     """
 
     cause: str
@@ -80,7 +80,7 @@ class Rival:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CoefficientChange(ByValue):
-    """Basic coefficient before and after a finding, in `unit`; nan where the term is not in the model."""
+    """A basic coefficient before and after a finding, in `unit`; nan if its term is not in the model."""
 
     label: str
     before: float
@@ -90,9 +90,9 @@ class CoefficientChange(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DriftChange(ByValue):
-    """Drift over a time: root mean square on held-out stretches, and predicted before and after a finding.
+    """RMS drift over a `horizon` [s]: measured on held-out data, and predicted before and after a finding.
 
-    The drift is the integrated rate less that of the mean rate of the stretch before, of equal length.
+    The drift is the integrated rate less the integral of the mean rate over the same length of time before.
     """
 
     horizon: float
@@ -103,13 +103,13 @@ class DriftChange(ByValue):
 
 
 class Effect(NamedTuple):
-    """Largest relative change that a finding makes in what a simulation is for.
+    """The largest relative change that a finding makes in a quantity for which one simulates.
 
     Attributes:
-        size: the factor less one, 0.5 for half as much again or a third less; 1 where a term comes or goes.
-        quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "sum" for what noise
-            that axes share changes, the deviation of the sum of two of them; "" for none.
-        time: time over which the drift or the Allan deviation is [s], else nan.
+        size: the larger value over the smaller one, less 1; 1 if a term is added or removed.
+        quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "sum" for shared
+            noise, which changes the standard deviation of the sum of two axes; "" for none.
+        time: time of the drift, or cluster time of the Allan deviation [s]; else nan.
     """
 
     size: float
@@ -119,28 +119,28 @@ class Effect(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Finding(ByValue):
-    """A cause that was found, and the gain of taking it into the model.
+    """A detected cause, and the gain from including it in the model.
 
-    One that was found in several axes has `members`. Its coefficients, drift and discrepancies are then those
-    of the axis in which it matters most, `shown`.
+    A finding in several axes has `members`. Its coefficients, drift and discrepancies are then those of the
+    most affected axis, `shown`.
 
     Attributes:
         cause: name of the cause, see `causes`; "event" for outliers of several axes at one time.
-        axes: axes that it concerns.
+        axes: names of the affected axes.
         parameters: estimates by label, in the recording's own units, times from its start [s].
-        p_value: p-value of its statistic, corrected for the search; None where its odds are the test.
-        evidence: log Bayes factor for it, trials and Occam factors included [nats]; None for what is seen in
-            the samples themselves, such as rounding.
-        gain: gain in log-likelihood on data that were used neither to find nor to fit it [nats]; None where
-            it cannot be held out, or was not measured apart.
-        rivals: causes against which its odds are shorter than 1000.
+        p_value: p-value of its statistic, corrected for the search; None if its odds are the test.
+        evidence: log Bayes factor for it, including trials and Occam factors [nats]; None for effects that
+            are visible directly in the samples, such as rounding.
+        gain: gain in log-likelihood on data used neither to find nor to fit it [nats]; None if it cannot be
+            tested on held-out data, or is included in that of another finding.
+        rivals: other causes against which its odds are below 1000.
         span, domain: start and end, in s ("time") or Hz ("frequency").
         coefficients: changes of the basic coefficients.
         drift: change of the predicted drift.
-        discrepancies: pairs of a statistic before and after this finding, at the place that it improved most.
+        discrepancies: pairs of a statistic before and after this finding, where it improved most.
         details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
-        members: findings of single axes that it tells together, as they were made.
-        per_axis: how large it is in each axis, if it has members; see `amplitudes`.
+        members: the findings of single axes that it combines.
+        per_axis: its size in each axis, if it has members; see `amplitudes`.
     """
 
     cause: str
@@ -161,7 +161,7 @@ class Finding(ByValue):
 
     @property
     def size(self) -> Estimate | None:
-        """Parameter that says how large the effect is in its axis: an amplitude, a step, a ratio."""
+        """The parameter that is the size of the effect in its axis: an amplitude, a step or a ratio."""
         return next((self.parameters[label] for label in _SIZES if label in self.parameters), None)
 
     def named(self, cause: str) -> str:
@@ -171,29 +171,29 @@ class Finding(ByValue):
 
     @property
     def amplitudes(self) -> dict[str, Estimate]:
-        """How large the effect is in each axis, see `size`; nothing for noise that axes share."""
+        """Size of the effect in each axis, see `size`; empty for noise that axes share."""
         if self.members:
             return dict(self.per_axis)
         return {self.axes[0]: self.size} if len(self.axes) == 1 and self.size is not None else {}
 
     @property
     def odds(self) -> float | None:
-        """Odds for it, e^evidence; None where it has no evidence."""
+        """Odds for it, e^evidence; None if it has no evidence."""
         return None if self.evidence is None else float(np.exp(min(self.evidence, 700.0)))
 
     @property
     def shown(self) -> str:
-        """Axis in which it matters most."""
+        """Name of the most affected axis."""
         return self.strongest.axes[0]
 
     @property
     def strongest(self) -> Finding:
-        """The member that changes most, or the finding itself."""
+        """The member with the largest effect, or the finding itself."""
         return max(self.members, key=lambda f: (f.effect.size, f.gain or 0.0), default=self)
 
     @property
     def effect(self) -> Effect:
-        """Largest relative change of N, K, the drift or the Allan deviation in any of its axes."""
+        """The largest relative change of N, K, the drift or the Allan deviation in any axis."""
         found = [
             Effect(_change(c.before, c.after), c.label)
             for c in self.coefficients

@@ -1,6 +1,6 @@
-"""Findings of a recording: those of single axes, of which each cause is told once.
+"""Findings of a recording: those of single axes, with each cause reported once.
 
-A rule says of one kind of cause which findings are one, and what is told of them. A cause without a rule is
+The rule for a kind of cause determines which findings are one, and describes them. A cause without a rule is
 not merged.
 """
 
@@ -353,7 +353,7 @@ class Rule(NamedTuple):
     Attributes:
         applies: whether a finding is of this kind.
         family: findings of this kind that are one with the strongest one, itself among them.
-        told: one finding of several.
+        told: combines several findings into one.
     """
 
     applies: Callable[[Finding], bool]
@@ -364,7 +364,7 @@ class Rule(NamedTuple):
 def merged(
     findings: Sequence[Finding], of_several: Sequence[Finding], duration: float
 ) -> tuple[Finding, ...]:
-    """Findings of a recording of this length [s], what changes most first, what is unexplained last.
+    """Findings of a recording of this length [s], the largest change first, unexplained ones last.
 
     `findings` are those of the single axes, axis by axis; `of_several` those that several axes share.
     """

@@ -1,4 +1,4 @@
-"""Parameters of findings as estimates, and what else a finding says."""
+"""Parameters and details of findings."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from allanjax.record.recording import Axis
 
 # Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
 _AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
-#: Side of its 95 % limit that a parameter is on; "" if more than a limit is known of it.
+#: Side of its 95 % limit on which a parameter lies; "" if it has an estimate.
 Limit: TypeAlias = Literal["", "above", "below"]
-#: What a finding says besides its parameters: a word, several words, or a list of numbers.
+#: Detail of a finding besides its parameters: a word, several words, or a list of numbers.
 Detail: TypeAlias = str | tuple[str, ...] | tuple[Estimate, ...]
 
 
@@ -31,8 +31,8 @@ def parameter_estimate(
 ) -> Estimate:
     """Parameter of a finding, with the intervals of a normal law of the value or of its logarithm.
 
-    Where the search ended at a bound of its range, or the record ends where the effect may go on, the value
-    is a 95 % `limit`: the parameter is "above" or "below" it, and has no standard deviation.
+    If the search ended at a bound of its range, or the effect may continue beyond the record, the value is a
+    95 % `limit`: the parameter lies "above" or "below" it and has no standard deviation.
     """
     value, std = float(value), float("nan") if limit else float(std)
 
@@ -69,7 +69,7 @@ def limited(
 
 
 def side_of_limit(e: Estimate) -> Limit:
-    """Side of its 95 % limit on which a finding's parameter is, "" if more is known of it."""
+    """Side of its 95 % limit on which a finding's parameter lies; "" if it has an estimate."""
     if e.lower_limit is not None:
         return "above"
     return "" if e.upper_limit is None else "below"

@@ -1,22 +1,22 @@
-"""Which candidates are accepted as findings: one rule, and all that it takes as given in two tables.
+"""Which candidates are accepted as findings: one rule, and its assumptions in two tables.
 
 A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its cause. It is
 accepted if
 
-- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the probability of a false finding that the axis
-  may have: nothing at the default, more where several axes share it; and
-- where the test is a p-value, p < α·share. A cause's share of the false alarms is its own: another cause, or
-  one of a user's, changes it for none. Noise alone has odds of e^gain with a probability of e^−gain at most
-  (Markov's inequality), which stands for p where it is less, or where there is no other test.
+- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in the
+  axis: 0 at the default, more if several axes share the probability; and
+- if the test is a p-value, p < α·share. Each cause has a share of the false alarms that no other cause
+  changes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
+  replaces p if it is less or if there is no other test.
 
-What is seen in the samples themselves has no odds, and is tested by its probability alone. A finding must
-also gain on held-out data, if it can be held out.
+An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
+finding must also gain on held-out data, if it can be tested on them.
 
 `PRIORS` has the prior odds and the share of each cause, `JUDGEMENTS` the limits of what counts as an
-instance of a cause at all, each with where it is from. Other constants of the critic are numerical: grids,
-resolutions, numbers of rounds, and from where on a closer look is worth its time. What was measured was
-counted on records of one generator (benchmarks/common/hidden_effects.py) by the study `critic`; its seeds
-were not written down, and are not apart from those that this study reports.
+instance of a cause at all, both with their provenance. Other constants of the critic are numerical: grids,
+resolutions, numbers of rounds, thresholds of a closer search. Measured values were counted by the study
+`critic` on records of one generator (benchmarks/common/hidden_effects.py); their seeds were not recorded and
+may overlap with those that this study reports.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ _TWENTY = "judgement: twenty to one against an effect; the share is one of fifte
 
 
 class Prior(NamedTuple):
-    """What is taken as given of a cause.
+    """Assumptions about a cause.
 
     Attributes:
-        log_odds: log prior odds for it [nats], with those that acceptance asks of it at `FALSE_ALARMS`.
-        share: share of an axis's false alarms that its p-value may have; None where its odds are the test.
-        provenance: where the two are from: derived, cited, measured (by what, on which records), or judged.
+        log_odds: log prior odds for it [nats], including those that acceptance requires at `FALSE_ALARMS`.
+        share: share of an axis's false alarms allowed to its p-value; None if its odds are the test.
+        provenance: origin of the two: derived, cited, measured (how, on which records) or judged.
     """
 
     log_odds: float
@@ -54,7 +54,7 @@ class Prior(NamedTuple):
 
 
 _OF_SAMPLES = (
-    "its probability is that of the samples, beyond any threshold; the share is one of fifteen equal"
+    "its probability follows from the samples, beyond any threshold; the share is one of fifteen equal"
 )
 
 #: Prior odds and shares by the name of the cause.
@@ -64,33 +64,37 @@ PRIORS: Mapping[str, Prior] = {
         Prior(
             -1.5,
             None,
-            "measured: of 600 hidden-effects records whose model was complete seven gained so much by a "
-            "further term (2,029 were tried)",
+            "measured: a further term (of 2,029 tried) gained so much in seven of 600 hidden-effects "
+            "records with a complete model",
         ),
     ),
     "bias_step": Prior(
         -1.0,
         1.0,
-        "measured: of 900 hidden-effects records without an effect five have a step of such odds; its "
-        "p-value may be that of all false alarms, since the odds are the test",
+        "measured: five of 900 hidden-effects records without an effect have a step of such odds; its "
+        "p-value may use all false alarms, since the odds are the test",
     ),
     "power_law": Prior(
         -float(np.log(100.0)),
         None,
-        "measured: of 600 hidden-effects records without one none gains more than two nats; the odds "
-        "are those of a hundred to one",
+        "measured: none of 600 hidden-effects records without one gains more than two nats; the odds "
+        "are a hundred to one",
     ),
     "telegraph": Prior(
         -3.0,
         None,
-        "measured: of 600 hidden-effects records without an effect none has these odds and a gain on "
+        "measured: none of 600 hidden-effects records without an effect has these odds and a gain on "
         "held-out data",
     ),
-    "warm_up": Prior(-1.0, _EQUAL, "judgement: units do warm up; the share is one of fifteen equal ones"),
-    "temperature": Prior(
-        -1.5, _EQUAL, "judgement: units do feel the temperature; the share is one of fifteen equal ones"
+    "warm_up": Prior(
+        -1.0, _EQUAL, "judgement: sensors often warm up; the share is one of fifteen equal ones"
     ),
-    "disturbance": Prior(-12.0, _EQUAL, "judgement: many other things are loud; the share is one of fifteen"),
+    "temperature": Prior(
+        -1.5, _EQUAL, "judgement: sensors often depend on temperature; the share is one of fifteen equal ones"
+    ),
+    "disturbance": Prior(
+        -12.0, _EQUAL, "judgement: many other effects are large; the share is one of fifteen"
+    ),
     "outliers": Prior(-3.0, _EQUAL, _TWENTY),
     "sinusoid": Prior(-3.0, _EQUAL, _TWENTY),
     "spectral_shape": Prior(-3.0, _EQUAL, _TWENTY),
@@ -99,7 +103,7 @@ PRIORS: Mapping[str, Prior] = {
     "saturation": Prior(0.0, _EQUAL, _OF_SAMPLES),
     "repeated_samples": Prior(0.0, _EQUAL, _OF_SAMPLES),
     "common_mode": Prior(
-        0.0, _EQUAL, "derived: the law of a correlation is known; one of fifteen equal shares"
+        0.0, _EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
     ),
 }
 #: Of all causes of a user's own together, which share it equally.
@@ -107,7 +111,7 @@ OWN = Prior(-3.0, _EQUAL, "judgement: as for any other cause; the share is reser
 
 
 class Judgement(NamedTuple):
-    """Limit of what counts as an instance of a cause, and why it is there."""
+    """Limit of what counts as an instance of a cause, and its reason."""
 
     value: float
     provenance: str
@@ -123,7 +127,7 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
     ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is no outlier"),
     ("power_law", "instead"): Judgement(
-        1, "a power law takes the place of the Markov process, as in the hidden records; both cannot be found"
+        1, "a power law replaces the Markov process, as in the hidden records; both cannot be detected"
     ),
     ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
     ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in its deviations"),
@@ -132,10 +136,8 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         0.35,
         "resolution over the noise's deviation below which rounding does no harm; hidden steps are larger",
     ),
-    ("saturation", "share"): Judgement(
-        0.9, "share of clipped samples from which on nothing is known of others"
-    ),
-    ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record are not told from drift"),
+    ("saturation", "share"): Judgement(0.9, "share of clipped samples above which the others are unknown"),
+    ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record cannot be distinguished from drift"),
     ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
     ("temperature", "clock"): Judgement(
         1e-6, "share of a channel's variance about a straight line below which it is a clock or a counter"
@@ -146,7 +148,7 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("variance_change", "shortest"): Judgement(0.01, "share of the record; what is shorter is an event"),
     ("variance_change", "price"): Judgement(3.0, "log Occam factor of its ratio [nats]: twenty values of it"),
     ("unexplained", "p_value"): Judgement(
-        1e-6, "p-value below which what no cause explains is told as a finding: some fourteen tests an axis"
+        1e-6, "p-value below which an unexplained discrepancy is reported: some fourteen tests per axis"
     ),
 }
 

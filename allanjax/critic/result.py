@@ -34,16 +34,16 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Snapshot(ByValue):
-    """One axis at one stage of the critique, for pictures and simulations.
+    """One axis at one stage of the critique, for figures and simulations.
 
     Attributes:
-        x: samples from which earlier findings are subtracted [SI].
+        x: samples less the earlier findings [SI].
         variance: expected squared cosine coefficients of x [rate²].
         terms: names of the basic terms in the noise.
         powers: their squared coefficients (a ramp has none).
         shape: correlation time [s] or exponent of the term that has one, else nan.
         ramp: slope of a drift ramp [rate/s].
-        drawn: samples that are not the sensor's, but drawn given the others.
+        drawn: whether each sample was filled in: drawn given the others.
     """
 
     x: Float[np.ndarray, " n"]
@@ -55,7 +55,7 @@ class Snapshot(ByValue):
     drawn: Bool[np.ndarray, " n"]
 
     def __repr__(self) -> str:
-        return f"<Snapshot: {len(self.x)} samples less what was found; noise {' + '.join(self.terms)}>"
+        return f"<Snapshot: {len(self.x)} samples less findings; noise {' + '.join(self.terms)}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,14 +64,14 @@ class AxisCritique(ByValue):
 
     Attributes:
         axis: the axis.
-        findings: in the order in which they were made.
-        before, after: discrepancies of the baseline's and of the extended model's simulations.
-        tests: p-value of every cause's best candidate on the record as it came.
-        stages: the axis before the first finding and after each.
-        baseline: model that the critique started from.
-        model: extended model: noise terms and deterministic ones, with their values.
-        misfit: how far the baseline's curve is off, if it does not suffice.
-        left_out: causes that change samples as no term of a model does, such as outliers.
+        findings: findings in the order of their detection.
+        before, after: discrepancies of simulations of the baseline and of the extended model.
+        tests: p-value of every cause's best candidate in the record before any finding.
+        stages: the axis before the first finding and after each one.
+        baseline: the model from which the critique started.
+        model: the extended model: noise terms and deterministic terms with their values.
+        misfit: how far the baseline's curve is off, if it does not fit the data.
+        left_out: causes that no term of a model describes, such as outliers.
     """
 
     axis: Axis
@@ -86,7 +86,7 @@ class AxisCritique(ByValue):
     left_out: tuple[str, ...] = ()
 
     def bias(self, rate: float) -> float:
-        """Constant rate that the extended model's samples at `rate` [Hz] are added to [SI]."""
+        """Constant to add to samples of the extended model at `rate` [Hz] [SI]."""
         x = self.stages[0].x
         time = (np.arange(len(x)) + 0.5) / rate
         # Lines have no mean, and the effect of a channel counts from that in the record.
@@ -98,27 +98,27 @@ class AxisCritique(ByValue):
         return float(np.mean(x)) - sum(shifts)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The axis's rows of `Critique.to_dataframe`."""
+        """The rows of `Critique.to_dataframe` for this axis."""
         return _table(self.findings)
 
     def __repr__(self) -> str:
-        causes = ", ".join(f.cause for f in self.findings) or "nothing found"
+        causes = ", ".join(f.cause for f in self.findings) or "no findings"
         terms = " + ".join(self.model.term_labels)
         return f"<AxisCritique {self.axis.name}: {causes};\n extended model {terms}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Critique(ByValue, PerAxis[AxisCritique]):
-    """Critique of a recording: what its simulation gets wrong, why, and what correcting it gains.
+    """Critique of a recording: what its simulation gets wrong, why, and how much a correction gains.
 
     Attributes:
         name: the recording's name.
         rate: its sample rate [Hz].
         fit: the baseline.
         results: critiques of the axes.
-        shared_findings: findings that concern several axes.
-        notes: remarks for the user.
-        dead: axes of the recording that have no noise to compare, and why.
+        shared_findings: findings of noise that several axes share.
+        notes: notes for the user.
+        dead: axes that could not be compared, and why.
     """
 
     CALLED: ClassVar[str] = "the critique"
@@ -133,15 +133,15 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a user of the critique should know of the recording as a whole, the gravest first."""
+        """Warnings about the recording as a whole, the gravest first."""
         # Lines are among the findings.
         return warnings_of(fact for fact in self.fit.facts if fact.kind != "lines")
 
     @functools.cached_property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found in the recording, each cause once, what changes most first; see `Finding.members`.
+        """Findings of the recording, each cause once, the largest change first; see `Finding.members`.
 
-        The findings of an axis as they were made are those of its `AxisCritique`.
+        The `AxisCritique` of an axis has its findings one by one.
         """
         own = [f for axis in self.results for f in axis.findings]
         return merged(own, self.shared_findings, self.duration)
@@ -163,18 +163,18 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         n: int | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
     ) -> Recording:
-        """Simulated recording of the extended models: axes, rate, units, bias and lines' phases as recorded.
+        """Simulate the extended models with axes, rate, units, bias and phases of lines as recorded.
 
-        What a model has no term for (outliers, rounding, noise that axes share) is left out, and so is the
-        effect of a channel that is not given: the recording's `notes` say which.
+        Effects without a model term (outliers, rounding, noise that axes share) are left out, and so are
+        effects of channels that are not given; the `notes` of the simulated recording list them.
 
         Args:
-            key: a JAX random key, or an integer to make one of.
-            n: number of samples, by default as many as were recorded.
+            key: a JAX random key, or an integer from which to make one.
+            n: number of samples, by default that of the recording.
             auxiliary: channels of n samples by name, e.g. the recording's own `auxiliary`.
 
         Raises:
-            AllanjaxError, RecordingError: as `simulate_recording`.
+            AllanjaxError, RecordingError: see `simulate_recording`.
         """
         units = {a.axis.sensor: a.axis.unit for a in self.results}
         simulated = simulate_recording(
@@ -194,11 +194,11 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         return dataclasses.replace(simulated, notes=(*simulated.notes, *notes))
 
     def refit(self) -> Fit:
-        """Coefficients with intervals, of the samples less what was found in time: see `fit`.
+        """Fit the samples less the findings: coefficients with intervals, see `fit`.
 
-        The model is the one that the critique was given, or else chosen anew. Outliers, steps, lines and what
-        is rounded are taken out, filter and resonances fitted jointly with the terms; intervals are wider for
-        samples that were drawn. It takes as long as a `fit` of the recording.
+        The model is the one given to the critique; otherwise its terms are chosen again. Outliers, steps,
+        lines and rounding are removed, and a filter and resonances are fitted jointly with the terms. The
+        intervals are widened for samples that were filled in. It takes as long as a `fit`.
         """
         from allanjax.estimate.fit import fit_inspected
 
@@ -216,13 +216,13 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @property
     def gain(self) -> float:
-        """Held-out log-likelihood gained by all findings that can be held out [nats]."""
+        """Total gain in log-likelihood on held-out data by all findings that can be tested on them [nats]."""
         own = [f for axis in self.results for f in axis.findings]
         return float(sum(f.gain for f in (*own, *self.shared_findings) if f.gain is not None))
 
     @presented
     def details(self) -> str:
-        """The story at length; `print` tells findings in a line each, and no more than ten."""
+        """The critique in full; `print` shows at most ten findings, one per line."""
         raise NotImplementedError
 
     @presented
@@ -231,10 +231,10 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Table with a row for each finding and parameter; `gain` is in nats, on held-out data.
+        """Table with one row per finding and parameter; `gain` is in nats, on held-out data.
 
-        Where `limit` is "below" or "above" the value is a 95 % limit, and has no standard deviation.
-        An unexplained finding has no parameters: one row, without name and numbers.
+        If `limit` is "below" or "above", the value is a 95 % limit and has no standard deviation.
+        A finding without parameters has one row without name and numbers.
         """
         return _table(self.findings)
 
@@ -242,9 +242,9 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
     ) -> tuple[Figure, ...]:
-        """A figure for every finding, or for some, and one for each axis without; saved in the folder `path`.
+        """Draw one figure per finding, or for some, and one per axis without findings; saved in the folder `path`.
 
-        That of a finding in several axes shows the one in which it matters most, `Finding.shown`.
+        A finding in several axes is drawn in the most affected one, `Finding.shown`.
 
         See `report.critique_figure`.
         """
@@ -259,7 +259,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
 
 def _table(findings: Sequence[Finding]) -> pd.DataFrame:
-    """Table with a row for each finding and parameter; how large it is in each of several axes, too."""
+    """Table with one row per finding and parameter, with the size in each of several axes."""
     import pandas as pd
 
     columns = ["axes", "cause", "parameter", "value", "std", "unit", "limit", "p_value", "gain"]

@@ -44,8 +44,8 @@ class Draft:
         start, end: view of the axis without findings, and with all of them subtracted.
         steps: the findings as they were made.
         tests: `Cause.p_value` at the start, of those causes that have one.
-        notes: notes for the user: causes as probable as noise, or that the search ended early.
-        preprocessed: whether a finding says that the samples are not what the sensor gave.
+        notes: notes for the user: causes as probable as noise, or an early end of the search.
+        preprocessed: whether a finding concerns the samples themselves, such as rounding.
         is_anew: whether findings were refitted, so that views before others are those of old ones.
     """
 
@@ -74,7 +74,7 @@ class Search(Draft):
 def search(
     view: View, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
 ) -> Draft:
-    """Causes that are found in one axis; `progress` is called with a text that says what is being done."""
+    """Search for causes in one axis; `progress` is called with a text that describes the step."""
     accepted = AcceptanceRule.of(false_alarms, causes)
     start, steps = view, []
     for cause in (c for c in causes if c.is_preprocessing):
@@ -130,7 +130,7 @@ def going_on(
             waveforms = {cause: float(c.gain) for cause, c in candidates if c.domain == "time"}
             offered = {cause: offered[cause] for cause in left} | nothing | waveforms
     else:
-        notes += (f"{view.axis.name}: {len(steps)} findings are enough; there may be more",)
+        notes += (f"{view.axis.name}: the search stopped at {len(steps)} findings; there may be more",)
     # It may have to wait for those of other axes.
     view.forget()
     notes = tuple(dict.fromkeys(notes))
@@ -217,7 +217,7 @@ def _undecided(candidate: Candidate, view: View) -> str:
     if candidate.chance > _CERTAIN or not instead:
         return ""
     name, odds = title_of(candidate.cause, sensor), np.exp(candidate.gain)
-    return f"{view.axis.name}: {' and '.join(instead)} may be a {name} (odds {odds:.2g} to 1 for it)"
+    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {odds:.2g} : 1)"
 
 
 def _chosen(

@@ -1,4 +1,4 @@
-"""What causes are looked for in, a view of one axis, and what they return, candidates."""
+"""Views of an axis, in which causes are searched for, and the candidates that they return."""
 
 from __future__ import annotations
 
@@ -34,22 +34,22 @@ EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """One axis as the critic sees it, with earlier findings subtracted.
+    """One axis with earlier findings subtracted, in which causes search for the next one.
 
     Attributes:
-        axis, scale: the axis; factor from its own unit to SI.
+        axis, scale: the axis; the factor from its own unit to SI.
         rate: sample rate [Hz].
         raw: samples as recorded [SI].
-        samples: samples from which earlier findings are subtracted [SI].
+        samples: samples less the earlier findings [SI].
         base: ratio of the spectrum to that of the basic terms in the baseline; None for 1.
         auxiliary: other channels.
         allowed: basic terms that the noise may have.
         family: noise family for records of this length and rate.
-        imputed: samples that were imputed, which carry no information.
-        found: causes found so far.
-        structure: filter and resonances that were found, with the noise that they were fitted with.
-        nuisances: coefficients of waveforms that were subtracted, whose amplitudes are nuisances.
-        drawn: samples that were missing and drawn given the others: `imputed` from the first.
+        imputed: whether each sample was filled in and carries no information.
+        found: causes detected so far.
+        structure: the detected filter and resonances, with the noise fitted jointly.
+        nuisances: coefficients of subtracted waveforms, whose amplitudes are nuisances.
+        drawn: whether each sample was missing and has been filled in: `imputed` from the start.
     """
 
     axis: Axis
@@ -68,7 +68,7 @@ class View:
     drawn: Bool[np.ndarray, " n"] | None = None
 
     def recorded(self, samples: Float[np.ndarray, " n"]) -> Float[np.ndarray, " recorded"]:
-        """Those of the record's samples that were not missing."""
+        """The samples of the record that were not missing."""
         return samples if self.drawn is None else samples[~self.drawn]
 
     @property
@@ -299,13 +299,13 @@ class View:
         return parameter_estimate(self.axis, label, value, std * self._wide, unit, limit)
 
     def log_estimate(self, label: str, log: float, std: float, limit: Limit, unit: str) -> Estimate:
-        """Parameter that is known by its logarithm and the standard deviation of that."""
+        """Parameter given by its logarithm and the standard deviation of the logarithm."""
         value = float(np.exp(log))
         std *= value * self._wide
         return parameter_estimate(self.axis, label, value, std, unit, limit, log_normal=True)
 
     def time_estimate(self, label: str, sample: float, std: float) -> Estimate:
-        """Time of a sample; within its deviation of an end of the record, a limit."""
+        """Time of a sample; a limit if it is within one standard deviation of an end of the record."""
         limit: Limit = ""
         if sample <= std:
             sample, limit = sample and sample + ONE_SIDED_95 * std, "below"
@@ -316,30 +316,29 @@ class View:
     def amplitude_estimate(
         self, label: str, value: float, std: float, per: str = "", limit: Limit = ""
     ) -> Estimate:
-        """Amplitude in the recording's own unit, by that in SI."""
+        """Amplitude in the recording's own unit, given in SI."""
         return self.estimate(label, value / self.scale, std / self.scale, self.axis.unit + per, limit)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Candidate:
-    """An explanation for something in a view.
+    """An explanation for a part of a view.
 
     Attributes:
         cause: name of the cause.
         estimates: its parameters, in the recording's units.
-        gain: log Bayes factor for it [nats], trials and Occam factors included; nan for what is seen in the
-            samples themselves, which no model foretells.
-        p_value: p-value of its statistic, corrected for the search; None where there is no such statistic.
+        gain: log Bayes factor for it, including trials and Occam factors [nats]; nan for an effect that is
+            visible directly in the samples, which no model predicts.
+        p_value: p-value of its statistic, corrected for the search; None if there is no such statistic.
         after: view without the effect.
-        held_out: computes the gain in log-likelihood on data that it was not estimated from [nats]; nan where
-            it cannot be held out.
+        held_out: computes the gain in log-likelihood on held-out data [nats]; nan if that is not possible.
         support: start and end in time [s], by default of the record, or low and high frequency [Hz].
         domain: "time" or "frequency".
         add_to_model: adds it to a model of noise terms.
         has_waveform: whether it subtracts a known waveform from the lowest coefficients.
-        parts: the single effects, in order, where only several together explain anything.
+        parts: the single effects, in order, if only several together explain anything.
         details: words and lists of numbers by name.
-        bound: upper bound of the probability of such odds by chance, e.g. e^−gain.
+        bound: upper bound of the probability of such odds under noise alone, e.g. e^−gain.
     """
 
     cause: str
@@ -358,7 +357,7 @@ class Candidate:
 
     @property
     def chance(self) -> float:
-        """Probability by which it is accepted: the p-value, or the bound where that is less."""
+        """Probability by which it is accepted: the p-value or the bound, whichever is less."""
         return self.bound if self.p_value is None else min(self.p_value, self.bound)
 
     @property

@@ -1,1 +1,1 @@
-"""The posterior distribution of a fit's coefficients: priors, sampling, and what follows from the draws."""
+"""The posterior distribution of a fit's coefficients: priors, sampling and derived quantities."""

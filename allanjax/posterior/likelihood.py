@@ -44,7 +44,7 @@ _CEILING = 1e2
 class Prior(eqx.Module):
     """Prior of one parameter, in SI.
 
-    A subclass has fields, the two methods, and `lower` and `upper`.
+    A subclass defines `lower`, `upper` and the two methods.
 
     Attributes:
         lower, upper: ends of its support.
@@ -65,7 +65,7 @@ class Prior(eqx.Module):
         raise NotImplementedError(f"{type(self).__name__} defines no log_density(x)")
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        """Value below which the share u of the prior lies; a draw of the prior if u is uniform."""
+        """Value below which a share u of the prior lies; a draw from the prior if u is uniform."""
         raise NotImplementedError(f"{type(self).__name__} defines no quantile(u)")
 
     def _inside(self, x: Array, log_density: Array) -> Array:
@@ -87,7 +87,7 @@ class Uniform(Prior):
 
     def __check_init__(self) -> None:
         finite = math.isfinite(self.lower) and math.isfinite(self.upper)
-        self._require(finite and self.lower < self.upper, "give finite lower < upper")
+        self._require(finite and self.lower < self.upper, "give finite bounds, lower < upper")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
         xp = namespace(self, x)
@@ -107,7 +107,7 @@ class LogUniform(Prior):
 
     def __check_init__(self) -> None:
         ordered = self.origin < self.lower < self.upper < math.inf
-        self._require(ordered, f"give finite {self.origin:g} < lower < upper")
+        self._require(ordered, f"give finite bounds, {self.origin:g} < lower < upper")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
         xp = namespace(self, x)
@@ -123,7 +123,7 @@ class LogUniform(Prior):
 
 
 class LogNormal(Prior):
-    """Log-normal prior: 68 % of it lie between `median`/`factor` and `median`·`factor`."""
+    """Log-normal prior: 68 % of it lies between `median`/`factor` and `median`·`factor`."""
 
     median: float
     factor: float
@@ -158,9 +158,9 @@ class LogNormal(Prior):
 class ModifiedLogUniform(Prior):
     """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
 
-    It is that of Gregory (2005, ApJ 631:1198), uniform in ln(x + scale): uniform below the scale, where an
-    amplitude cannot be told from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and zero is
-    allowed.
+    It is uniform in ln(x + scale) (Gregory 2005, ApJ 631:1198): uniform below the scale, where an amplitude
+    cannot be distinguished from zero, and uniform in ln x far above it. Unlike 1/x it is proper, and it
+    allows zero.
     """
 
     scale: float
@@ -187,9 +187,9 @@ class ModifiedLogUniform(Prior):
 def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
     """Default priors of `sample`, by label, in SI.
 
-    Amplitudes: `ModifiedLogUniform`, its scale the amplitude that these data could just tell from zero.
-    Times, frequencies and numbers: `LogUniform`, of the distance from the parameter's lower bound.
-    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than data need.
+    Amplitudes: `ModifiedLogUniform`, with the smallest amplitude that these data distinguish from zero as
+    its scale. Times, frequencies and numbers: `LogUniform` in the distance from the parameter's lower bound.
+    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than the data need.
     """
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):
@@ -270,17 +270,17 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     result = fit[axis]
     parameters = tuple(p for p in fit.template.parameters if p.free)
     if not result.converged:
-        raise FitError(f"{axis}: no result to sample around, {result.reason}")
+        raise FitError(f"{axis}: the fit failed, so that there is no posterior to sample: {result.reason}")
     if result.spectrum is not None:
         return _whittle(fit, result, parameters)
     if fit.objective == "whittle":
         raise FitError(
-            f"{axis}: the spectrum that was fitted is not in the file that the fit was loaded from; "
-            "fit the recording again to sample"
+            f"{axis}: the fit was loaded from a file without the fitted spectrum; "
+            "fit the recording again before sampling"
         )
     if fit.objective == "wavelet":
         raise FitError(
-            f'{axis}: a fit of wavelet variances has no likelihood to sample; fit with objective="whittle"'
+            f'{axis}: a fit of wavelet variances has no likelihood to sample; use objective="whittle"'
         )
     # The Allan variances do not determine the frequency of a line.
     lines = [k for k, term in enumerate(fit.template.terms) if term.deterministic]

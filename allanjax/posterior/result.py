@@ -1,4 +1,4 @@
-"""The posterior of a fit's coefficients: credible intervals, upper limits, and what follows from them."""
+"""The posterior of a fit's coefficients: credible intervals, upper limits and derived quantities."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ def derived(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BiasMinimum(ByValue):
-    """The lowest point of the Allan deviation's curve.
+    """Minimum of the Allan deviation.
 
     Attributes:
-        deviation: its height.
-        cluster_time: where it lies.
-        at_start, at_end: share of the draws whose curve is lowest at one sample, or at half the record.
+        deviation: the Allan deviation at the minimum.
+        cluster_time: the cluster time of the minimum.
+        at_start, at_end: share of the draws with the minimum at one sample, or at half the record.
     """
 
     deviation: Estimate
@@ -137,10 +137,10 @@ def lowest_point(
     at_start, at_end = float(np.mean(lowest == 0)), float(np.mean(lowest == last))
     remark_height = remark_place = ""
     if at_end > 0.5:
-        remark_height = "an upper bound: the curve still falls at half the record"
-        remark_place = "a lower bound: the curve still falls at half the record"
+        remark_height = "upper bound: the curve still falls at half the record"
+        remark_place = "lower bound: the curve still falls at half the record"
     elif at_start > 0.5:
-        remark_height = remark_place = "the curve rises from one sample on"
+        remark_height = remark_place = "the curve rises from the first cluster time on"
     names = "bias-instability minimum", "cluster time of the minimum"
     return BiasMinimum(
         derived(names[0], axis, deviation_unit, np.exp(height), remark_height),
@@ -151,7 +151,7 @@ def lowest_point(
 
 
 class PosteriorWarning(AllanjaxWarning):
-    """A posterior whose chain has not converged."""
+    """Warning about a posterior whose chain has not converged."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -159,22 +159,22 @@ class AxisPosterior(ByValue, AxisEstimates):
     """The posterior of one axis.
 
     Attributes:
-        axis: whose it is.
-        labels: the parameters sampled.
-        draws: nearly independent draws of them [draws, params], SI.
+        axis: the axis.
+        labels: labels of the sampled parameters.
+        draws: nearly independent draws of these [draws, params], SI.
         chain: all steps after the burn-in [steps, walkers, params], SI.
         log_probability: ln of the posterior density (per SI unit of every parameter, not normalized) along
             the chain [steps, walkers].
-        coefficients: the marginal posterior of every free parameter of the model, sampled or not, and the
-            held ones, by label.
+        coefficients: by label, the marginal posterior of every free parameter of the model, sampled or not,
+            and the held parameters.
         priors: the prior of every free parameter, by label.
-        converged: whether the chain is as long as asked, τ has settled and R̂ is near one.
+        converged: whether the chain is long enough, τ has settled and R̂ is close to 1.
         tau: integrated autocorrelation time of each parameter [steps].
-        r_hat: rank-normalized split R̂ over the walkers, of each parameter.
-        acceptance: share of the proposals accepted.
-        steps: steps of every walker, burn-in included.
-        rate: sampling rate of the recording [Hz].
-        duration: of the recording [s].
+        r_hat: rank-normalized split R̂ of each parameter over the walkers.
+        acceptance: share of accepted proposals.
+        steps: steps of every walker, including the burn-in.
+        rate: sample rate of the recording [Hz].
+        duration: length of the recording [s].
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -209,7 +209,7 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     @property
     def correlation(self) -> pd.DataFrame:
-        """Correlations of the parameters sampled, by label."""
+        """Correlations of the sampled parameters, by label."""
         import pandas as pd
 
         matrix = np.corrcoef(self.draws.T).reshape(2 * (len(self.labels),))
@@ -217,7 +217,7 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     @TextProperty
     def verdict(self) -> str:
-        """One line on the convergence of the chain."""
+        """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"
         text = (
             f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
@@ -227,7 +227,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
         if wanted:
             text += (
-                f"; the data also call for {' and '.join(wanted)}, which was not sampled: add it to the model"
+                f"; the data also call for {' and '.join(wanted)}, which was not sampled; add it to the model"
             )
         return text
 
@@ -246,18 +246,18 @@ class AxisPosterior(ByValue, AxisEstimates):
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
 
     def models(self, count: int = 100) -> list[Model]:
-        """Models of an evenly spaced choice of draws, without the terms not sampled."""
+        """Models of `count` evenly spaced draws, without the terms that were not sampled."""
         draws = self._some_draws(count).tolist()
         return [with_draw(self._template, self.labels, self._absent, x) for x in draws]
 
     def deviation_curves(
         self, cluster_time: ArrayLike, count: int = 300
     ) -> Float[np.ndarray, "count points"]:
-        """Allan deviation [rad/s or m/s²] at cluster times [s] of the models of so many draws."""
+        """Allan deviations [rad/s or m/s²] of the models of `count` draws at cluster times [s]."""
         return self._curves(cluster_time, count, "deviation")
 
     def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "count points"]:
-        """One-sided PSD of the samples, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz], aliases included."""
+        """One-sided PSDs with aliases, (rad/s)²/Hz or (m/s²)²/Hz, of `count` draws at frequencies [Hz]."""
         return self._curves(frequency, count, "density")
 
     def _curves(self, at: ArrayLike, count: int, kind: Any) -> Float[np.ndarray, "count points"]:
@@ -267,9 +267,9 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     # ------------------------------------------------------------------ derived quantities
     def bias_instability_minimum(self) -> BiasMinimum:
-        """Minimum of the model's Allan deviation from one sample to half the record, and where it lies.
+        """Minimum of the model's Allan deviation between one sample and half the record, and its place.
 
-        Where the curve still falls at half the record in most draws, it is an upper bound, and says so.
+        If the curve still falls at half the record in most draws, the minimum is marked as an upper bound.
         """
         largest = max(self.duration * self.rate / 2.0, 3.0)
         sizes = np.unique(np.rint(np.geomspace(1.0, np.floor(largest), _MINIMUM_POINTS)))
@@ -280,16 +280,16 @@ class AxisPosterior(ByValue, AxisEstimates):
     def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Estimate]:
         """1-σ error of the integrated rate (angle or velocity) after each time t [s].
 
-        The bias is the mean rate over as long a time just before. The error is then the second difference of
-        the integrated rate, of standard deviation √2·t·σ_A(t) exactly. Beyond half the record it rests on
-        the model, and says so.
+        The bias is the mean rate over an equally long time before. The error is then the second difference of
+        the integrated rate, with a standard deviation of exactly √2·t·σ_A(t). Beyond half the record it is
+        marked as an extrapolation by the model.
 
         Raises:
             AllanjaxError: a time is not positive and finite.
         """
         t = np.atleast_1d(np.asarray(times, float))
         if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
-            raise AllanjaxError(f"times of drift must be positive and finite, got {times!r}")
+            raise AllanjaxError(f"times must be positive and finite, got {times!r}")
         errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
         unit = _INTEGRAL_UNIT[self.axis.sensor]
         word = "angle" if self.axis.sensor == "gyro" else "velocity"
@@ -306,7 +306,7 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     # ------------------------------------------------------------------ other programs and pictures
     def to_arviz(self) -> Any:
-        """The chain as ArviZ's InferenceData (a DataTree from ArviZ 1.0 on), walkers as chains, in SI.
+        """Convert the chain to ArviZ's InferenceData (DataTree since ArviZ 1.0), one chain per walker, in SI.
 
         `sample_stats` holds `lp`, the log-posterior density, and `log_likelihood_total`.
 
@@ -316,7 +316,9 @@ class AxisPosterior(ByValue, AxisEstimates):
         try:
             import arviz
         except ImportError as error:
-            raise AllanjaxError('ArviZ is not installed; pip install "allanjax[arviz]"') from error
+            raise AllanjaxError(
+                'ArviZ is not installed; install it with pip install "allanjax[arviz]"'
+            ) from error
         prior = sum(
             np.asarray(self.priors[label].log_density(self.chain[:, :, i]))
             for i, label in enumerate(self.labels)
@@ -343,8 +345,8 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
     """The posteriors of a fit's axes; a mapping from axis names to `AxisPosterior`.
 
     Attributes:
-        fit: what was sampled.
-        results: one an axis.
+        fit: the sampled fit.
+        results: one posterior per axis.
     """
 
     CALLED: ClassVar[str] = "the posterior"
@@ -355,7 +357,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Those of the fit."""
+        """Warnings of the fit."""
         return self.fit.warnings
 
     @property
@@ -364,7 +366,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         return all(result.converged for result in self.results)
 
     def to_arviz(self) -> dict[str, Any]:
-        """`AxisPosterior.to_arviz` of every axis, by its name. Raises AllanjaxError if ArviZ is missing."""
+        """`AxisPosterior.to_arviz` of every axis by name. Raises AllanjaxError if ArviZ is not installed."""
         return {axis: result.to_arviz() for axis, result in self.items()}
 
     @presented

@@ -26,50 +26,53 @@ def sample(
 ) -> Posterior:
     """Sample the posterior of a fit's coefficients with emcee's ensemble of walkers.
 
-    The likelihood is that of the fit. Where the fit chose its terms, those it found are sampled, and the
-    amplitude of each of the others, one at a time, gets its marginal posterior by reweighting; where the user
-    gave the model, all its free parameters are sampled. Chains run until they are
-    longer than `min_length` integrated autocorrelation times τ of every parameter (Goodman & Weare 2010,
-    Comm. App. Math. Comp. Sci. 5:65; five τ of burn-in not counted), no τ has changed by more than
-    `max_change` since the last look, and the rank-normalized split R̂ over the walkers (Vehtari et al. 2021,
-    Bayesian Analysis 16:667) is below `max_r_hat`.
+    The likelihood is that of the fit. If the fit chose its terms, the detected ones are sampled, and the
+    amplitude of each of the others gets its marginal posterior by reweighting, one at a time. If the model
+    was given, all its free parameters are sampled. Chains run until they are longer than `min_length`
+    integrated autocorrelation times τ of every parameter (Goodman & Weare 2010, Comm. App. Math. Comp. Sci.
+    5:65; without five τ of burn-in), no τ has changed by more than `max_change` since the last check, and the
+    rank-normalized split R̂ over the walkers (Vehtari et al. 2021, Bayesian Analysis 16:667) is below
+    `max_r_hat`.
 
     Args:
-        fit: what `allanjax.fit` returns.
+        fit: a result of `allanjax.fit`.
         axes: names of the axes to sample; all by default.
-        priors: priors by label, in SI, that replace those of `default_priors`, e.g.
-            `{"rate_random_walk": LogUniform(1e-6, 1e-4)}`; for every axis.
-        seed: the same seed yields the same draws of an axis, whichever others are sampled.
-        walkers: an even number, at least twice as many as parameters sampled; by default 32, or four a
+        priors: priors by label, in SI, that replace those of `default_priors` in every axis, e.g.
+            `{"rate_random_walk": LogUniform(1e-6, 1e-4)}`.
+        seed: the same seed gives the same draws of an axis, independently of the other axes.
+        walkers: an even number, at least twice the number of sampled parameters; by default 32, or four per
             parameter if that is more.
-        max_steps: steps of every walker at most, burn-in included.
-        min_length: length of the chain in τ.
-        max_change: relative change of τ.
-        max_r_hat: R̂ at most.
-        absent_draws: draws of the others from which a term that was not sampled gets its posterior; 256
-            yield its upper limit to about 1 %.
-        progress: whether to show a progress bar on stderr; by default if that is a terminal.
+        max_steps: maximum number of steps of every walker, including the burn-in.
+        min_length: minimum length of the chain in τ.
+        max_change: maximum relative change of τ.
+        max_r_hat: maximum of R̂.
+        absent_draws: number of draws from which a term that was not sampled gets its posterior; 256 give its
+            upper limit to about 1 %.
+        progress: whether to show a progress bar on stderr; by default only in a terminal.
 
     Returns:
-        The posterior. Chains that have not converged by `max_steps` say so and raise a `PosteriorWarning`.
+        The posterior. Chains that have not converged after `max_steps` are marked and cause a
+        `PosteriorWarning`.
 
     Raises:
-        AllanjaxError: an unknown axis or label, a bad number.
-        FitError: an axis of which there is no fit, or a posterior without density anywhere.
+        AllanjaxError: an unknown axis or label, or an invalid number.
+        FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
     # Imported here, since emcee takes long to load.
     from allanjax.posterior.sampling import AxisSampler, Convergence
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:
-        raise AllanjaxError(f"name at least one axis to sample of {', '.join(fit.axes)}")
+        raise AllanjaxError(f"name at least one axis to sample, of {', '.join(fit.axes)}")
     for name in names:
         if not fit[name].converged:
-            raise FitError(f"{name}: no posterior, {fit[name].reason}; name the other axes in axes=[…]")
+            raise FitError(
+                f"{name}: no posterior, because the fit failed: {fit[name].reason}; sample the others with axes=[…]"
+            )
         if not fit[name].measured:
             raise FitError(
-                f"{name}: no posterior, {fit[name].verdict}; allanjax.critique looks for the cause; "
-                "name the other axes in axes=[…]"
+                f"{name}: no posterior: {fit[name].verdict}; allanjax.critique looks for the cause; "
+                "sample the others with axes=[…]"
             )
     convergence = Convergence(max_steps, min_length, max_change, max_r_hat)
     sampler = AxisSampler(fit, dict(priors or {}), seed, walkers, convergence, absent_draws)

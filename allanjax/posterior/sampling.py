@@ -1,15 +1,15 @@
-"""Markov chain Monte Carlo: emcee's ensemble of walkers for each axis, and the results from its draws.
+"""Markov chain Monte Carlo: emcee's ensemble of walkers for each axis, and results from its draws.
 
-`value` is the median, `std` the standard deviation; the intervals hold 68 and 95 % of the posterior, as much
-of the rest on either side; `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes
-factor is below 1/20; otherwise its intervals begin at zero, and `interval` ends at `upper_limit`.
+`value` is the median, `std` the standard deviation; the central intervals hold 68 and 95 % of the posterior;
+`upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor is below 1/20; otherwise
+its intervals begin at zero, and `interval` ends at `upper_limit`.
 
-`bayes_factor`, of an amplitude, is the probability that the posterior gives to what cannot be told from zero
-(a third of the prior's scale; for terms not sampled zero itself) over that of the prior: how the data change
-the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math. Stat. 42:204). Under the
-default prior 1/20 is what a square of the amplitude 3.5 to 3.8 standard deviations above zero yields. A
-prior that excludes zero claims the term: 0. What has no draws (`sampled`) is the amplitude of a term that
-the fit did not find.
+The `bayes_factor` of an amplitude is the posterior over the prior probability of values that cannot be
+distinguished from zero (up to a third of the prior's scale; for terms not sampled, zero itself): the factor
+by which the data change the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math.
+Stat. 42:204). Under the default prior it is 1/20 if the squared amplitude is 3.5 to 3.8 standard deviations
+above zero. It is 0 under a prior that excludes zero. Amplitudes without draws (`sampled` is False) belong to
+terms that the fit did not detect.
 """
 
 from __future__ import annotations
@@ -441,7 +441,7 @@ def first_walkers(
         missing = missing[~np.isfinite(target(cloud[missing]))]
         if not missing.size:
             return cloud
-    raise FitError("the posterior has no density near the fit nor where the priors allow; check the priors")
+    raise FitError("the posterior has no density near the fit or within the priors; check the priors")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -670,11 +670,11 @@ class AxisSampler:
         for label, prior in self.priors.items():
             if label not in priors:
                 raise AllanjaxError(
-                    f"a prior for {label!r}, but there is no such parameter; there are {', '.join(priors)}"
+                    f"priors has {label!r}, which is not a parameter; the parameters are {', '.join(priors)}"
                 )
             if not isinstance(prior, Prior):
                 raise AllanjaxError(
-                    f"the prior of {label} must be a Prior, e.g. LogUniform(1e-6, 1e-4); got {prior!r}"
+                    f"the prior of {label} must be a Prior, e.g. LogUniform(1e-6, 1e-4), not {prior!r}"
                 )
         return priors | dict(self.priors)
 
@@ -682,7 +682,7 @@ class AxisSampler:
         """Indices of the parameters to sample."""
         sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
         if not sampled.size:
-            raise FitError(f"{name}: no posterior, the fit found no term and no free parameter")
+            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
         return sampled
 
     def _walkers(self, count: int) -> int:
@@ -708,11 +708,11 @@ class AxisSampler:
         worst = int(np.argmax(lack))
         label = likelihood.parameters[sampled[worst]].label
         return (
-            f"{name}: the posterior has not converged in {chains.steps} steps; worst is {label} with τ = "
-            f"{chains.tau[worst]:.3g} steps ({len(chains.y)} after the burn-in, "
-            f"{length[worst]:.0f} wanted; τ last changed by "
-            f"{100.0 * chains.change[worst]:.2g} %) and R̂ = {chains.r_hat[worst]:.4f}; "
-            f"allow more steps, e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
+            f"{name}: the posterior has not converged in {chains.steps} steps; {label} is worst, with "
+            f"τ = {chains.tau[worst]:.3g} steps, {len(chains.y)} of {length[worst]:.0f} steps after the "
+            f"burn-in, a last change of τ of {100.0 * chains.change[worst]:.2g} % and "
+            f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
+            "or give narrower priors"
         )
 
     def _result(

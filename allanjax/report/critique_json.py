@@ -1,4 +1,4 @@
-"""Critiques as plain data, after `critique.schema.json`."""
+"""Critiques as plain data that follow `critique.schema.json`."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SCHEMA_VERSION = 1
 
 
 def to_dict(critique: Critique) -> dict[str, Any]:
-    """The critique as plain dictionaries, lists, numbers and strings; numbers that do not exist are None."""
+    """The critique as dictionaries, lists, numbers and strings; None for nan and infinite numbers."""
     n = len(critique.results[0].stages[0].x) if critique.results else 0
     rate = float(critique.rate)
-    found = {
+    results = {
         "gain_nats": critique.gain,
-        "findings": [_told(finding, critique) for finding in critique.findings],
+        "findings": [_recording_finding(finding, critique) for finding in critique.findings],
         "axes": [_axis(axis) for axis in critique.results],
         "shared_findings": [_finding(finding) for finding in critique.shared_findings],
         "notes": (
@@ -40,19 +40,19 @@ def to_dict(critique: Critique) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
         "recording": {"name": critique.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
-        **_plain(found),
+        **_plain(results),
     }
 
 
 def write_json(critique: Critique, path: str | os.PathLike[str]) -> None:
-    """Write `to_dict(critique)` to a file of JSON."""
+    """Write `to_dict(critique)` to a JSON file."""
     text = json.dumps(to_dict(critique), indent=2, ensure_ascii=False, allow_nan=False)
-    # A name may come from a file name that is no text.
+    # A name may come from a file name that is not valid text.
     Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _plain(value: Any) -> Any:
-    """Value with lists for tuples, and None for numbers that do not exist."""
+    """Value with lists for tuples, and None for nan and infinite numbers."""
     if isinstance(value, Mapping):
         return {key: _plain(x) for key, x in value.items()}
     if isinstance(value, list | tuple):
@@ -79,8 +79,8 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
     }
 
 
-def _told(finding: Finding, critique: Critique) -> dict[str, Any]:
-    """A finding of the recording; what it changes in each axis is said by its parts."""
+def _recording_finding(finding: Finding, critique: Critique) -> dict[str, Any]:
+    """A finding of the recording; its parts have the changes in each axis."""
     effect = finding.effect
     return {
         **_head(finding),
@@ -94,7 +94,7 @@ def _told(finding: Finding, critique: Critique) -> dict[str, Any]:
 
 
 def _part(finding: Finding, critique: Critique) -> dict[str, Any]:
-    """Place of a finding of one axis, or of several that share it, in the document."""
+    """Place of a finding of one axis, or of noise that axes share, in the document."""
     if finding in critique.shared_findings:
         return {"axis": None, "index": critique.shared_findings.index(finding)}
     (axis,) = finding.axes
@@ -102,7 +102,7 @@ def _part(finding: Finding, critique: Critique) -> dict[str, Any]:
 
 
 def _head(finding: Finding) -> dict[str, Any]:
-    """What is said of every finding."""
+    """Properties of every finding."""
     return {
         **_fields(finding, "cause", "axes"),
         "parameters": {

@@ -11,15 +11,15 @@ from allanjax.fleet.options import FitOptions
 Name = Literal["check", "fit", "critique", "fleet", "horizon"]
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
-_FILE = {"type": "string", "description": "The file that was read, as it was given; stdin for -."}
+_FILE = {"type": "string", "description": "The file as given on the command line; stdin for -."}
 _ERRORS = {
     "type": "array",
-    "description": "What went wrong, file by file; axes without result among it.",
+    "description": "Errors by file, including axes without a result.",
     "items": {
         "type": "object",
         "properties": {
             "file": _FILE,
-            "message": {"type": "string", "description": "What is wrong, where, and what to do about it."},
+            "message": {"type": "string", "description": "What is wrong, where, and what to do."},
         },
         "required": ["file", "message"],
         "additionalProperties": False,
@@ -28,11 +28,10 @@ _ERRORS = {
 
 
 def schema(name: Name) -> dict[str, Any]:
-    """JSON schema, draft 2020-12, of what `check`, `characterize` ("fit"), `critique`, … writes.
+    """JSON schema, draft 2020-12, of the output of `check`, `characterize` ("fit"), `critique`, ….
 
-    "check": the document of `--json`. "fit": NAME.json, and the document of `--json`. "critique":
-    NAME_critique.json, and the document of `--json`. "fleet": recordings/NAME.json.
-    "horizon": the document of `--json`.
+    "check" and "horizon": the output of `--json`. "fit": NAME.json, and the output of `--json`. "critique":
+    NAME_critique.json, and the output of `--json`. "fleet": recordings/NAME.json.
     """
     if name == "fleet":
         return _of_fleet()
@@ -51,17 +50,17 @@ def schema(name: Name) -> dict[str, Any]:
     entry = {**single, "properties": {"file": _FILE, **own}, "required": ["file", *single["required"]]}
     entries = {
         "type": "array",
-        "description": "One entry a file, without those that failed.",
+        "description": "One entry per file, without those that failed.",
         "items": entry,
     }
     bundle = _closed(
-        f"What --json prints: the {plural} of all files, and the errors.",
+        f"Output of --json: the {plural} of all files, and the errors.",
         {"schema_version": properties["schema_version"], plural: entries, "errors": _ERRORS},
     )
     return {
         "$schema": _DRAFT,
         "title": f"allanjax {name}",
-        "description": f"A {name}, as it is written to a file, or those that --json prints.",
+        "description": f"A {name} as written to a file, or the output of --json.",
         "if": {"required": [plural]},
         "then": {"$ref": "#/$defs/bundle"},
         "else": {"$ref": f"#/$defs/{name}"},
@@ -94,36 +93,45 @@ def _of_horizon() -> dict[str, Any]:
         "upper_limit_95": maybe,
         "lower_limit_95": maybe,
     }
-    estimate = _closed("In the unit for people, and in SI.", {**numbers, "si": _closed("In SI.", numbers)})
+    estimate = _closed("In the usual unit, and in SI.", {**numbers, "si": _closed("In SI.", numbers)})
     pair = {"white": number, "walk": number}
     curve = {"type": "array", "items": number}
     curves = ("time", "error", "bound", "raw_error", "raw_prediction")
     axis = _closed(
-        "An axis.",
+        "One axis.",
         {
             "name": text,
             "sensor": {"enum": ["gyro", "accel"]},
             "white": {"description": "N of the filter.", **estimate},
-            "walk": {"description": "K of the filter, or what drives its Gauss–Markov process.", **estimate},
-            "correlation_time": {"description": "Null of a walk.", "anyOf": [estimate, {"type": "null"}]},
-            "bias_std_si": {"description": "Standard deviation of the process; null of a walk.", **maybe},
-            "mismatch": {"description": "Largest ratio of predicted and true error.", **number},
+            "walk": {"description": "K of the filter, or of its Gauss–Markov process.", **estimate},
+            "correlation_time": {
+                "description": "Null for a random walk.",
+                "anyOf": [estimate, {"type": "null"}],
+            },
+            "bias_std_si": {
+                "description": "Standard deviation of the process; null for a random walk.",
+                **maybe,
+            },
+            "mismatch": {"description": "Largest ratio between predicted and true error.", **number},
             "bounding_si": _closed(
-                "The numbers that bound the error.", {**pair, "correlation_time": maybe, "bias_std": maybe}
+                "Values that bound the error.", {**pair, "correlation_time": maybe, "bias_std": maybe}
             ),
-            "raw_si": _closed("N and K of the fit; zero if it has none.", pair),
+            "raw_si": _closed("N and K of the fit; zero if they are not detected.", pair),
             "inflation": _closed(
-                "Factors over the raw ones; null if there is none.", {"white": maybe, "walk": maybe}
+                "Ratios to the raw values; null if there are none.", {"white": maybe, "walk": maybe}
             ),
-            "raw_factor": {"description": "Error over what a filter with raw N, K predicts.", **maybe},
+            "raw_factor": {
+                "description": "Ratio of the error to the prediction of a filter with raw N, K.",
+                **maybe,
+            },
             "shares": {
                 "description": "Shares of the terms in the variance at the horizon.",
                 "type": "object",
                 "additionalProperties": number,
             },
-            "sets": {"description": "Likely sets of terms that were averaged.", "type": "integer"},
+            "sets": {"description": "Number of likely sets of terms in the average.", "type": "integer"},
             "curves_si": _closed(
-                "Standard deviations of the error by time [s].", dict.fromkeys(curves, curve)
+                "Standard deviations of the error over time [s].", dict.fromkeys(curves, curve)
             ),
         },
     )
@@ -132,15 +140,15 @@ def _of_horizon() -> dict[str, Any]:
         "recording": _closed("The recording.", {"name": text}),
         "horizon_s": {"description": "Time between corrections.", **number},
         "process": {"enum": ["walk", "markov"]},
-        "probability": {"description": "That of the bounds.", **number},
+        "probability": {"description": "Probability of the bounds.", **number},
         "axes": {"type": "array", "items": axis},
         "notes": {
-            "description": "Of a data sheet, what was assumed and not given.",
+            "description": "Assumptions about values that a data sheet does not give.",
             "type": "array",
             "items": text,
         },
     }
-    about = "White noise and process of the bias for filters that are corrected every `horizon_s`."
+    about = "White noise and bias process for filters that are corrected every `horizon_s`."
     return {"$schema": _DRAFT, "title": "allanjax horizon", **_closed(about, document)}
 
 
@@ -149,24 +157,24 @@ def _of_fleet() -> dict[str, Any]:
     fit = schema("fit")
     options = {
         "type": "object",
-        "description": "How it was read and fitted; numbers as text.",
+        "description": "Options of reading and fitting; numbers as text.",
         "required": [option.name for option in fields(FitOptions)],
     }
     key = _closed(
-        "What the result depends on: a later run takes it if all of this is the same.",
+        "What the result depends on: a later run reuses it if all of this is the same.",
         {
             "path": {"type": "string", "description": "The file."},
             "size": {"type": "integer", "description": "Its size in bytes."},
-            "modified_ns": {"type": "integer", "description": "When it was last changed, in UNIX ns."},
+            "modified_ns": {"type": "integer", "description": "Time of its last change, in UNIX ns."},
             "options": options,
-            "allanjax_version": {"type": "string", "description": "Version of allanjax that fitted it."},
+            "allanjax_version": {"type": "string", "description": "Version of allanjax that made the fit."},
         },
     )
     return {
         "$schema": _DRAFT,
         "title": "allanjax recording of a fleet",
         **_closed(
-            "One recording of a fleet, as recordings/NAME.json holds it.",
+            "One recording of a fleet, as in recordings/NAME.json.",
             {"key": key, "fit": {"$ref": "#/$defs/fit"}},
         ),
         "$defs": {name: part for name, part in fit["$defs"].items() if name != "bundle"},

@@ -1,4 +1,4 @@
-"""The causes that the critic knows, one class a file."""
+"""The causes that the critic knows, one class per file."""
 
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.basic_term import BasicTerm

@@ -43,13 +43,16 @@ def additive(
         view: view of the axis.
         cause: name of the cause.
         bank: bank of shapes.
-        shape: gives the shape of an index in full, for n samples.
-        parameters: gives the parameters by index, amplitude, its standard deviation and the probability of
-            each shape.
-        span: gives start and end in time [s] by index, by default those of the record.
+        shape: function of an index that returns the complete shape, for n samples.
+        parameters: function of index, amplitude, its standard deviation and the probability of each shape
+            that returns the parameters.
+        span: function of the index that returns start and end [s], by default those of the record.
         log_trials: further log trials factor of the search [nats].
-        term: gives the noise term by index and amplitude [SI], if there is one.
+        term: function of index and amplitude [SI] that returns the noise term, if there is one.
         details: words and lists of numbers by name.
+
+    Returns:
+        The candidate, or None.
     """
     best: Candidate | None = None
     tried: set[int] = set()

@@ -1,4 +1,4 @@
-"""Jumps of the bias, one or several."""
+"""Steps of the bias."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FINER, _ROUNDS = 64, 3
 
 
 class BiasStep(Cause):
-    """A jump of the bias; several are found one after the other, or two that hide each other at once."""
+    """A step of the bias; several are detected one after the other, or two at once that hide each other."""
 
     name = "bias_step"
     refit = "at once"

@@ -1,4 +1,4 @@
-"""Noise that several axes share, as from a supply, a clock or the floor."""
+"""Noise that several axes share, e.g. from a power supply, a clock or the floor."""
 
 from __future__ import annotations
 

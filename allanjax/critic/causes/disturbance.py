@@ -1,4 +1,4 @@
-"""Disturbances: the unit was bumped or handled, and did not stand still for a while."""
+"""Disturbances: the unit was bumped or handled and moved for a while."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FOLD_BLOCK = 16
 
 
 class Disturbance(Cause):
-    """A stretch whose residuals are much larger than noise, and correlated."""
+    """A time span whose residuals are correlated and much larger than the noise."""
 
     name = "disturbance"
 

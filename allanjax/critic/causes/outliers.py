@@ -41,7 +41,7 @@ _WEIGHED = 201
 
 
 class Outliers(Cause):
-    """Errors of a share of the samples, of much larger scale than the noise."""
+    """Errors in a share of the samples that are much larger than the noise."""
 
     name = "outliers"
     refit = "at last"

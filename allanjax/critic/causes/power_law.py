@@ -18,7 +18,7 @@ _EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
 
 class PowerLaw(Cause):
-    """Noise with a power law of any exponent, in the place of the Markov process."""
+    """Noise with a power law of any exponent; it replaces the Markov process."""
 
     name = "power_law"
     refit = "at once"

@@ -1,4 +1,4 @@
-"""Repeated samples: values that were held, or dropped ones replaced by the one before."""
+"""Repeated samples: values that were held, or replaced by the previous one when they were lost."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _APART = 12
 
 
 class RepeatedSamples(Cause):
-    """An excess of samples that equal the one before, over those that rounding explains."""
+    """More samples that equal the previous one than rounding explains."""
 
     name = "repeated_samples"
     is_preprocessing = True

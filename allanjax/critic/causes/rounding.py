@@ -1,4 +1,4 @@
-"""Rounding: a resolution of the output that is coarser than the noise."""
+"""Rounding: the output's resolution is coarser than the noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HARMLESS = judged("rounding", "harmless")
 
 
 class Rounding(Cause):
-    """A step of which all samples are multiples."""
+    """A resolution of which all samples are multiples."""
 
     name = "rounding"
     is_preprocessing = True

@@ -13,7 +13,7 @@ from allanjax.noise.estimate import Estimate
 
 
 class Saturation(Cause):
-    """An excess of samples at the largest value, at the smallest, or at both."""
+    """Too many samples at the largest value, at the smallest, or at both."""
 
     name = "saturation"
     is_preprocessing = True

@@ -1,4 +1,4 @@
-"""Lines: sinusoids that keep their phase through the record."""
+"""Spectral lines: sinusoids that keep their phase throughout the record."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FOLD_BLOCKS = 256
 
 
 class Sinusoid(Cause):
-    """The strongest line, anywhere or at one of some places; several are found one after the other."""
+    """The strongest spectral line, at any frequency or at given ones; several are detected one by one."""
 
     name = "sinusoid"
 

@@ -1,7 +1,7 @@
-"""A filter that all noise passes, and resonances: what the spectrum has besides the basic noise terms.
+"""A filter of all noise, and resonances: the structure of the spectrum besides the basic noise terms.
 
-They are looked for together and fitted jointly with the noise (`estimate.structure`); the findings are told
-once the search is over, from the model that is handed over.
+They are searched for together and fitted jointly with the noise (`estimate.structure`); the findings are
+described when the search is over, from the final model.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from allanjax.estimate.spectral.components import NONE
 
 
 class SpectralShape(Cause):
-    """A low-pass filter and resonances; or, at some places, the narrow resonances there."""
+    """A low-pass filter and resonances, or narrow resonances at given frequencies."""
 
     name = "spectral_shape"
 

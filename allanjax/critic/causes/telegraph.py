@@ -31,7 +31,7 @@ _SHORTEST, _DWELLS = 4.0, 12
 
 
 class Telegraph(Cause):
-    """Two levels, with the likelihood summed over all paths between them (a hidden Markov chain)."""
+    """A bias that jumps between two levels; the likelihood sums over all paths (hidden Markov model)."""
 
     name = "telegraph"
 

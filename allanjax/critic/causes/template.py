@@ -1,4 +1,4 @@
-"""A cause of a user's own: a waveform that is known but for its amplitude and one parameter."""
+"""Causes by users: waveforms that are known except for their amplitude and one parameter."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from allanjax.noise.estimate import Estimate
 
 
 class Template(Cause):
-    """Waveform `amplitude`·`shape`(time, value), looked for at each of some values of its parameter.
+    """Waveform `amplitude`·`shape`(time, value), searched for at given values of its parameter.
 
         def sawtooth(time, period):
             return time / period % 1.0
@@ -25,8 +25,8 @@ class Template(Cause):
         heater = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
         aj.critique(recording, causes=[*allanjax.critic.CAUSES, heater])
 
-    Slow waveforms are found, of up to some thousand cosine coefficients. Neighbouring values should differ by
-    so little that their waveforms correlate by nine tenths or more.
+    The waveform must be slow: some thousand cosine coefficients have to describe it. Choose the values so
+    densely that the waveforms of neighbours have a correlation of at least 0.9.
     """
 
     refit = "at once"
@@ -42,11 +42,11 @@ class Template(Cause):
         """Make a cause.
 
         Args:
-            name: its name.
-            shape: gives the waveform at times since the record's start [s], for a value of the parameter.
-            values: values of the parameter that are compared, increasing.
-            parameter: the parameter's name.
-            unit: the parameter's unit.
+            name: name of the cause.
+            shape: function of times since the record's start [s] and a value that returns the waveform.
+            values: values of the parameter to compare, increasing.
+            parameter: name of the parameter.
+            unit: unit of the parameter.
         """
         self.name, self.shape, self.parameter, self.unit = name, shape, parameter, unit
         self.values = np.asarray(values, float)

@@ -1,4 +1,4 @@
-"""Changes of the variance: noise that is louder, or quieter, for a while."""
+"""Changes of the variance: noise that is larger or smaller for a while."""
 
 from __future__ import annotations
 
@@ -97,9 +97,9 @@ def _kinds(view: View) -> list[_Kind]:
 
 
 class VarianceChange(Cause):
-    """An interval in which the noise, or its white part, has another variance.
+    """A time span in which the noise, or its white part, has another variance.
 
-    Under the prior it is as likely to last to an end of the record as to begin and end within it.
+    A priori it is as likely to reach an end of the record as to begin and end within it.
     """
 
     name = "variance_change"

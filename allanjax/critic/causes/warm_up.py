@@ -1,4 +1,4 @@
-"""Warm-up: a bias that settles exponentially after switching on."""
+"""Warm-up: a bias that settles exponentially after power-on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TIMES = 48
 
 
 class WarmUp(Cause):
-    """Exponential a·exp(−t/T), T from a five hundredth of the record to half of it: beyond, it is a ramp."""
+    """Exponential a·exp(−t/T), T from 1/500 to 1/2 of the record; a slower one is a ramp."""
 
     name = "warm_up"
     refit = "at once"
