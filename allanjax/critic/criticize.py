@@ -144,8 +144,8 @@ def _guarded(
             *_, (frame, line) = traceback.walk_tb(error.__traceback__)
             place = f"{Path(frame.f_code.co_filename).name}:{line}"
             reason = (
-                f"its critique failed because of a bug in allanjax: {type(error).__name__} in {place} ({error}); "
-                "please report it with the recording"
+                f"its critique failed because of a bug in allanjax: {type(error).__name__} in {place} "
+                f"({error}); please report it with the recording"
             )
         failed[axes[k].name] = DeadAxis(axes[k], reason)
         return None
@@ -231,7 +231,7 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
         )
     if given is not None and given.axes != recording.names:
         raise AllanjaxError(
-            f"the fit has the axes {', '.join(given.axes)}, but the recording has {', '.join(recording.names)}"
+            f"the fit has axes {', '.join(given.axes)}, but the recording has {', '.join(recording.names)}"
         )
     if given is not None and given.template.response is not None:
         raise FitError(

@@ -3,8 +3,8 @@
 A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its cause. It is
 accepted if
 
-- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in the
-  axis: 0 at the default, more if several axes share the probability; and
+- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
+  the axis: zero at the default, more if several axes share the probability; and
 - if the test is a p-value, p < α·share. Each cause has a share of the false alarms that no other cause
   changes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
   replaces p if it is less or if there is no other test.

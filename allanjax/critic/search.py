@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
+from allanjax.critic.finding import cause_title
 from allanjax.critic.noise import RAMP, coefficient_folds, family_of
 from allanjax.critic.parameters import Detail
 from allanjax.critic.policy import AcceptanceRule
@@ -17,7 +18,7 @@ from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import EVERYTHING, Candidate, View
 from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
-from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
@@ -143,12 +144,12 @@ def _others(view: View, causes: Sequence[Cause]) -> list[Cause]:
 
 
 def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
-    """Search that is over: all is fitted once more, and the filter and the resonances are told."""
+    """Search that is over: all is fitted once more, and the filter and the resonances are described."""
     start, known, anew = draft.start, list(draft.steps), draft.is_anew
     steps, view = refitted(known, draft.end, _others(draft.end, causes), last=True)
     shape = finished(view, coefficient_folds(view.n))
     if shape is not None:
-        steps = _told(steps, shape)
+        steps = _with_shape(steps, shape)
         anew = True
     elif any(s.candidate.cause == SpectralShape.name for s in steps):
         steps = [s for s in steps if s.candidate.cause != SpectralShape.name]
@@ -168,7 +169,7 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
     )
 
 
-def _told(steps: Sequence[Step], shape: Shape) -> list[Step]:
+def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:
     """Steps in which the filter and the resonances stand for the structure of the spectrum."""
     (first,) = [s for s in steps if s.candidate.cause == SpectralShape.name][:1]
     parts = []
@@ -201,7 +202,7 @@ def _candidates(
     most = 0.0
     while left and most < max(_EARLY_STOP_NATS, _EARLY_STOP_RATIO * offered.get(left[0], np.inf)):
         cause = left.pop(0)
-        progress(f"{view.axis.name}: looking for {cause.name.replace('_', ' ')}")
+        progress(f"{view.axis.name}: looking for {cause_title(cause.name, view.axis.sensor)}")
         if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
             for part in (candidate, *candidate.parts):
                 part.after.forget()
@@ -213,10 +214,10 @@ def _candidates(
 def _undecided(candidate: Candidate, view: View) -> str:
     """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
     sensor = view.axis.sensor
-    instead = [title_of(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
+    instead = [cause_title(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.chance > _CERTAIN or not instead:
         return ""
-    name, odds = title_of(candidate.cause, sensor), np.exp(candidate.gain)
+    name, odds = cause_title(candidate.cause, sensor), np.exp(candidate.gain)
     return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {odds:.2g} : 1)"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import html
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -17,7 +18,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration
+from allanjax.base.tables import printable
+from allanjax.base.wording import duration, significant
 from allanjax.estimate.result import AxisEstimates, Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -390,9 +392,20 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         rows = []
         for result in self.results:
             for m in result.coefficients.values():
-                shown = m.in_unit()
-                known = m.detected and not m.held
-                interval = shown.describe_interval() if known else ""
-                rows.append((result.axis.name, m.title, shown.describe(), interval))
-            rows.append((result.axis.name, "", result.verdict, ""))
+                shown, text = m.in_unit(), m.in_unit().describe()
+                interval = shown.describe_interval() if m.detected and not m.held else ""
+                if not m.detected and shown.upper_limit is not None:
+                    text = f"< {significant(shown.upper_limit)} {shown.unit}"
+                rows.append((result.axis.name, m.title, text, interval))
         return rows
+
+    def _below(self) -> list[str]:
+        """Lines below the table: what a limit is, and the convergence of each axis."""
+        convergence = [f"{name}: {axis.verdict}" for name, axis in self.items()]
+        return ["< x: not detected; 95 % upper limit", *convergence]
+
+    def __str__(self) -> str:
+        return "\n".join([super().__str__(), "", *map(printable, self._below())])
+
+    def _repr_html_(self) -> str:
+        return super()._repr_html_() + "".join(f"<p>{html.escape(line)}</p>" for line in self._below())

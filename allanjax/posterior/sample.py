@@ -67,7 +67,7 @@ def sample(
     for name in names:
         if not fit[name].converged:
             raise FitError(
-                f"{name}: no posterior, because the fit failed: {fit[name].reason}; sample the others with axes=[…]"
+                f"{name}: no posterior: the fit failed ({fit[name].reason}); sample the others with axes=[…]"
             )
         if not fit[name].measured:
             raise FitError(

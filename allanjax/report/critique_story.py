@@ -227,9 +227,8 @@ _SYMBOLS = {"angle_random_walk": "N", "rate_random_walk": "K"}
 def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
     """Table with a row for each of these findings, and what its columns are, at most `WIDTH` wide.
 
-    Where that is too narrow, cells are written briefly, and at last they are cut.
+    Where that is too narrow, times of drifts are left out, and at last cells are cut.
     """
-    cells: list[list[str]] = []
     for brief in (False, True):
         rows = [(str(k), *_row(f, critique, brief)) for k, f in enumerate(findings, 1)]
         cells = [[printable(cell) for cell in row] for row in (_HEADINGS, *rows)]
@@ -238,12 +237,10 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
             break
     while sum(widths) > space:
         widths[int(np.argmax(widths))] -= 1
-    cells = [
-        [cell if len(cell) <= n else f"{cell[: n - 1]}…" for cell, n in zip(row, widths, strict=True)]
-        for row in cells
-    ]
-    sizes = "size: of the most affected axis; " if brief else ""
-    about = f"{sizes}nats: log-likelihood gained on held-out data; {_NONE}: not applicable"
+    cells = [[x if len(x) <= n else f"{x[: n - 1]}…" for x, n in zip(r, widths, strict=True)] for r in cells]
+    about = f"nats: log-likelihood gained on held-out data; {_NONE}: not applicable"
+    if any(len(f.axes) > 1 for f in findings):
+        about = f"size: of the most affected axis; {about}"
     return f"{text_table('', cells[0], cells[1:], right=('#', 'nats'))}\n\n{about}"
 
 
@@ -253,7 +250,7 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
         finding.named(finding.cause),
         "all" if len(finding.axes) == len(critique) > 2 else _names(finding.axes),
         place(finding),
-        size(finding, brief),
+        size(finding),
         changed(finding, brief) or _NONE,
         _NONE if finding.gain is None else nats(finding.gain).removesuffix(" nats"),
     )
@@ -270,29 +267,20 @@ def place(finding: Finding) -> str:
     if label is None:
         return "whole record"
     e = finding.parameters[label]
-    text = (
-        f"{round(e.value):,}"
-        if label == "count"
-        else f"{plain(e.value, 4)}{'' if e.unit == '1' else f' {e.unit}'}"
-    )
+    text = plain(e.value, 6 if label == "count" else 4) + ("" if e.unit == "1" else f" {e.unit}")
     places = [_LIMIT[side_of_limit(e)] + _WHERE[label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
         places += [f"{sign}{plain(float(x), 4)}" for x in values_of(finding.details.get(name, ()))[0]]
     return ", ".join([*places[:_SHOWN], "…"] if len(places) > _SHOWN else places)
 
 
-def size(finding: Finding, brief: bool) -> str:
-    """How large a finding is: the range over its axes in each unit, or `brief` in the most affected axis."""
-    if "correlation" in finding.parameters:
-        return f"r = {_short(finding.parameters['correlation'])}"
+def size(finding: Finding) -> str:
+    """How large a finding is in the most affected axis, with the digits that its error bears."""
+    if (r := finding.parameters.get("correlation")) is not None:
+        return f"r = {_short(r)}"
+    e = finding.amplitudes.get(finding.shown)
     # The bandwidth of a filter is its place.
-    sizes = {axis: e for axis, e in finding.amplitudes.items() if e.label != "bandwidth"}
-    if brief and finding.shown in sizes:
-        return _short(sizes[finding.shown])
-    by_unit: dict[tuple[str, str], list[Estimate]] = {}
-    for e in sizes.values():
-        by_unit.setdefault((e.unit, e.label), []).append(e)
-    return ", ".join(_between(each) for each in by_unit.values()) or _NONE
+    return _NONE if e is None or e.label == "bandwidth" else _short(e)
 
 
 def changed(finding: Finding, brief: bool) -> str:
@@ -330,14 +318,6 @@ def _names(axes: Iterable[str]) -> str:
     return ", ".join(words)
 
 
-def _between(each: Sequence[Estimate]) -> str:
-    """Smallest and largest of several values, e.g. "0.2 … 0.382 mg"."""
-    low, high = (choice(each, key=lambda e: abs(e.value)) for choice in (min, max))
-    unit, factor = _unit(high)
-    ends = dict.fromkeys(_short(e, unit, factor) for e in (low, high))
-    return " … ".join(ends).replace(f" {unit} …", " …")
-
-
 def _unit(e: Estimate) -> tuple[str, float]:
     """Unit in which a value is shown, and the factor to it: of values of samples that of the record."""
     if e.label == "fraction":
@@ -345,17 +325,13 @@ def _unit(e: Estimate) -> tuple[str, float]:
     return (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
 
 
-def _short(e: Estimate, unit: str | None = None, factor: float = 1.0) -> str:
-    """Value of a parameter with the digits that its error bears, but without the error."""
-    if unit is None:
-        unit, factor = _unit(e)
+def _short(e: Estimate) -> str:
+    """Value of a parameter with the digits that its error bears, four at most, but without the error."""
+    unit, factor = _unit(e)
     value, std = factor * e.value, factor * e.std
-    text = plain(value, 3)
-    if std > _EXACT * abs(value):
-        # Four digits are enough without the error.
-        text = without_error(value, max(std, 0.01 * abs(value)))
-    sign = "× " if e.label == "ratio" else ""
-    return f"{_LIMIT[side_of_limit(e)]}{sign}{text}{f' {unit}' if unit else ''}"
+    known = std > _EXACT * abs(value)
+    text = without_error(value, max(std, 0.01 * abs(value))) if known else plain(value, 3)
+    return f"{_LIMIT[side_of_limit(e)]}{'× ' if e.label == 'ratio' else ''}{text}{f' {unit}' if unit else ''}"
 
 
 # --- A line for each axis -----------------------------------------------------------------------------------
@@ -457,21 +433,17 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
     for axis in critique.results:
         if axis.misfit is None or not axis.misfit.excessive:
             continue
-        left = next((d for d in axis.after if d.statistic == _KNOWN), None)
-        off = left is not None and left.p_value < UNEXPLAINED and _is_far(left.size)
+        left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < UNEXPLAINED]
+        # Whether what is left is beyond what coefficients may have, in either direction.
+        far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
         then = (
             "the findings do not explain why, so that no coefficients describe the sensor; leave out what "
             "was not at rest (--start, --stop), or see the figures"
-            if off
+            if far
             else "use the coefficients of critique.refit() (--refit)"
         )
         warnings.append(f"{axis.axis.name}: the noise model does not fit the data: {axis.misfit}; {then}")
     return tuple(warnings)
-
-
-def _is_far(size: float) -> bool:
-    """Whether a relative error, of either sign, is beyond what coefficients may have."""
-    return not abs(np.log(max(1.0 + size, 1e-300))) < np.log(1.0 + LIMIT)
 
 
 def _wrapped(text: str, first: str = "") -> str:

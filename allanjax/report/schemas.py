@@ -48,11 +48,8 @@ def schema(name: Name) -> dict[str, Any]:
     properties = single["properties"]
     own = {key: value for key, value in properties.items() if key != "errors"}
     entry = {**single, "properties": {"file": _FILE, **own}, "required": ["file", *single["required"]]}
-    entries = {
-        "type": "array",
-        "description": "One entry per file, without those that failed.",
-        "items": entry,
-    }
+    about = "One entry per file, without those that failed."
+    entries = {"type": "array", "description": about, "items": entry}
     bundle = _closed(
         f"Output of --json: the {plural} of all files, and the errors.",
         {"schema_version": properties["schema_version"], plural: entries, "errors": _ERRORS},
@@ -104,14 +101,8 @@ def _of_horizon() -> dict[str, Any]:
             "sensor": {"enum": ["gyro", "accel"]},
             "white": {"description": "N of the filter.", **estimate},
             "walk": {"description": "K of the filter, or of its Gauss–Markov process.", **estimate},
-            "correlation_time": {
-                "description": "Null for a random walk.",
-                "anyOf": [estimate, {"type": "null"}],
-            },
-            "bias_std_si": {
-                "description": "Standard deviation of the process; null for a random walk.",
-                **maybe,
-            },
+            "correlation_time": {"description": "Null for a walk.", "anyOf": [estimate, {"type": "null"}]},
+            "bias_std_si": {"description": "Standard deviation of the process; null for a walk.", **maybe},
             "mismatch": {"description": "Largest ratio between predicted and true error.", **number},
             "bounding_si": _closed(
                 "Values that bound the error.", {**pair, "correlation_time": maybe, "bias_std": maybe}
@@ -120,10 +111,7 @@ def _of_horizon() -> dict[str, Any]:
             "inflation": _closed(
                 "Ratios to the raw values; null if there are none.", {"white": maybe, "walk": maybe}
             ),
-            "raw_factor": {
-                "description": "Ratio of the error to the prediction of a filter with raw N, K.",
-                **maybe,
-            },
+            "raw_factor": {"description": "Error over the prediction of a filter with raw N, K.", **maybe},
             "shares": {
                 "description": "Shares of the terms in the variance at the horizon.",
                 "type": "object",
@@ -142,11 +130,7 @@ def _of_horizon() -> dict[str, Any]:
         "process": {"enum": ["walk", "markov"]},
         "probability": {"description": "Probability of the bounds.", **number},
         "axes": {"type": "array", "items": axis},
-        "notes": {
-            "description": "Assumptions about values that a data sheet does not give.",
-            "type": "array",
-            "items": text,
-        },
+        "notes": {"description": "Assumptions about a data sheet.", "type": "array", "items": text},
     }
     about = "White noise and bias process for filters that are corrected every `horizon_s`."
     return {"$schema": _DRAFT, "title": "allanjax horizon", **_closed(about, document)}

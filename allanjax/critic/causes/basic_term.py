@@ -24,7 +24,8 @@ from allanjax.record.units import default_coefficient_unit, unit_scale
 class BasicTerm(Cause):
     """A basic noise term that the given model lacks: quantization, random walks, instability, ramp, Markov.
 
-    The evidence decides between subsets of basic terms. The p-value, by Wilks's theorem, ignores other subsets.
+    The evidence decides between subsets of basic terms. The p-value, by Wilks's theorem, ignores other
+    subsets.
     """
 
     refit = "at once"

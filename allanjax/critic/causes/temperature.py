@@ -21,7 +21,7 @@ _CLOCK = judged("temperature", "clock")
 
 
 class Temperature(Cause):
-    """Effect coefficient · channel(t − lag) of an auxiliary channel, with lags up to a tenth of the record."""
+    """Effect coefficient · channel(t − lag) of an auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"
     refit = "at once"
