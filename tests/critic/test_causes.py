@@ -19,18 +19,18 @@ def white(seed):
 
 
 class Claim(Cause):
-    """A cause that offers what it is told to, once."""
+    """A cause that offers what it is made with, once."""
 
     def __init__(self, name, gain, p_value=None, bound=1.0, held_out=1.0):
-        self.name, self.told, self.bound, self.held_out = name, (gain, p_value), bound, held_out
-        # What is seen in the samples themselves has no odds.
+        self.name, self.offer, self.bound, self.held_out = name, (gain, p_value), bound, held_out
+        # What is visible directly in the samples has no odds.
         self.is_preprocessing = np.isnan(gain)
 
     def detect(self, view: View) -> Candidate | None:
         if self.name in view.found:
             return None
         size = [view.amplitude_estimate("amplitude", 0.5, 0.1)]
-        return Candidate(self.name, size, *self.told, view, lambda: self.held_out, bound=self.bound)
+        return Candidate(self.name, size, *self.offer, view, lambda: self.held_out, bound=self.bound)
 
 
 #: What is just enough. A p-value counts by the cause's share, a fifteenth of one per cent; e^-gain, or any

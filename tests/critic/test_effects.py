@@ -38,7 +38,7 @@ HONEST = {
     # record to record, and the critic's is the mean one with the spacing of its blocks.
     ("variance_change", "start"): (0.5, 2.0),
     ("variance_change", "end"): (0.5, 2.0),
-    # The bound is that of all jumps; of those that are near each other some are not seen.
+    # The bound is that of all jumps; of those that are near each other some are not detected.
     ("telegraph", "dwell_time"): (0.75, 1.6),
 }
 RECORDS = ["two_effects", "hum", "telegraph", "temperature", "outliers", "rounded", "one_pole", "more"]
@@ -51,7 +51,7 @@ def measured(finding, label, truth, bound, scale):
     e = finding.parameters[label]
     value, std = e.value * scale, e.std * scale
     if not std > 1e-6 * abs(value):
-        # Jumps that are near each other are not seen.
+        # Jumps that are near each other are not detected.
         assert value == pytest.approx(truth, rel=1e-9, abs=4.0 * (label == "jumps"))
         return
     assert abs(value - truth) < 4.0 * std, (label, value, truth, std)
@@ -137,7 +137,7 @@ def spotted(hidden, _):
 
 #: Least and largest share of what the truth gains that findings tell, beside a few nats for each parameter.
 SHARES = {
-    # A path has to be seen from half of the samples, between which it jumps unseen.
+    # A path has to be observed in half of the samples, between which it jumps unseen.
     "telegraph": (0.2, 1.0),
     # One half of the coefficients foretells the other.
     "resonance": (0.85, 1.0),
@@ -146,7 +146,7 @@ SHARES = {
 }
 
 
-#: What is seen in the samples themselves has no gain.
+#: What is visible directly in the samples has no gain.
 SEEN = ("rounding", "saturation", "repeated_samples")
 
 

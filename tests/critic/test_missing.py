@@ -11,8 +11,7 @@ import allanjax as aj
 from allanjax.critic import CAUSES
 
 N, RATE = ct.N, 50.0
-
-
+OPTIONS = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_x", "gyro_z"], "gaps": "fill"}
 #: A tenth of the samples: singly, and two gaps of two hundred.
 LOST = np.random.default_rng(2).random(N) < 0.078
 LOST[2_000:2_200] = LOST[9_000:9_200] = True
@@ -28,8 +27,7 @@ def gappy():
     x = np.random.default_rng(11).standard_normal((N, 2)) + 0.3
     x[:, 0] += 0.25 * np.sin(2.0 * np.pi * 3.2171 * np.arange(N) / RATE)
     x[5_000, 0] += 15.0
-    options = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_x", "gyro_z"], "gaps": "fill"}
-    return [aj.critique(values, **options) for values in (np.where(LOST[:, None], np.nan, x), x)]
+    return [aj.critique(values, **OPTIONS) for values in (np.where(LOST[:, None], np.nan, x), x)]
 
 
 def test_what_is_found_is_what_there_is_with_a_tenth_less_known_of_it():
@@ -116,9 +114,8 @@ def test_steps_of_the_output_and_a_range_are_those_of_measured_samples():
     """What was drawn is no multiple of a step, and may be beyond a range."""
     x = np.random.default_rng(12).standard_normal((N, 2))
     x = np.column_stack([np.round(x[:, 0]), np.clip(x[:, 1], -1.5, 1.5)])
-    seen = [c for c in CAUSES if c.name in ("rounding", "saturation", "repeated_samples")]
-    options = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_x", "gyro_z"], "gaps": "fill"}
-    found = aj.critique(np.where(LOST[:, None], np.nan, x), **options, causes=seen)
+    causes = [c for c in CAUSES if c.name in ("rounding", "saturation", "repeated_samples")]
+    found = aj.critique(np.where(LOST[:, None], np.nan, x), **OPTIONS, causes=causes)
     (step,), (limits,) = ([f for f in found[axis].findings if f.cause != "unexplained"] for axis in found)
     assert step.parameters["step"].value == pytest.approx(1.0)
     assert limits.parameters["upper_level"].value == pytest.approx(1.5)

@@ -96,7 +96,7 @@ def test_marginals_are_those_of_quadrature(records, posteriors, kind):
             error = np.sqrt(u * (1.0 - u) / ess)
             assert grid.probability(name, value) == pytest.approx(u, abs=4.5 * error), (label, u)
         assert c.std == pytest.approx(grid.std(name), rel=4.5 * np.sqrt(1.5 / ess))
-    # Of what cannot be told from zero: posterior over prior probability of a third of the prior's scale.
+    # Posterior over prior probability of what cannot be distinguished from zero, a third of the scale.
     factor, prior = axis["rate_random_walk"].bayes_factor, axis.priors["rate_random_walk"]
     before = 0.3 / np.log1p(prior.upper / prior.scale)
     exact = grid.probability("K", prior.scale * np.expm1(0.3)) / before
@@ -106,10 +106,7 @@ def test_marginals_are_those_of_quadrature(records, posteriors, kind):
     assert low <= factor < high
 
 
-TERMS = [aj.RateRandomWalk(1.0), aj.BiasInstability(1.0), aj.Quantization(1.0)]
-
-
-@pytest.mark.parametrize("term", TERMS, ids=str)
+@pytest.mark.parametrize("term", [aj.RateRandomWalk(1.0), aj.BiasInstability(1.0), aj.Quantization(1.0)])
 def test_limits_of_terms_not_sampled_are_those_of_quadrature(records, absent, term):
     """256 draws of N: below 1 % each in several repetitions. Flicker's levels above 64 are approximate."""
     axis, label = absent, term.name()
@@ -280,7 +277,7 @@ def test_a_users_prior_is_obeyed(records):
     assert c.bayes_factor == 0.0
 
 
-def test_a_chain_tells_how_it_ran(posteriors, absent):
+def test_a_chain_has_its_diagnostics(posteriors, absent):
     emcee = pytest.importorskip("emcee")
     for axis in (*map(posteriors, ("clear", "edge", "weak")), absent):
         # Five autocorrelation times of burn-in, and fifty of chain.

@@ -41,16 +41,14 @@ def test_densities_are_those_of_scipy():
     assert np.exp(gregory.log_density(2.0) - gregory.log_density(20.0)) == pytest.approx(10.0, rel=5e-3)
 
 
-IMPROPER = {
-    Uniform: [(1.0, 1.0), (0.0, np.inf)],
-    LogUniform: [(0.0, 1.0), (0.4, 1.0, 0.5), (2.0, 1.0)],
-    LogNormal: [(0.0, 2.0), (1.0, 1.0)],
-    ModifiedLogUniform: [(0.0, 1.0), (np.nan, 1.0), (1.0, 0.0)],
-}
+IMPROPER = [
+    (Uniform, 1.0, 1.0), (Uniform, 0.0, np.inf), (LogUniform, 0.0, 1.0), (LogUniform, 0.4, 1.0, 0.5),
+    (LogUniform, 2.0, 1.0), (LogNormal, 0.0, 2.0), (LogNormal, 1.0, 1.0),
+    *((ModifiedLogUniform, *numbers) for numbers in ((0.0, 1.0), (np.nan, 1.0), (1.0, 0.0))),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", IMPROPER)
-def test_improper_priors_are_refused(kind):
-    for numbers in IMPROPER[kind]:
-        with pytest.raises(AllanjaxError, match="give "):
-            kind(*numbers)
+@pytest.mark.parametrize(("kind", "numbers"), [(kind, numbers) for kind, *numbers in IMPROPER])
+def test_improper_priors_are_refused(kind, numbers):
+    with pytest.raises(AllanjaxError, match="give "):
+        kind(*numbers)
