@@ -20,7 +20,7 @@ from allanjax.noise.estimate import Estimate
 # Rivals with longer odds against them than this are not reported, as in the search.
 _ODDS = 1000.0
 
-# --- Several findings told as one ---------------------------------------------------------------------------
+# --- Several findings reported as one -----------------------------------------------------------------------
 
 
 def together(
@@ -141,7 +141,7 @@ STRETCHES = ("disturbance", "variance_change")
 _SHORT = 0.05
 # Pause [s] after which another event begins: a judgement.
 _PAUSE = 0.5
-# Share of a finding's outliers below which those outside of its event are not told apart: a judgement.
+# Share of a finding's outliers below which those outside of its event are not reported apart: a judgement.
 _FEW = 0.1
 # Expected number of chance coincidences of outliers from which on they are no event: a judgement.
 _CHANCE = 1e-3
@@ -167,7 +167,7 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
     found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
     if not found:
         return [], list(findings)
-    # Where most of a finding is, there its evidence and its gain are told.
+    # Where most of a finding is, there its evidence and its gain are reported.
     home = [_home(k, f, found) for k, f in enumerate(findings)]
     happened = [
         _event(cluster, findings, [k for k, place in enumerate(home) if place == number])
@@ -236,7 +236,7 @@ def _home(k: int, f: Finding, found: Sequence[Sequence[_Mark]]) -> int | None:
 
 
 def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Sequence[int]) -> Finding:
-    """One event of several marks; `counted` are the findings that are told here."""
+    """One event of several marks; `counted` are the findings that are reported here."""
     places = sorted({mark.finding for mark in cluster})
     members = [findings[k] for k in places]
     causes = tuple(dict.fromkeys(f.cause for f in members))
@@ -353,12 +353,12 @@ class Rule(NamedTuple):
     Attributes:
         applies: whether a finding is of this kind.
         family: findings of this kind that are one with the strongest one, itself among them.
-        told: combines several findings into one.
+        combine: combines several findings into one.
     """
 
     applies: Callable[[Finding], bool]
     family: Callable[[Finding, Sequence[Finding], float], list[Finding]]
-    told: Callable[[Sequence[Finding]], Finding]
+    combine: Callable[[Sequence[Finding]], Finding]
 
 
 def merged(
@@ -376,7 +376,7 @@ def merged(
         while kind:
             family = rule.family(max(kind, key=_weight), kind, duration)
             kind = [f for f in kind if not _among(f, family)]
-            found.append(rule.told(family) if len(family) > 1 else family[0])
+            found.append(rule.combine(family) if len(family) > 1 else family[0])
     return tuple(sorted([*found, *left, *of_several], key=_place))
 
 
@@ -474,7 +474,7 @@ def _rule(
 ) -> Rule:
     """Rule for causes that are one where `same` says so; `is_once`: if there is one of them in an axis.
 
-    The `parameters` are those that the axes share, of the `totals` the sum is told.
+    The `parameters` are those that the axes share, of the `totals` the sum is reported.
     """
 
     def family(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
@@ -489,7 +489,7 @@ def _rule(
             chosen = list(found.values())
         return [f for f in findings if _among(f, chosen)]
 
-    def told(members: Sequence[Finding]) -> Finding:
+    def combine(members: Sequence[Finding]) -> Finding:
         words = {
             name: detail
             for name, detail in members[0].details.items()
@@ -498,7 +498,7 @@ def _rule(
         own = shared(members, parameters) | summed(members, totals)
         return together(members[0].cause, members, own, largest(members), words)
 
-    return Rule(lambda f: f.cause in causes, family, told)
+    return Rule(lambda f: f.cause in causes, family, combine)
 
 
 def _stretches(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
@@ -634,7 +634,7 @@ def _divided(e: Estimate, order: int) -> Estimate:
     return parameter_estimate(e.axis, e.label, e.value / order, e.std / order, e.unit)
 
 
-#: Rules of all causes that are told once for several axes.
+#: Rules of all causes that are reported once for several axes.
 RULES: tuple[Rule, ...] = (
     Rule(_is_line, _lines, _line),
     _rule(["low_pass"], _same_bandwidth, ["bandwidth", "order"]),

@@ -1,7 +1,7 @@
-"""Places in the spectrum at which something was found in one axis, where the others are looked at again.
+"""Frequencies of lines and resonances in one axis, at which the other axes are searched again.
 
-What shakes a sensor, or couples into it, is seen in several of its axes. Where it is known from one of them
-no other frequency is tried, and what is too weak to be found without that is found.
+Vibration and interference affect several axes of a sensor. If the frequency is known from one axis, no other
+frequency is tried in the others, so that weaker effects are detected.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
 
 
 def elsewhere(own: Sequence[Place], others: Sequence[Place]) -> tuple[Place, ...]:
-    """Places of other axes at which an axis has nothing yet, each once."""
+    """Places of other axes at which this axis has no finding yet, each once."""
     found: list[Place] = []
     for place in sorted(others, key=lambda place: place.reach):
         if not any(place.holds(known.frequency) or known.holds(place.frequency) for known in (*own, *found)):

@@ -1,4 +1,4 @@
-"""The structure of a view's spectrum: how it is searched, and what is told of it."""
+"""The structure of a view's spectrum: the search for it, and its description."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def _left(view: View) -> bool:
 
 
 class Part(NamedTuple):
-    """A filter, or one or more resonances at about one frequency, as it is told.
+    """A filter, or one or more resonances at about one frequency, as a finding.
 
     Attributes:
         cause: name of the cause.
@@ -248,7 +248,7 @@ class Shape(NamedTuple):
 
 
 def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | None:
-    """Final fit of a view's structure and what is told of it; None if there are only basic terms."""
+    """Final fit of a view's structure and its parts; None if there are only basic terms."""
     if view.structure is None:
         return None
     further = _further(view)

@@ -97,7 +97,7 @@ def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) 
 
 
 def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
-    """Marginal of the shape of a term that was not sampled: of it these data say nothing."""
+    """Marginal of the shape of a term that was not sampled: these data do not determine it."""
     nothing = (parameter.parameter.lower, parameter.parameter.upper)
     unknown = _marginal(parameter, axis, np.full(len(_QUANTILES), np.nan), float("nan"), False, None)
     return dataclasses.replace(unknown, interval=nothing, interval_68=nothing, sampled=False)
@@ -131,7 +131,7 @@ def _marginal(
 
 
 def bayes_factor(posterior: LogPosterior, index: int, draws: Float[np.ndarray, " draws"]) -> float:
-    """Posterior over prior probability that this amplitude [SI] cannot be told from zero; 0 if a priori."""
+    """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
     threshold = posterior.scale[index] * np.expm1(_INDISTINGUISHABLE)
     nodes, weights = np.polynomial.legendre.leggauss(200)
     prior = posterior.priors[index]

@@ -105,7 +105,7 @@ def marginal(
 
     In noise that drifts a step is determined by the samples next to it, in white noise by all: where the
         record
-    does not tell which noise it is, both count.
+    does not determine the noise, both count.
     """
     sets = after.model_evidence.likely(after.allowed, most=SETS)
     variance, likelihood = 0.0, np.zeros(len(bank.shapes))
