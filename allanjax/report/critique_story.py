@@ -280,7 +280,7 @@ def size(finding: Finding) -> str:
         return f"r = {_short(r)}"
     e = finding.amplitudes.get(finding.shown)
     # The bandwidth of a filter is its place.
-    return _NONE if e is None or e.label == "bandwidth" else _short(e)
+    return _NONE if e is None or e.label == "bandwidth" else re.sub(r"/\[.*\]", " per unit", _short(e))
 
 
 def changed(finding: Finding, brief: bool) -> str:
@@ -308,12 +308,15 @@ def _before_and_after(c: CoefficientChange) -> str:
 
 
 def _names(axes: Iterable[str]) -> str:
-    """Names of axes, those of one sensor short, e.g. "accel_x, y, z"."""
+    """Names of axes, those of one sensor together, e.g. "accel_xyz"."""
     words: list[str] = []
     former = ""
     for axis in axes:
-        sensor, mark, own = axis.rpartition("_")
-        words.append(own if mark and sensor == former else axis)
+        sensor, _, own = axis.rpartition("_")
+        if sensor and sensor == former and len(own) == 1:
+            words[-1] += own
+        else:
+            words.append(axis)
         former = sensor
     return ", ".join(words)
 
@@ -413,9 +416,9 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
         words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
         more = f"; and {len(own) - most} more" if len(own) > most else ""
         return f"{name}: {tests} {then}: {words}{more}"
-    text = f"{name}: the simulation reproduces the record in all {count} tests"
     if after:
-        return f"{text} but those of what axes share"
+        return f"{name}: the simulation reproduces the record except for the noise that axes share"
+    text = f"{name}: the simulation reproduces the record in all {count} tests"
     if causes:
         return f"{text} after the findings ({len(before) or 'none'} failed before)"
     smallest = min((d.p_value for d in axis.before), default=1.0)
