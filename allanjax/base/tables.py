@@ -107,7 +107,8 @@ def text_table(
     )
     with console.capture() as capture:
         console.print(table)
-    return "\n".join([wrapped(title), *(line.rstrip() for line in capture.get().rstrip("\n").splitlines())])
+    lines = [line.rstrip() for line in capture.get().rstrip("\n").splitlines()]
+    return "\n".join([*([wrapped(title)] if title else []), *lines])
 
 
 def wrapped(line: str) -> str:
