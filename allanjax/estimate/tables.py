@@ -6,15 +6,16 @@ import html
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from allanjax.base.tables import WIDTH, html_table, printable, text_table
 from allanjax.base.wording import format_with_error, plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.record.units import SENSORS, rate_unit_of
 
-if TYPE_CHECKING:
-    from allanjax.estimate.result import AxisFit, Fit
+# Results print themselves by this module, which therefore does not import theirs.
+Fit: TypeAlias = Any
+AxisFit: TypeAlias = Any
 
 #: Symbols of the basic terms, in the order of the columns; the first three have one even where not detected.
 SYMBOLS = {

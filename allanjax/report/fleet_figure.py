@@ -201,6 +201,8 @@ def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str], names: dict[st
     ticks = [_draw_axis(panel, k, of[of["axis"] == axis], groups, names) for k, axis in enumerate(axes)]
     units = pd.concat(ticks)
     if names:
+        # The unit in the middle has its name, too, below that of the axis.
+        panel.xaxis.remove_overlapping_locs = False
         panel.set_xticks(units["x"], [literal(names[str(u)]) for u in units["recording"]], minor=True)
 
 

@@ -67,7 +67,7 @@ def test_noise_is_as_loud_where_it_was_drawn_and_is_known_less_well():
 
 def test_coefficients_of_what_is_left_are_as_uncertain_as_if_the_record_were_shorter():
     given, found = recording("lossy"), critique("lossy")
-    assert any("drawn" in note for note in found.notes)
+    assert any("filled in" in note for note in found.notes)
     wide = np.sqrt(1.0 / (1.0 - given.missing.mean()) + given.missing.mean())
     units = {"gyro_unit": "rad/s", "accel_unit": "m/s²"}
     drawn = aj.fit(given.values, rate=given.rate, **units, names=given.names, as_is=True)

@@ -177,4 +177,4 @@ def test_a_correlation_time_beyond_the_record_is_above_a_limit(time, beyond):
     assert c.interval[0] <= c.lower_limit < time
     spread = np.sqrt(result.covariance[row, row]) / c.value
     assert c.lower_limit == pytest.approx(c.value * np.exp(-1.64485 * spread), rel=1e-3)
-    assert c.describe().startswith("above ")
+    assert c.describe().startswith("> ")

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.signal
-from commands import run
+from commands import run, without_progress
 from golden_records import CLEAN, PLAIN, SHAPED
 from numpy.testing import assert_allclose
 
@@ -418,4 +418,4 @@ def test_every_remedy_that_a_check_names_leads_to_a_result(what):
         if words is not None:
             words = words or remedy
             done = run("characterize", "log.csv", *words.split(), "--terms", "N", "--json")
-            assert (done.exit_code, done.stderr) == (0, ""), words
+            assert (done.exit_code, without_progress(done.stderr)) == (0, ""), words

@@ -307,7 +307,7 @@ REFUSED = [
     (HUNDRED, lambda s: s.random_walk("0", (0.1, 0.2)), "gyro_unit"),
     (HUNDRED, lambda s: s.readings(), "gyro_unit"),
     (recording(HUNDRED), lambda s: s.random_walk("gyro_q"), "'gyro_q'"),
-    (recording(HUNDRED), lambda s: s.random_walk("gyro_x", (6.0, 7.0)), "band"),
+    (recording(HUNDRED), lambda s: s.random_walk("gyro_x", (6.0, 7.0)), "no frequency"),
 ]
 
 

@@ -1,6 +1,7 @@
 """Commands as a user types them."""
 
 import json
+import re
 from typing import Any
 
 from click.testing import Result
@@ -15,6 +16,11 @@ def run(*words: object, given: bytes | None = None) -> Result:
     Errors that no command expects are raised.
     """
     return CliRunner().invoke(app, [str(word) for word in words], input=given, catch_exceptions=False)
+
+
+def without_progress(stderr: str) -> str:
+    """What a command wrote beside the lines by which slow machines report progress."""
+    return re.sub(r"^.*, \d+ s\n", "", stderr, flags=re.MULTILINE)
 
 
 def schema(name: str) -> Any:
