@@ -172,11 +172,11 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     whole = 0.0, recording.duration
     start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
     if (start, stop) != whole:
-        text = f"{seen.said}: the critique uses {plain(start)} to {plain(stop)} s only"
+        text = f"{seen.left_out}: the critique uses {plain(start)} to {plain(stop)} s only"
         facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
         recording = recording.between(start, stop)
     elif seen.refusal:
-        text = f"{seen.said}: the critique uses all samples, because too few would remain"
+        text = f"{seen.left_out}: the critique uses all samples, because too few would remain"
         facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 

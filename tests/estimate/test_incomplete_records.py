@@ -133,7 +133,7 @@ def test_missing_samples_widen_what_is_said_of_a_complete_record(objective):
             np.testing.assert_allclose(ends, by * of)
 
 
-DEAD = {"accel_x": "constant at 0.25 g", "accel_y": "not a single number"}
+DEAD = {"accel_x": "constant at 0.25 g", "accel_y": "without any number"}
 
 
 def test_dead_axes_are_named_and_the_others_are_fitted():
