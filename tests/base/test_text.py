@@ -92,7 +92,7 @@ def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
     assert [len(line) > 40 for line in out.splitlines() if set(line) == {"-", "+"}] == [True]
     assert r"\u221a" in said(lambda: command("fit.json", "--axis", "gyro_x", "--json"))[0]
     assert r"gr\xfcn.json" in said(lambda: command("grün.json"))[1]
-    text, _ = said(lambda: print(bench.fit("small"), bench.fit("small")["gyro_x"]["N"]))
+    text, _ = said(lambda: print(bench.fit("small")["gyro_x"], bench.fit("small")["gyro_x"]["N"]))
     assert all(word in text for word in ("0.15148 +- 0.00098 deg/sqrt(h)", "chi^2"))
 
 
