@@ -285,13 +285,16 @@ def _of_samples(
     calm = _bridged(whole.T, _at(lost, recording).T)
     facts += spectral_facts(calm[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
+    # What is no measurement, as interpolated samples, has no outliers of its own.
+    grave = {name for fact in facts if fact.grave for name in fact.axes}
     outliers = np.zeros(len(steps))
     for k, axis in enumerate(recording.axes):
-        if axis.name not in held:
+        if axis.name not in held | grave:
             count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
             facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
     foreign = np.sqrt(steps**2 / 12.0 + outliers)
-    return facts + list(_spike_facts(recording, whole, spikes)), steps, foreign
+    single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
+    return [*facts, *single], steps, foreign
 
 
 def _bridged(
