@@ -50,6 +50,8 @@ A coefficient is read from an octave or two, of which one off by a factor 1.5 le
 with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 """
 
+# p-value below which a model that is not refused is called doubtful.
+_DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
 # Parts of an octave that the levels of a spectrum are averaged over.
@@ -441,6 +443,11 @@ class AxisFit(ByValue, AxisEstimates):
     def misfits(self) -> str:
         """How far and where the fitted curves are off, in words; "" if the model fits."""
         return "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the p-value of a model that is not refused is below 0.001."""
+        return not self.incomplete and self.p_value < _DOUBTFUL
 
     @property
     def incomplete(self) -> bool:

@@ -33,8 +33,6 @@ _LEGEND = {
     "> ": "> x: 95 % lower limit",
     "(": "(x): value of the fitted curve, not a measurement of the sensor",
 }
-# p-value below which a model that is not refused is called doubtful.
-_DOUBTFUL = 1e-3
 # Between the columns of a table.
 _GAP = 3
 
@@ -212,7 +210,7 @@ def _verdict(result: AxisFit | None) -> str:
     p = result.p_value
     if not math.isfinite(p):
         return "fits"
-    return f"{'doubtful' if p < _DOUBTFUL else 'fits'}, p = {significant(p, 2)}"
+    return f"{'doubtful' if result.doubtful else 'fits'}, p = {significant(p, 2)}"
 
 
 def _remarks(fit: Fit) -> Iterator[str]:

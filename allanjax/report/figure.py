@@ -385,7 +385,8 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     if misfits:
         other = "Allan deviation" if unit == "Hz" else "power spectral density"
         return KeyEntry(wrapped(f"does not fit the {other} (see its figure); {text}"))
-    return KeyEntry(wrapped(f"{'does not fit' if result.discrepancy > 0.0 else 'fits'}: {text}"))
+    word = "does not fit" if result.discrepancy > 0.0 else "doubtful" if result.doubtful else "fits"
+    return KeyEntry(wrapped(f"{word}: {text}"))
 
 
 def worst_place(result: AxisFit, unit: Literal["s", "Hz"]) -> float:
