@@ -71,8 +71,6 @@ _FEW = 8.0
 _FINE = 24
 # Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
 _CAPACITY = (96, 6)
-# p-value of a spectrum below which it does not overrule variances that refuse the model.
-_DOUBTFUL = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -470,7 +468,8 @@ def judged(
         if chi2 <= beyond_doubt(dof):
             return _with_verdict(result, chi2, dof)
     other = fit_whittle(recording, k, template, active, {})
-    if result.converged and not sufficient and (other.discrepancy > 0.0 or other.p_value < _DOUBTFUL):
+    # A doubtful spectrum does not overrule variances that refuse the model.
+    if result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful):
         return _with_verdict(result, other.chi2, other.dof)
     return other if other.converged else result
 

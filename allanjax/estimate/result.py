@@ -50,7 +50,7 @@ A coefficient is read from an octave or two, of which one off by a factor 1.5 le
 with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 """
 
-# p-value below which a model that is not refused is called doubtful.
+# p-value below which a model is doubtful.
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
@@ -446,8 +446,8 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def doubtful(self) -> bool:
-        """Whether the p-value of a model that is not refused is below 0.001."""
-        return not self.incomplete and self.p_value < _DOUBTFUL
+        """Whether the p-value is below 0.001, which does not suffice to refuse the model."""
+        return self.p_value < _DOUBTFUL
 
     @property
     def incomplete(self) -> bool:
