@@ -99,7 +99,7 @@ class AllanDeviation(ByValue, OfAxes):
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
 
     def describe_others(self) -> str:
-        """The other segments in words, to follow those of the longest; "" if there are none."""
+        """The other segments in words, to append to a text about the longest; "" if there are none."""
         if not self.others:
             return ""
         segments = "another segment" if len(self.others) == 1 else f"{len(self.others)} other segments"

@@ -79,7 +79,7 @@ class PerAxis(Tabled, Mapping[str, _T]):
 def by_sensor(results: Sequence[Any], units: Callable[[Any], Sequence[str]]) -> list[tuple[str, ...]]:
     """Rows of a table of axes: for each sensor the units of its columns, then the rows of its axes.
 
-    `units` are those of the columns after the first, which stand only above a value.
+    `units` are the units of all columns but the first; a column without values has no unit.
     """
     cells: list[tuple[str, ...]] = []
     for sensor in dict.fromkeys(r.axis.sensor for r in results):

@@ -132,7 +132,7 @@ def html_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]
 class Tabled:
     """A result that prints as a table, with warnings above and notes below."""
 
-    #: Headings of the printed table, and those of its right-aligned columns.
+    #: Headings of the printed table, and the headings of its right-aligned columns.
     HEADINGS: ClassVar[tuple[str, ...]] = ()
     RIGHT: ClassVar[tuple[str, ...]] = ()
 
