@@ -419,7 +419,7 @@ def _of_resonances(
         if moved == 0.0
         else moved / f0
     )
-    relative = 0.5 * std[places] * found.by_power[places] / structure.power[places]
+    relative = 0.5 * std[places] / structure.power[places]
     amplitude = float(np.sqrt(power.sum()))
     a_std = amplitude * float(np.sqrt(share**2 @ relative**2))
     width = float(share @ (frequency / quality))

@@ -522,11 +522,11 @@ def _rough_powers(
 ) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
     """Non-negative powers that fit each candidate's shapes best, and their weighted misfit."""
     weight = design.weight
+    # One after another, for what is idle costs nothing then.
+    means = jax.lax.map(lambda of_axis: jax.lax.map(design.means, of_axis), jnp.asarray(shape))
 
-    def at(
-        V: Float[Array, " m"], active: Bool[Array, " terms"], shape: Float[Array, " shapes"]
-    ) -> tuple[Array, Array]:
-        A = design.means(shape) / V
+    def at(V: Array, active: Array, means: Array) -> tuple[Array, Array]:
+        A = means / V
         normal, target = (A * weight) @ A.T, A @ weight
 
         # Lee & Seung's (2001) multiplicative steps keep powers positive and never increase the misfit.
@@ -538,10 +538,8 @@ def _rough_powers(
         v = jax.lax.fori_loop(0, 500, step, start)
         return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
 
-    def of_axis(V: Array, active: Array, shapes: Array) -> tuple[Array, Array]:
-        return jax.vmap(lambda u: at(V, active, u))(shapes)
-
-    return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), jnp.asarray(shape))
+    of_axis = jax.vmap(at, (None, None, 0))
+    return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), means)
 
 
 def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"]:

@@ -260,7 +260,7 @@ def _tangent(
     noise = template.model.without(
         [label for k, label in enumerate(template.model.term_labels) if k not in random]
     )
-    at, slope, structure = FULL, found.slope * found.mean, found.structure
+    at, structure, model = FULL, found.structure, found.maximum.model
     component, shapes = template.component, free_shapes(noise)
     # A Gauss–Markov process of unit amplitude has the variance T_c/2 (4.59).
     is_markov = (component >= at.first_markov) & (component < at.first_oscillator)
@@ -270,7 +270,7 @@ def _tangent(
             for k, m in zip(component, is_markov, strict=True)
         ]
     )
-    unit = slope[component] / found.by_power[component, None] * (time / 2.0)[:, None]
+    unit = np.asarray(model.unit)[component] * (time / 2.0)[:, None]
     power = structure.power[component] / (time / 2.0)
     inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
     levels = np.where(inside & (power > 0.0), (power[:, None] * unit).sum(axis=1), 0.0)
@@ -279,14 +279,15 @@ def _tangent(
     for s, p in enumerate(shapes):
         if p.term == len(noise):
             owner.append(owner_of_response)
-            of_response = found.by_response[int(p.parameter.name != "bandwidth")]
+            of_response = np.asarray(model.by_response)[int(p.parameter.name != "bandwidth")]
             by_shape[:, :, s] = of_response[component] * (time / 2.0)[:, None]
             continue
         k = p.term
         owner.append(k)
         if power[k] > 0.0:
-            place = _parameter(p.parameter.name, int(component[k]))
-            by_shape[k, :, s] = slope[place] / power[k] + (unit[k] if is_markov[k] else 0.0)
+            place = _parameter(p.parameter.name, int(component[k])) - at.times
+            by_shape[k, :, s] = np.asarray(model.by_shape)[place] * time[k] / 2.0
+            by_shape[k, :, s] += unit[k] if is_markov[k] else 0.0
     levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
     fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
     for i, (plateau, by_own) in fillers.items():

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Num, Shaped
+from jaxtyping import Array, Bool, Float, Num, Shaped
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.numerics import averaged_lags, mean_lags
@@ -169,82 +169,54 @@ def columns_of(terms: Sequence[NoiseTerm], bins: Bins) -> Float[np.ndarray, "ter
     return found
 
 
-def geometric(
-    levels: Levels,
-    first: Float[Array, "*m"],
-    second: Float[Array, "*m"],
-    y: Float[Array, "*m"],
-    last: Float[Array, "*m"],
-) -> Float[Array, "nodes m"]:
-    """Expected squares for the autocovariance r_0 = first, r_d = second·(1 − y)^{d−1}; `last` is (1 − y)ⁿ."""
-    s = jnp.sin(levels.angle * levels.interval / 2.0) ** 2
+def oscillation(
+    levels: Levels, first: Float[Array, ""], second: Float[Array, ""], is_markov: Bool[Array, ""]
+) -> tuple[Array, Array, Array]:
+    """Expected squares of a slot of variance 1 at the nodes, and their derivatives by its two shapes."""
+    Q = 0.5 + jnp.exp(second)
+    root = jnp.sqrt(jnp.where(is_markov, 1.0, 4.0 * Q**2 - 1.0))
+    rate = jnp.exp(jnp.where(is_markov, -first, first))
+    decay = jnp.where(is_markov, rate, rate / (2.0 * Q))
+    turn = jnp.where(is_markov, 0.0, decay * root)
+    pole = jax.lax.complex(-decay, turn)
+    weight = jax.lax.complex(jnp.ones(()), jnp.where(is_markov, 0.0, -1.0 / root))
+    by_second = jax.lax.complex(decay, decay / root) / Q
+    weight_by_second = jax.lax.complex(jnp.zeros(()), 4.0 * Q / root**3)
+    value, slope = _geometric(levels, pole, is_markov)
+    by_first = jnp.real(weight * jnp.where(is_markov, -pole, pole) * slope)
+    other = jnp.real(weight_by_second * value + weight * by_second * slope) * (Q - 0.5)
+    return jnp.real(weight * value), by_first, jnp.where(is_markov, 0.0, other)
+
+
+def _geometric(levels: Levels, pole: Array, is_markov: Array) -> tuple[Array, Array]:
+    """Expected squares of e^{pole·d}, complex, and their derivative by the pole, of the form above."""
+    M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
+
+    def lags(pole: Array) -> tuple[Array, Array]:
+        x = -jnp.real(pole) * M
+        (a0, a1), (r0, r1, _) = averaged_lags(x), mean_lags(pole, M)
+        return jnp.where(is_markov, a0, r0), jnp.where(is_markov, a1, r1)
+
+    (r0, r1), (d0, d1) = jax.jvp(lags, (pole,), (jnp.ones_like(pole),))
+    y, last = -jnp.expm1(pole * M), jnp.exp(pole * M * n)
+    by_y, by_last = -M * (1.0 - y), M * n * last
+    s = jnp.sin(levels.angle * M / 2.0) ** 2
     D = y**2 + 4.0 * (1.0 - y) * s
-    ends = (1.0 - levels.parity * last) / levels.length * 4.0 * y**2 * (1.0 - s) / D
-    return first + second * (2.0 * (y - 2.0 * s) - ends) / D
+    inverse = jnp.conj(D) / (jnp.real(D) ** 2 + jnp.imag(D) ** 2)
+    a = 2.0 * (y - 2.0 * s)
+    c = 4.0 / n * (1.0 - s)
+    ends = 1.0 - levels.parity * last
+    b = c * y**2 * ends
+    G = (a - b * inverse) * inverse
+    by_b = c * y * (2.0 * by_y * ends - levels.parity * by_last * y)
+    slope = (2.0 * by_y - by_b * inverse - by_y * a * (a - 2.0 * b * inverse) * inverse) * inverse
+    return r0 + r1 * G, d0 + d1 * G + r1 * slope
 
 
-def complex_geometric(
-    levels: Levels,
-    weight: Num[Array, ""],
-    first: Num[Array, "*m"],
-    second: Num[Array, "*m"],
-    y: Num[Array, "*m"],
-    last: Num[Array, "*m"],
-) -> Float[Array, "nodes m"]:
-    """Real part of the weight times what `geometric` is for complex numbers, not near Q = 0.
-
-    With D = 4(1 − y)·(s + z) what depends on the level is in real arithmetic, which is faster.
-    """
-    s = jnp.sin(levels.angle * levels.interval / 2.0) ** 2
-    q = 4.0 * (1.0 - y)
-    z = y**2 / q
-    u, v = s + jnp.real(z), jnp.imag(z)
-    square = u**2 + v**2
-    high = -4.0 * weight * second / q
-    low = -high * (z + y / 2.0)
-    inner = jnp.real(weight * first + high) + (jnp.real(low) * u + jnp.imag(low) * v) / square
-    end = weight * second * y**2 / (q**2 * levels.length)
-    beyond = end * last
-    even = jnp.real(end) - levels.parity * jnp.real(beyond)
-    odd = jnp.imag(end) - levels.parity * jnp.imag(beyond)
-    return inner - 4.0 * (1.0 - s) * (even * (u**2 - v**2) + 2.0 * odd * u * v) / square**2
-
-
-def markov(levels: Levels, log_time: Float[Array, ""]) -> Float[Array, "nodes m"]:
-    """Expected squares for a Gauss–Markov process of variance 1, averaged over each value's interval.
-
-    `log_time` is the logarithm of its correlation time in sample intervals.
-    """
-    x = levels.interval * jnp.exp(-log_time)
-    return geometric(levels, *averaged_lags(x), -jnp.expm1(-x), jnp.exp(-levels.length * x))
-
-
-def oscillator(levels: Levels, shape: Float[Array, " 2"], band_limited: Array) -> Float[Array, "nodes m"]:
-    """Expected squares for a damped oscillator of variance 1, driven by white noise.
-
-    Args:
-        levels: the levels.
-        shape: ln ω0 [radians per sample interval], and ln(Q − ½).
-        band_limited: whether nothing above half the sample rate is folded back; otherwise the oscillator is
-            read at the instants of the samples.
-    """
-    w0, Q = jnp.exp(shape[0]), 0.5 + jnp.exp(shape[1])
-    decay = w0 / (2.0 * Q)
-    wd = jnp.sqrt(w0**2 - decay**2)
-    pole = jnp.asarray(-decay + 1j * wd)
-    last = jnp.exp(levels.length * levels.interval * pole)
-    lags = mean_lags(pole, jnp.asarray(levels.interval))
-    read = complex_geometric(levels, jnp.asarray(1.0 - 1j * decay / wd), *lags, last)
-    a = levels.angle
-    density = 2.0 * w0**3 / Q / ((w0**2 - a**2) ** 2 + (w0 * a / Q) ** 2)
-    return jnp.where(band_limited, density, read)
-
-
-#: Kinds of response: none; one pole or two, read at the instants of the samples; the same band-limited; a
-#: moving average; digital filters of two poles; and Butterworth's of order 1 to 4.
-NONE, ONE_POLE, TWO_POLES, ONE_POLE_BAND_LIMITED, TWO_POLES_BAND_LIMITED = range(5)
-MOVING_AVERAGE, BIQUAD = 5, 6
-BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(7, 11)
+#: Kinds of response: none; one pole or two, read at the instants of the samples; a moving average; digital
+#: filters of two poles; and Butterworth's of order 1 to 4.
+NONE, ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD = range(5)
+BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
 # Largest bandwidth of a digital filter [radians per sample interval], and the bandwidth of a moving
 # average times its duration.
 _DIGITAL_LIMIT = LARGEST_BANDWIDTH * np.pi
@@ -281,47 +253,55 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     beside, across = s + jnp.real(apart), jnp.imag(apart)
     two = (jnp.real(left) * beside + jnp.imag(left) * across) / (beside**2 + across**2)
     two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
-    u = (a / wc) ** 2
-    limited = [1.0 / (1.0 + u), 1.0 / ((1.0 - u) ** 2 + u / Q**2)]
-    found = [jnp.ones_like(a), one, two, *limited, _mean(a, wc), _biquad(a, wc, Q)]
+    found = [jnp.ones_like(a), one, two, _mean(a, wc), _biquad(a, wc, Q)]
     which = [kind == k for k in range(len(found))]
     return jnp.select(which, found, _butterworth(a, wc, kind))
 
 
-def _samples(wc: Array) -> tuple[Array, Array, Array]:
-    """Whole samples of a moving average's duration, the rest, and the sum of their weights."""
+def response_and_slope(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> tuple[Array, Array]:
+    """Response of white noise in a record, whose two ends add to it, and its derivatives [2, nodes, m]."""
+
+    def passed(shape: Array) -> Array:
+        return response(levels, shape, kind) + response_ends(levels, shape, kind)
+
+    def filtered() -> tuple[Array, Array]:
+        R, along = jax.linearize(passed, shape)
+        return R, jax.vmap(along)(jnp.eye(2))
+
+    nodes = levels.angle.shape
+    return jax.lax.cond(kind == NONE, lambda: (jnp.ones(nodes), jnp.zeros((2, *nodes))), filtered)
+
+
+def _samples(wc: Array) -> tuple[Float[Array, "2 1 1"], Float[Array, "2 1 1"]]:
+    """Whole samples of a moving average's duration and one more, and the share of each in the power."""
     duration = jnp.clip(_MEAN / wc, 1.0, LONGEST)
     m = jax.lax.stop_gradient(jnp.floor(duration))
     rest = duration - m
-    return m, rest, (1.0 - rest) * m**2 + rest * (m + 1.0) ** 2
+    both, share = jnp.stack([m, m + 1.0]), jnp.stack([1.0 - rest, rest])
+    return both[:, None, None], (share / (share @ both**2))[:, None, None]
 
 
 def _mean(angle: Float[Array, "nodes m"], wc: Array) -> Float[Array, "nodes m"]:
     """Power response of a moving average, see `noise.response`."""
-    m, rest, norm = _samples(wc)
-    s = jnp.sin(angle / 2.0) ** 2
-    means = [jnp.sin(k * angle / 2.0) ** 2 / s for k in (m, m + 1.0)]
-    return ((1.0 - rest) * means[0] + rest * means[1]) / norm
+    m, share = _samples(wc)
+    return jnp.sum(share * jnp.sin(m * angle / 2.0) ** 2, axis=0) / jnp.sin(angle / 2.0) ** 2
 
 
 def _ends_of_mean(levels: Levels, wc: Array) -> Float[Array, "nodes m"]:
     """What `response_ends` says, of a moving average: −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
 
     The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
-    transform of a stream's means sees no ends of a filter that is shorter than those.
+    transform of a stream's means does not notice the ends of a filter that is shorter than those.
     """
-    m, rest, norm = _samples(wc)
+    m, share = _samples(wc)
     small = levels.angle * LONGEST < _NEARLY_CONSTANT
     a = jnp.where(small, 1.0, levels.angle)
     s = jnp.sin(a / 2.0) ** 2
-
-    def total(m: Array) -> Array:
-        apart = m * jnp.sin(a) - jnp.sin(m * a)
-        slope = m * (jnp.cos(a) - jnp.cos(m * a)) / (4.0 * s) - apart * jnp.sin(a) / (8.0 * s**2)
-        return jnp.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * jnp.sin(a)))
-
-    both = (1.0 - rest) * total(m) + rest * total(m + 1.0)
-    return jnp.where(levels.interval == 1.0, -2.0 * both / (norm * levels.length), 0.0)
+    apart = m * jnp.sin(a) - jnp.sin(m * a)
+    slope = m * (jnp.cos(a) - jnp.cos(m * a)) / (4.0 * s) - apart * jnp.sin(a) / (8.0 * s**2)
+    total = jnp.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * jnp.sin(a)))
+    both = jnp.sum(share * total, axis=0)
+    return jnp.where(levels.interval == 1.0, -2.0 * both / levels.length, 0.0)
 
 
 # Longest duration, in radians of a level's frequency, below which the ends of a moving average add the same.
@@ -359,30 +339,29 @@ def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Flo
     The filter has settled when the record begins. Its output has r_d = Σ e·w^{d−1} over its poles w, d ≥ 1,
     so that it is the second part of the braces of this module's formula, of means of samples, too. It is
     about 1/n of the noise in the pass band, and most of what is left deep in the stop band. The response is
-    that of `response`, of which it is no part; band-limited ones are taken to have no ends.
+    that of `response`, of which it is no part.
 
     Args:
         levels: the levels.
         shape: ln ω_c [radians per sample interval], and ln(Q − ½) of two poles.
         kind: the kind of response.
     """
-    poles, weights = _poles_of_response(shape, kind)
-    wc = jnp.exp(shape[0])
+    # Poles along the first axis.
+    w, e = (x[:, None, None] for x in _poles_of_response(shape, kind))
     M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
     s = jnp.sin(levels.angle * M / 2.0) ** 2
-    total = jnp.zeros_like(s)
-    for w, e in zip(poles, weights, strict=True):
-        last_of_mean = _power(w, M)
-        y = 1.0 - last_of_mean
-        # Means of M samples: the first lag, over that of samples, is the square of (1 − w^M)/(M(1 − w)).
-        e = e * (y / (M * (1.0 - w))) ** 2 * y**2 / n
-        beyond = e * _power(w, M * n)
-        even = jnp.real(e) - levels.parity * jnp.real(beyond)
-        odd = jnp.imag(e) - levels.parity * jnp.imag(beyond)
-        u = jnp.real(y**2) + 4.0 * jnp.real(last_of_mean) * s
-        v = jnp.imag(y**2) + 4.0 * jnp.imag(last_of_mean) * s
-        total = total + (even * (u**2 - v**2) + 2.0 * odd * u * v) / (u**2 + v**2) ** 2
-    return jnp.where(kind == MOVING_AVERAGE, _ends_of_mean(levels, wc), -4.0 * (1.0 - s) * total)
+    last_of_mean = _power(w, M)
+    y = 1.0 - last_of_mean
+    # Means of M samples: the first lag, over that of samples, is the square of (1 − w^M)/(M(1 − w)).
+    e = e * (y / (M * (1.0 - w))) ** 2 * y**2 / n
+    D = y**2 + 4.0 * last_of_mean * s
+    both = (
+        e
+        * (1.0 - levels.parity * _power(w, M * n))
+        * (jnp.conj(D) / (jnp.real(D) ** 2 + jnp.imag(D) ** 2)) ** 2
+    )
+    total = -4.0 * (1.0 - s) * jnp.sum(jnp.real(both), axis=0)
+    return jnp.where(kind == MOVING_AVERAGE, _ends_of_mean(levels, jnp.exp(shape[0])), total)
 
 
 # Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one of each pair, and

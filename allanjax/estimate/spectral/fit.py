@@ -16,10 +16,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
-from allanjax.base.chi_squared import beyond_doubt, exact_cube_root_score, normal_score
+from allanjax.base.arrays import namespace
+from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.base.linalg import CholeskyWhitened
 from allanjax.estimate.design import Design, free_shapes
 from allanjax.estimate.gls import Solution
@@ -40,14 +40,11 @@ from allanjax.estimate.spectral.components import (
 )
 from allanjax.estimate.spectral.model import (
     FULL,
-    PLAIN,
     Layout,
     Others,
     Slots,
     expected,
     maximize,
-    power_scales,
-    units,
 )
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
@@ -117,7 +114,7 @@ class Arrangement(NamedTuple):
             shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
             terms = tuple(model.terms[k] for k in others)
             further = Others.of(terms, shapes, bins, len(levels.shape))
-        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), False, further)
+        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), further)
 
         def place(p: ModelParameter) -> tuple[int, float]:
             """Parameter of a shape of the model, and its offset."""
@@ -151,15 +148,13 @@ class Arrangement(NamedTuple):
 def _kinds(model: Model, tight: bool) -> tuple[Int[np.ndarray, " terms"], Layout]:
     """Kind of each term, and a layout that has room for all; what has no room is one of the others."""
     kind = np.array([_kind(term) for term in model.terms], int)
-    counts = [np.sum(kind == k) for k in range(_OTHER)]
-    usual = model.response is None and all(c <= room for c, room in zip(counts, PLAIN[:_OTHER], strict=True))
-    layout = PLAIN if usual else FULL
+    layout = FULL
     for k in (_MARKOV, _OSCILLATOR):
         kind[np.flatnonzero(kind == k)[layout[k] :]] = _OTHER
     if tight:
         kept = [int(np.sum(kind == k)) for k in range(_OTHER)]
         return kind, Layout(max(kept[_COLUMN], 1), kept[_MARKOV], kept[_OSCILLATOR])
-    columns = -(-counts[_COLUMN] // layout.columns) * layout.columns
+    columns = -(-np.sum(kind == _COLUMN) // layout.columns) * layout.columns
     return kind, layout._replace(columns=max(int(columns), layout.columns))
 
 
@@ -375,18 +370,19 @@ class SpectralDesign(LevelDesign):
         """Parameters of the joint spectral model with these shapes, and without powers."""
         return jnp.asarray(self.held).at[self.parameter].set(shape + self.offset, mode="drop")
 
-    def unit_power(self, theta: Float[Array, " parameters"]) -> Float[Array, " terms"]:
+    def unit_power(self, theta: Any) -> Any:
         """Power of each term's component where the term has unit amplitude; zero of what only pads.
 
         That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
         """
-        variance = jnp.exp(theta[self.time]) * self.interval / 2.0
-        there = jnp.arange(len(self.component)) < self.terms
-        return jnp.where(there, jnp.where(jnp.asarray(self.time) >= 0, variance, 1.0), 0.0)
+        xp = namespace(theta, self.time)
+        variance = xp.exp(theta[self.time]) * self.interval / 2.0
+        there = np.arange(len(self.component)) < self.terms
+        return xp.where(there, xp.where(self.time >= 0, variance, 1.0), 0.0)
 
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        theta = self.parameters(shape)
-        every = units(theta, self.slots, self.levels)
+        theta = self.parameters(shape).at[jnp.asarray(self.component)].set(1.0)
+        every = expected(theta, self.slots, self.levels).unit
         return every[self.component] * self.unit_power(theta)[:, None]
 
 
@@ -417,8 +413,8 @@ def solve_levels(
     terms, shapes = len(free), np.size(shape)
     of_terms = design.padded_terms(free), design.padded_terms(active)
 
-    def fitted(error: float, power: ArrayLike, shape: ArrayLike) -> tuple[Solution, np.ndarray]:
-        return jax.device_get(_maximum(design, *of_terms, power, shape, noise, np.asarray(error)))
+    def fitted(error: float, power: np.ndarray, shape: np.ndarray) -> tuple[Solution, np.ndarray]:
+        return _maximum(design, *of_terms, power, shape, noise, error)
 
     noise = design.padded_estimates(noise[None])[0]
     start = design.padded_terms(np.asarray(power)), design.padded_shapes(np.asarray(shape))
@@ -433,7 +429,7 @@ def solve_levels(
             if abs(wanted - error) <= _SETTLED * wanted:
                 break
             error = wanted
-            found, mean = fitted(error, found.power, found.shape)
+            found, mean = fitted(error, np.asarray(found.power), np.asarray(found.shape))
     return found._replace(power=found.power[:terms], shape=found.shape[:shapes])
 
 
@@ -473,68 +469,61 @@ def error_of_powers(
     return float(brentq(excess, 0.0, 1e3)) if excess(0.0) > 0.0 else 0.0
 
 
-@eqx.filter_jit
 def _maximum(
     design: SpectralDesign,
-    free: Bool[ArrayLike, " terms"],
-    active: Bool[ArrayLike, " terms"],
-    power: Float[ArrayLike, " terms"],
-    shape: Float[ArrayLike, " shapes"],
-    noise: Float[ArrayLike, " m"],
-    error: Float[ArrayLike, ""],
-) -> tuple[Solution, Float[Array, " m"]]:
+    free: Bool[np.ndarray, " terms"],
+    active: Bool[np.ndarray, " terms"],
+    power: Float[np.ndarray, " terms"],
+    shape: Float[np.ndarray, " shapes"],
+    noise: Float[np.ndarray, " m"],
+    error: float,
+) -> tuple[Solution, Float[np.ndarray, " m"]]:
     """Maximum of the likelihood with this relative error of the model, and the expected levels there."""
     levels, slots = design.levels, design.slots
-    at, component = slots.layout, jnp.asarray(design.component)
-    dof = 2.0 * jnp.asarray(levels.shape)
-    active, free, error = jnp.asarray(active), jnp.asarray(free), jnp.asarray(error)
+    dof = 2.0 * levels.shape
     less = levels._replace(shape=levels.shape * share_with_error(dof, design.per_octave, error))
-    start = design.parameters(jnp.asarray(shape))
-    used = jnp.where(active, power, 0.0) * design.unit_power(start)
-    scale = power_scales(start, slots, levels, jnp.asarray(noise))
-    by_slot = jnp.zeros(at.components).at[component].add(used)
-    start = start.at[: at.components].set(jnp.log1p(by_slot / scale))
-    there = jnp.arange(len(component)) < design.terms
-    moves = jnp.asarray(design.moves) & active[jnp.asarray(design.owner)]
-    estimated = jnp.asarray(slots.free)
-    estimated = estimated.at[jnp.where(there, component, at.parameters)].set(free & active, mode="drop")
-    estimated = estimated.at[design.parameter].set(moves, mode="drop")
-    centre = jnp.asarray(shape) + design.offset
-    top = jnp.minimum(centre + design.reach, design.top + design.offset)
-    slots = dataclasses.replace(
-        slots,
-        scale=scale,
-        free=estimated,
-        lower=jnp.asarray(slots.lower).at[design.parameter].max(centre - design.reach, mode="drop"),
-        upper=jnp.asarray(slots.upper).at[design.parameter].set(top, mode="drop"),
+    terms, moves = np.arange(int(design.terms)), np.flatnonzero(design.moves)
+    component, parameter = design.component[terms], design.parameter[moves]
+    start = np.array(design.held)
+    start[parameter] = (shape + design.offset)[moves]
+    estimated = np.array(slots.free)
+    estimated[component] = (free & active)[terms]
+    estimated[parameter] = active[design.owner[moves]]
+    start[component] = np.where(active, power, 0.0)[terms] * design.unit_power(start)[terms]
+    centre, reach = start[parameter], design.reach[moves]
+    lower, upper = np.array(slots.lower), np.array(slots.upper)
+    lower[parameter] = np.maximum(lower[parameter], centre - reach)
+    upper[parameter] = np.minimum(centre + reach, (design.top + design.offset)[moves])
+    slots = dataclasses.replace(slots, free=estimated, lower=lower, upper=upper)
+    found = jax.device_get(maximize(start, slots, less, noise))
+    theta, mean = found.theta, found.mean
+    amplitude, shapes = np.zeros(len(free)), np.zeros(len(shape))
+    amplitude[terms] = theta[component] / design.unit_power(theta)[terms]
+    shapes[moves] = theta[parameter] - design.offset[moves]
+    values: Any = (
+        np.where(active, amplitude, 0.0),
+        shapes,
+        np.asarray(chi_squared(levels.level / mean, dof)),
+        np.asarray(error),
+        np.asarray(found.converged & np.isfinite(found.loss)),
+        np.asarray(-2.0 * np.sum(_log_densities(levels.level, mean, less.shape))),
     )
-    found = maximize(start, slots, less)
-    theta = found.theta
-    mean = expected(theta, slots, levels).mean
-    amplitude = (scale * jnp.expm1(theta[: at.components]))[component] / design.unit_power(theta)
-    score = exact_cube_root_score(levels.level / mean, dof)
-    solution = Solution(
-        power=jnp.where(there & active, amplitude, 0.0),
-        shape=theta.at[design.parameter].get(mode="fill", fill_value=0.0) - design.offset,
-        chi2=jnp.sum(jnp.where(dof > _FEW, score**2, 0.0)),
-        power_error=jnp.asarray(error),
-        converged=found.converged & jnp.isfinite(found.loss),
-        cost=-2.0 * jnp.sum(_log_densities(levels.level, mean, less.shape)),
-    )
-    return solution, mean
+    return Solution(*values), mean
 
 
 def _log_densities(
-    level: Float[Array, " m"], mean: Float[Array, " m"], shape: Float[Array, " m"]
-) -> Float[Array, " m"]:
+    level: Float[np.ndarray, " m"], mean: Float[np.ndarray, " m"], shape: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, " m"]:
     """Logarithm of each level's density, a Gamma law of this mean and shape; 0 of levels that only pad.
 
     With its normalization, so that solutions with different errors of the model compare.
     """
-    known, k = shape > 0.0, jnp.where(shape > 0.0, shape, 1.0)
-    level = jnp.where(known, jnp.maximum(level, 1e-300), 1.0)
-    ratio = level / jnp.where(known, mean, 1.0)
-    return jnp.where(known, k * (jnp.log(k * ratio) - ratio) - gammaln(k) - jnp.log(level), 0.0)
+    from scipy.special import gammaln
+
+    known, k = shape > 0.0, np.where(shape > 0.0, shape, 1.0)
+    level = np.where(known, np.maximum(level, 1e-300), 1.0)
+    ratio = level / np.where(known, mean, 1.0)
+    return np.where(known, k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(level), 0.0)
 
 
 def best_of(solutions: Sequence[Solution]) -> Solution:

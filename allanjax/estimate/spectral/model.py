@@ -4,53 +4,55 @@ Powers and shapes are in slots:
 
     μ = R·Σ p_c S_c (what is inside the response R) + Σ p_c S_c (what is after it)
 
-A slot is idle where its power is zero. Which slots are in use, what is inside, and the kind of response are
-data, so that one compiled program serves every model. A power p is written as p = scale·(e^u − 1): linear
-below its scale, where the data hardly show it, logarithmic above, and zero at u = 0.
-The deviance residuals of the levels, r = sign(x − 1)·√(2k(x − 1 − ln x)) with x = level/mean, make the
-log-likelihood a sum of squares, whose Gauss–Newton matrix is nearly Fisher's information. Parameters are
-known with very different precision, a resonance's frequency to 10⁻⁴ and a long correlation time to a factor;
-so the damping is proportional to the diagonal of that matrix (Marquardt 1963), not to the identity.
+A slot is idle where its power is zero and not estimated. Which slots are in use, what is inside, and the kind
+of response are data, so that one compiled program serves every model.
+
+The likelihood is maximized by Fisher scoring. A power is moved in ln(p + s), s being one standard deviation
+of a power that is not there: linearly below that, where the data hardly show it, logarithmically above.
+Parameters are known with very different precision, a resonance's frequency to 10⁻⁴ and a long correlation
+time to a factor; so the damping is proportional to the diagonal of the information (Marquardt 1963), not to
+the identity.
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
-from allanjax.base.linalg import inverse, solve
+from allanjax.base.linalg import solve
 from allanjax.estimate.spectral.components import (
     NONE,
     Levels,
     Place,
     bandwidths,
-    markov,
-    oscillator,
+    oscillation,
     padded,
-    response,
-    response_ends,
+    response_and_slope,
 )
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
-# Damping of the first step, relative to the information, and the longest step of a parameter.
-_DAMPING = 0.01
+# Damping of the first step, relative to the information; shares of the predicted gain above which it falls
+# and below which a step is taken back; and by what factors it changes.
+_DAMPING, _GOOD, _BAD, _LESS, _MORE = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15
+# Largest damping with which a small step ends the iteration, and with which any does.
+_SLACK, _STUCK = 0.1, 1e8
+# Predicted gain of a step that is taken in any case [nats].
+_SMALL = 1e-8
+# Longest step of a parameter, in ln.
 _LONGEST = 2.0
-# Tolerance of a fit.
-_TOLERANCE = 1e-5
-# Most steps of a fit.
-_STEPS = 400
-# Smallest ratio of a level to its expectation that counts, and excess over 1 below which a series is used.
-_LEAST_RATIO = 1e-12
+# Excess of a level over its expectation below which a series is used.
 _NEAR = 1e-4
+# Gain of the next step [nats] at which a fit ends, and most steps.
+_TOLERANCE = 1e-13
+_STEPS = 400
+# Smallest expected level, in units of the largest scale of a power.
+_LEAST = 1e-30
 
 
 class Layout(NamedTuple):
@@ -124,8 +126,8 @@ class Layout(NamedTuple):
         return self.other_shapes + self.shapes
 
 
-#: Slots of the usual models, and of those with resonances or a response.
-PLAIN, FULL = Layout(8, 2, 0), Layout(8, 4, 12)
+#: Slots of every model that needs no more.
+FULL = Layout(8, 4, 12)
 
 
 class Others(eqx.Module):
@@ -149,7 +151,7 @@ class Others(eqx.Module):
         bins: Bins,
         capacity: int,
     ) -> Others:
-        """Terms as they are seen in these bins; those of a record are padded to the levels' capacity."""
+        """Terms as they are observed in these bins; those of a record are padded to the levels' capacity."""
         places = [Place.of(part) for part in bins.parts]
         if len(places) == 1:
             nodes = padded(places[0].frequency, capacity, bins.rate / 4.0)
@@ -163,8 +165,8 @@ class Others(eqx.Module):
         for (k, name, lower), value in zip(self.shapes, values, strict=True):
             terms[k] = terms[k].replace(**{name: lower + jnp.exp(value)})
         every = [jnp.concatenate([place.expected(term) for place in self.places], axis=1) for term in terms]
-        found = jnp.stack(every)
-        return jnp.pad(found, [(0, 0), (0, 0), (0, m - found.shape[-1])])
+        units = jnp.stack(every)
+        return jnp.pad(units, [(0, 0), (0, 0), (0, m - units.shape[-1])])
 
 
 class Slots(eqx.Module):
@@ -172,20 +174,16 @@ class Slots(eqx.Module):
 
     Attributes:
         layout: numbers of slots.
-        scale: scale of each power [rate²] (components).
         inside: whether each component passes through the response.
-        band_limited: whether oscillators have no aliases.
         kind: the kind of response, see `components`.
         free: which parameters are estimated; the others keep their value.
-        lower, upper: bounds of the parameters.
+        lower, upper: bounds of the parameters, powers not in ln.
         centre, precision: normal prior of each parameter; a precision of 0 for none.
         others: terms whose free shapes no slot has.
     """
 
     layout: Layout = eqx.field(static=True)
-    scale: Any
     inside: Any
-    band_limited: Any
     kind: Any
     free: Any
     lower: Any
@@ -201,10 +199,9 @@ class Slots(eqx.Module):
         free: Bool[np.ndarray, " parameters"],
         inside: Bool[np.ndarray, " components"],
         kind: int = NONE,
-        band_limited: bool = False,
         others: Others | None = None,
     ) -> Slots:
-        """Slots with the widest bounds, powers in units of 1 and no prior; see `Slots` for the arguments."""
+        """Slots with the widest bounds and no prior; see `Slots` for the arguments."""
         bandwidth = tuple(np.log(bandwidths(kind)))
         bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, bandwidth, _QUALITY, _SHAPE)
         counts = (
@@ -217,9 +214,22 @@ class Slots(eqx.Module):
             layout.shapes,
         )
         lower, upper = np.repeat(np.array(bounds), counts, axis=0).T.copy()
-        scale, nothing = np.ones(layout.components), np.zeros(layout.parameters)
-        kind_of, limited = np.asarray(kind), np.asarray(band_limited)
-        return cls(layout, scale, inside, limited, kind_of, free, lower, upper, nothing, nothing, others)
+        nothing = np.zeros(layout.parameters)
+        return cls(layout, inside, np.asarray(kind), free, lower, upper, nothing, nothing, others)
+
+    @property
+    def owner(self) -> Int[np.ndarray, " shapes"]:
+        """Component of each shape, those of the response left out."""
+        at = self.layout
+        oscillators = np.arange(at.first_oscillator, at.first_other)
+        own = [] if self.others is None else [at.first_other + k for k, *_ in self.others.shapes]
+        parts = [
+            np.arange(at.first_markov, at.first_oscillator),
+            oscillators,
+            oscillators,
+            np.array(own, int),
+        ]
+        return np.concatenate(parts)
 
     def usual(self) -> Float[np.ndarray, " parameters"]:
         """Parameters without powers, and with shapes in the middle of what there is."""
@@ -230,10 +240,10 @@ class Slots(eqx.Module):
         return theta
 
 
-# Bounds of powers, correlation times [samples], frequencies [radians per sample], Q − ½, and the shapes of
-# other terms [SI], in ln.
+# Bounds of powers [rate²], correlation times [samples], frequencies [radians per sample], Q − ½, and the
+# shapes of other terms [SI], in ln but for powers.
 _POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE = (
-    (0.0, 80.0),
+    (0.0, np.inf),
     (-3.0, 40.0),
     (-30.0, np.log(np.pi)),
     (-7.0, 14.0),
@@ -242,176 +252,73 @@ _POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE = (
 
 
 class Expected(NamedTuple):
-    """Expected levels, and what each component and each parameter contributes.
+    """Expected levels of components of unit power [rate²], and their derivatives.
 
     Attributes:
-        mean: the expected levels [rate²].
-        components: the part of each component in them.
-        slope: derivatives of their logarithms by the parameters.
-        by_response: derivatives of the levels of each component of unit power by those of the response.
+        unit: the levels.
+        by_shape: derivatives by each shape of a component, those of the response left out.
+        by_response: derivatives by bandwidth and quality factor of the response.
     """
 
-    mean: Float[Array, " m"]
-    components: Float[Array, "components m"]
-    slope: Float[Array, "parameters m"]
-    by_response: Float[Array, "components 2 m"]
+    unit: Float[Array, "components m"]
+    by_shape: Float[Array, "shapes m"]
+    by_response: Float[Array, "2 components m"]
+
+    def slope(self, power: Any, slots: Slots) -> Float[Array, "parameters m"]:
+        """Derivatives of the expected levels by the parameters."""
+        own = power[slots.owner, None] * self.by_shape
+        of_slots = slots.layout.response - slots.layout.times
+        return jnp.concatenate([self.unit, own[:of_slots], power @ self.by_response, own[of_slots:]])
 
 
-@eqx.filter_jit
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
-    """Expected levels and their derivatives, each slot's along its own parameters only.
+    """Expected levels of all components of unit power, each differentiated by its own shapes only.
 
-    Idle slots, without power and not estimated, cost nothing and have no derivatives.
+    Idle slots for Markov processes and oscillators cost nothing, and have no levels.
     """
     at, others = slots.layout, slots.others
-    u = theta[: at.components]
-    power, by_u = slots.scale * jnp.expm1(u), slots.scale * jnp.exp(u)
-    used = (power != 0.0) | slots.free[: at.components]
-    passed = _passed_and_slope(_of_response(theta, at), slots, levels)
-    fixed = jax.vmap(lambda unit, inside: _seen(unit[None], inside, passed))
-    seen = [fixed(jnp.asarray(levels.columns), slots.inside[: at.columns])]
-    first = at.columns
-    for function, shapes in _free_slots(theta, slots, levels):
-        of = slice(first, first + len(shapes))
-        seen.append(_of_slots(function, shapes, used[of], slots.inside[of], passed))
-        first += len(shapes)
-    along, owner = [], []
-    for (level, _), start in zip(seen[1:], (at.first_markov, at.first_oscillator), strict=False):
-        along += [level[:, k] for k in range(1, level.shape[1])]
-        owner += [np.arange(start, start + len(level))] * (level.shape[1] - 1)
+    R, moved = response_and_slope(levels, theta[at.response : at.other_shapes], slots.kind)
+    through = jnp.stack([R, *moved])
+
+    def observed(squares: Array, inside: Array) -> Array:
+        """Squares at the nodes as they are in the levels, and their derivatives by the response."""
+        plain = jnp.ones_like(through).at[1:].set(0.0)
+        return jnp.mean(squares * jnp.where(inside, through, plain), axis=1)
+
+    def slot(of: tuple[Array, ...]) -> Array:
+        used, inside, *shape = of
+
+        def evaluated() -> Array:
+            value, *slopes = oscillation(levels, *shape)
+            R = jnp.where(inside, through[0], 1.0)
+            return jnp.concatenate([observed(value, inside), jnp.mean(jnp.stack(slopes) * R, axis=1)])
+
+        return jax.lax.cond(used, evaluated, lambda: jnp.zeros((5, levels.angle.shape[-1])))
+
+    first, last = at.first_markov, at.first_other
+    used = ((theta > 0.0) | slots.free)[first:last]
+    nothing = jnp.zeros(at.markovs)
+    shapes = (
+        jnp.concatenate([theta[at.times : at.qualities]]),
+        jnp.concatenate([nothing, theta[at.qualities : at.response]]),
+        np.arange(last - first) < at.markovs,
+    )
+    of_slots = jax.lax.map(slot, (used, slots.inside[first:last], *shapes)) if last > first else None
+    parts = [jax.vmap(observed)(jnp.asarray(levels.columns), slots.inside[:first])]
+    by_shape = jnp.zeros((0, levels.angle.shape[-1]))
+    if of_slots is not None:
+        parts.append(of_slots[:, :3])
+        by_shape = jnp.concatenate([of_slots[:, 3], of_slots[at.markovs :, 4]])
     if others is not None:
-        values, inside = theta[at.other_shapes :], slots.inside[first:]
-        seen.append(fixed(others.expected(values, len(levels.shape)), inside))
-        slope = jax.jacfwd(lambda shapes: others.expected(shapes, len(levels.shape)))(values)
-        for s, (k, *_) in enumerate(others.shapes):
-            along.append(_seen(slope[k, None, ..., s], inside[k], passed).levels)
-            owner.append(np.array([at.first_other + k]))
-    unit = jnp.concatenate([part.levels[:, 0] for part in seen])
-    by_response = jnp.concatenate([part.by_response for part in seen])
-    mean = jnp.maximum(power @ unit, _LEAST * jnp.max(slots.scale))
-    by_shape = power[np.concatenate(owner), None] * jnp.concatenate(along) if along else unit[:0]
-    of_slots = at.response - at.times
-    parts = [by_u[:, None] * unit, by_shape[:of_slots], jnp.tensordot(power, by_response, 1)]
-    slope = jnp.concatenate([*parts, by_shape[of_slots:]]) / mean
-    return Expected(mean, power[:, None] * unit, slope, by_response)
-
-
-class _Seen(NamedTuple):
-    """A component of unit power in the levels: itself and its derivatives by its shapes, and by the response.
-
-    Shapes are (1 + shapes, m) and (2, m).
-    """
-
-    levels: Array
-    by_response: Array
-
-
-def _seen(units: Float[Array, "k 2 m"], inside: Array, passed: tuple[Array, Array]) -> _Seen:
-    """Expected squares at the nodes as they are seen in the levels, after the response if it passes that."""
-    response, slope = passed
-    through = units * jnp.where(inside, response, 1.0)
-    moved = jnp.where(inside, units[0] * slope, 0.0)
-    return _Seen(*(0.5 * (x[:, 0] + x[:, 1]) for x in (through, moved)))
-
-
-def _of_slots(
-    function: Callable[[Array], Array],
-    shapes: Float[Array, "slots shapes"],
-    used: Bool[Array, " slots"],
-    inside: Bool[Array, " slots"],
-    passed: tuple[Array, Array],
-) -> _Seen:
-    """Slots with free shapes, one after another: those that are not used are not evaluated."""
-    count, m = shapes.shape[1], passed[0].shape[-1]
-
-    def slot(of: tuple[Array, Array, Array]) -> _Seen:
-        shape, here, within = of
-
-        def evaluated() -> _Seen:
-            return _seen(jnp.stack([function(shape), *_derivatives(function, shape)]), within, passed)
-
-        return jax.lax.cond(here, evaluated, lambda: _Seen(jnp.zeros((1 + count, m)), jnp.zeros((2, m))))
-
-    return jax.lax.map(slot, (shapes, used, inside))
-
-
-def _derivatives(function: Callable[[Array], Array], shape: Float[Array, " shapes"]) -> list[Array]:
-    """Derivatives by each shape, in arrays of their own: faster than one with the shapes last."""
-    return [jax.jvp(function, (shape,), (tangent,))[1] for tangent in jnp.eye(len(shape))]
-
-
-def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Float[Array, "components m"]:
-    """Expected levels [rate²] of each component of unit power, after the response if it passes that."""
-    R = _passed(_of_response(theta, slots.layout), slots, levels)
-    return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
-
-
-def _passed(shape: Float[Array, " 2"], slots: Slots, levels: Levels) -> Float[Array, "2 m"]:
-    """Response of white noise in a record, whose two ends add to it."""
-    return response(levels, shape, slots.kind) + response_ends(levels, shape, slots.kind)
-
-
-def _passed_and_slope(
-    shape: Float[Array, " 2"], slots: Slots, levels: Levels
-) -> tuple[Float[Array, "2 m"], Float[Array, "2 2 m"]]:
-    """Response as `_passed` has it, and its derivatives.
-
-    In a branch of its own, where it is computed once: else the compiler puts it into all that it multiplies.
-    """
-
-    def filtered(shape: Array) -> tuple[Array, Array]:
-        passed = functools.partial(_passed, slots=slots, levels=levels)
-        return passed(shape), jnp.stack(_derivatives(passed, shape))
-
-    def plain(shape: Array) -> tuple[Array, Array]:
-        everything = jnp.ones_like(levels.angle)
-        return everything, jnp.zeros((2, *everything.shape))
-
-    return jax.lax.cond(slots.kind == NONE, plain, filtered, shape)
-
-
-def _of_response(theta: Array, at: Layout) -> Array:
-    """Parameters of the response."""
-    return theta[at.response : at.other_shapes]
-
-
-def _free_slots(
-    theta: Array, slots: Slots, levels: Levels
-) -> list[tuple[Callable[[Array], Array], Float[Array, "slots shapes"]]]:
-    """Each kind of slot with free shapes: expected squares for unit power at the nodes, and the shapes."""
-    at = slots.layout
-    kinds: list[tuple[Callable[[Array], Array], Array]] = []
-    if at.markovs:
-        kinds.append((lambda shape: markov(levels, shape[0]), theta[at.times : at.frequencies, None]))
-    if at.oscillators:
-        shapes = [theta[at.frequencies : at.qualities], theta[at.qualities : at.response]]
-        kinds.append((lambda shape: oscillator(levels, shape, slots.band_limited), jnp.stack(shapes, axis=1)))
-    return kinds
-
-
-def _units(theta: Array, slots: Slots, levels: Levels) -> Float[Array, "components 2 m"]:
-    """Expected squares of the components of unit power at the nodes, before the response."""
-    parts = [jnp.asarray(levels.columns)]
-    parts += [jax.vmap(function)(shapes) for function, shapes in _free_slots(theta, slots, levels)]
-    if slots.others is not None:
-        parts.append(slots.others.expected(theta[slots.layout.other_shapes :], len(levels.shape)))
-    return jnp.concatenate(parts)
-
-
-def power_scales(
-    theta: Float[Array, " parameters"], slots: Slots, levels: Levels, noise: Float[Array, " m"]
-) -> Float[Array, " components"]:
-    """Power of each component that would be one standard deviation in noise of these levels [rate²].
-
-    The shapes of the components are those in `theta`. It is the scale for `Slots`: below it the data hardly
-    show a power.
-    """
-    information = jnp.sum(levels.shape * (units(theta, slots, levels) / noise) ** 2, axis=1)
-    return jnp.where(information > 0.0, 1.0 / jnp.sqrt(jnp.maximum(information, 1e-300)), 1.0)
-
-
-# Smallest expected level, in units of the largest scale of a power.
-_LEAST = 1e-30
+        values, m = theta[at.other_shapes :], levels.angle.shape[-1]
+        parts.append(jax.vmap(observed)(others.expected(values, m), slots.inside[last:]))
+        slope = jax.jacfwd(lambda shapes: others.expected(shapes, m))(values)
+        own = [
+            observed(slope[k, ..., s], slots.inside[last + k])[:1] for s, (k, *_) in enumerate(others.shapes)
+        ]
+        by_shape = jnp.concatenate([by_shape, *own])
+    unit, *by_response = jnp.moveaxis(jnp.concatenate(parts), 1, 0)
+    return Expected(unit, by_shape, jnp.stack(by_response))
 
 
 def loss(mean: Float[Array, " m"], levels: Levels) -> Float[Array, ""]:
@@ -424,189 +331,140 @@ class Maximum(NamedTuple):
 
     Attributes:
         theta: the parameters there.
+        scale: power of each component that would be one standard deviation, to which that of the next two
+            belongs: powers are in ln(p + scale) there.
         loss: minus the log-likelihood, see `model.loss`, prior included.
         information: Fisher's information of the parameters that are estimated and not at a bound, prior
             included; the others have a unit on the diagonal.
         interior: which parameters these are.
+        mean: the expected levels [rate²].
+        model: those of the components.
         steps: number of steps taken.
         converged: whether the iteration ended by itself.
     """
 
     theta: Float[Array, " parameters"]
+    scale: Float[Array, " components"]
     loss: Float[Array, ""]
     information: Float[Array, "parameters parameters"]
     interior: Bool[Array, " parameters"]
+    mean: Float[Array, " m"]
+    model: Expected
     steps: Int[Array, ""]
     converged: Bool[Array, ""]
 
 
-class _Problem(NamedTuple):
-    """What the residuals depend on besides the parameters."""
+class _State(NamedTuple):
+    """State of the iteration: the best place so far and the next one to try."""
 
-    slots: Slots
-    levels: Levels
-    tolerance: Any
+    best: Maximum
+    trial: Float[Array, " parameters"]
+    predicted: Float[Array, ""]
+    damping: Float[Array, ""]
 
 
 @eqx.filter_jit
 def maximize(
-    theta: Float[Array, " parameters"], slots: Slots, levels: Levels, tolerance: ArrayLike = _TOLERANCE
+    theta: Float[ArrayLike, " parameters"],
+    slots: Slots,
+    levels: Levels,
+    noise: Float[ArrayLike, " m"],
+    tolerance: ArrayLike = _TOLERANCE,
 ) -> Maximum:
     """Maximum of the likelihood from a start, compiled once for all records and models.
 
-    The iteration ends where neither a parameter nor a residual moves by more than the tolerance.
-    Differentiable in the levels, their columns and the prior, by the implicit function theorem.
+    Args:
+        theta: the start.
+        slots: the model.
+        levels: the levels.
+        noise: rough levels [rate²], in which the scales of the powers are one standard deviation.
+        tolerance: gain of the next step at which the iteration ends [nats].
     """
-    problem = _Problem(slots, levels, jnp.asarray(tolerance))
-    found, steps, converged = _peak(problem, jnp.clip(theta, slots.lower, slots.upper))
-    interior = _interior(found, slots, levels)
-    model = expected(found, slots, levels)
-    slope = jnp.where(interior[:, None], model.slope, 0.0)
-    information = (slope * levels.shape) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
-    prior = 0.5 * jnp.sum(jnp.where(slots.free, slots.precision * (found - slots.centre) ** 2, 0.0))
-    return Maximum(found, loss(model.mean, levels) + prior, information, interior, steps, converged)
-
-
-def covariance(maximum: Maximum) -> Float[Array, "parameters parameters"]:
-    """Covariance of the estimates; zero for parameters that are held or at a bound."""
-    scale = 1.0 / jnp.sqrt(jnp.diag(maximum.information))
-    both = maximum.interior[:, None] & maximum.interior
-    spread = inverse(maximum.information * scale[:, None] * scale) * scale[:, None] * scale
-    return jnp.where(both, spread, 0.0)
-
-
-@eqx.filter_custom_jvp
-def _peak(problem: _Problem, start: Array) -> tuple[Array, Array, Array]:
-    """Parameters at the maximum, number of steps, and whether the iteration converged."""
-    found: optx.Solution = optx.least_squares(
-        _residuals,
-        _Scoring(problem.slots.lower, problem.slots.upper, problem.tolerance),
-        start,
-        args=problem,
-        max_steps=_STEPS,
-        throw=False,
+    at, m = slots.layout, levels.angle.shape[-1]
+    k, y = jnp.asarray(levels.shape), jnp.asarray(levels.level)
+    nothing = Expected(
+        jnp.zeros((at.components, m)), jnp.zeros((len(slots.owner), m)), jnp.zeros((2, at.components, m))
     )
-    converged = jnp.asarray(found.result == optx.RESULTS.successful)
-    return found.value, found.stats["num_steps"], converged
-
-
-@_peak.def_jvp
-def _peak_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """The maximum moves by −H⁻¹ times the change of the gradient; H is the second derivative of the loss."""
-    problem, start = primals
-    theta, steps, converged = _peak(problem, start)
-    interior = _interior(theta, problem.slots, problem.levels)
-    differentiable, fixed = eqx.partition(
-        problem, jax.tree.map(lambda t: t is not None, tangents[0], is_leaf=lambda t: t is None)
-    )
-    moved = jax.tree.leaves(tangents[0])
-    leaves, structure = jax.tree.flatten(differentiable)
-
-    def gradient_of(leaves: list[Array]) -> Array:
-        of: _Problem = eqx.combine(jax.tree.unflatten(structure, leaves), fixed)
-        return _gradient(theta, of.slots, of.levels)
-
-    _, change = jax.jvp(gradient_of, (leaves,), (moved,))
-    hessian = jax.jacfwd(lambda theta: _gradient(theta, problem.slots, problem.levels))(theta)
-    both = interior[:, None] & interior
-    system = jnp.where(both, hessian, 0.0) + jnp.diag(jnp.where(interior, 0.0, 1.0))
-    return (theta, steps, converged), (-solve(system, jnp.where(interior, change, 0.0)), None, None)
-
-
-def _gradient(theta: Array, slots: Slots, levels: Levels) -> Float[Array, " parameters"]:
-    """Gradient of the loss, prior included."""
-    model = expected(theta, slots, levels)
-    prior = slots.precision * (theta - slots.centre)
-    return model.slope @ (levels.shape * (1.0 - levels.level / model.mean)) + prior
-
-
-def _interior(theta: Array, slots: Slots, levels: Levels) -> Bool[Array, " parameters"]:
-    """Parameters that are estimated and not kept at a bound by the data."""
-    return slots.free & _movable(theta, _gradient(theta, slots, levels), slots.lower, slots.upper)
-
-
-def _movable(theta: Array, gradient: Array, lower: Array, upper: Array) -> Bool[Array, " parameters"]:
-    """Parameters that are not at a bound beyond which the likelihood would still rise."""
-    return ~((theta <= lower) & (gradient > 0.0)) & ~((theta >= upper) & (gradient < 0.0))
-
-
-@jax.custom_jvp
-def _residuals(theta: Float[Array, " parameters"], problem: _Problem) -> Float[Array, " rows"]:
-    """Deviance residuals of the levels, and those of the prior."""
-    return _residuals_and_slope(theta, problem)[0]
-
-
-@_residuals.defjvp
-def _residuals_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    # One matrix serves the tangents of all parameters.
-    residuals, slope = _residuals_and_slope(*primals)
-    return residuals, tangents[0] @ slope
-
-
-def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]:
-    """Residuals, and their derivatives by the parameters (parameters, rows)."""
-    slots, levels, _ = problem
-    model = expected(theta, slots, levels)
-    excess = jnp.maximum(levels.level / model.mean, _LEAST_RATIO) - 1.0
-    near = jnp.abs(excess) < _NEAR
-    apart = jnp.where(near, 1.0, excess)
-    root = jnp.where(near, jnp.abs(excess) * (1.0 - excess / 3.0), jnp.sqrt(2.0 * (apart - jnp.log1p(apart))))
-    weight = jnp.where(near, 1.0 + excess / 3.0, jnp.abs(apart) / root)
-    k = jnp.sqrt(levels.shape)
-    by_data = jnp.where(slots.free[:, None], -(k * weight) * model.slope, 0.0)
-    # A parameter that is not estimated is kept where it is by a prior of its own.
-    stiffness = jnp.where(slots.free, jnp.sqrt(slots.precision), 1.0)
-    away = jnp.where(slots.free, theta - slots.centre, 0.0)
-    return (
-        jnp.concatenate([k * jnp.sign(excess) * root, stiffness * away]),
-        jnp.concatenate([by_data, jnp.diag(stiffness)], axis=1),
+    P, start = at.parameters, jnp.clip(theta, slots.lower, slots.upper)
+    begin = Maximum(
+        theta=start,
+        scale=jnp.ones(at.components),
+        loss=jnp.asarray(jnp.inf),
+        information=jnp.eye(P),
+        interior=jnp.zeros(P, bool),
+        mean=jnp.ones(m),
+        model=nothing,
+        steps=jnp.asarray(0),
+        converged=jnp.asarray(False),
     )
 
+    def step(state: _State) -> _State:
+        best, theta = state.best, state.trial
+        model, power = expected(theta, slots, levels), theta[: at.components]
+        scale = jnp.where(best.steps == 0, power_scales(model.unit, k, jnp.asarray(noise)), best.scale)
+        mean = jnp.maximum(power @ model.unit, _LEAST * jnp.max(scale))
+        prior = 0.5 * jnp.sum(jnp.where(slots.free, slots.precision * (theta - slots.centre) ** 2, 0.0))
+        value = loss(mean, levels) + prior
+        gain = best.loss - value
+        # Of a small step the gain is lost in rounding.
+        good, taken = gain > _GOOD * state.predicted, gain > jnp.maximum(_BAD * state.predicted, 0.0)
+        taken |= (state.predicted >= 0.0) & (state.predicted < _SMALL) & (best.steps > 0)
+        change = jnp.where(good & taken, _LESS, jnp.where(taken, 1.0, _MORE))
+        damping = jnp.where(best.steps == 0, _DAMPING, state.damping * change)
+        new = best._replace(theta=theta, scale=scale, loss=value, mean=mean, model=model)
+        best = jax.tree.map(lambda new, old: jnp.where(taken, new, old), new, best)
+        # The next step, from the gradient and the curvature of the deviances in the coordinates that move.
+        theta = best.theta
+        slope, gradient, interior = _slope(best, slots, k, y)
+        excess = y / best.mean - 1.0
+        near = jnp.abs(excess) < _NEAR
+        apart = jnp.where(near, 1.0, excess)
+        weight = jnp.where(near, 1.0 + 2.0 * excess / 3.0, apart**2 / (2.0 * (apart - jnp.log1p(apart))))
+        curvature = (slope * (k * weight)) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
+        size = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(curvature), 1e-12))
+        damped = curvature * size[:, None] * size + jnp.diag(jnp.where(interior, damping + 1e-12, 0.0))
+        move = jnp.clip(-size * solve(damped, gradient * size), -_LONGEST, _LONGEST)
+        power = theta[: at.components]
+        to = (power + best.scale) * jnp.expm1(move[: at.components])
+        trial = jnp.clip(theta + jnp.concatenate([to, move[at.components :]]), slots.lower, slots.upper)
+        predicted = -0.5 * gradient @ move
+        # At a kink of a response no step gains anything.
+        ended = (jnp.abs(predicted) < tolerance) & (damping < _SLACK) | (damping > _STUCK)
+        best = best._replace(interior=interior, steps=best.steps + 1, converged=ended)
+        return _State(best, trial, predicted, damping)
 
-class _Place(NamedTuple):
-    """A point of the descent: its parameters, the gradient, and the Gauss–Newton matrix."""
-
-    theta: Any
-    gradient: Any
-    matrix: Any
-
-
-class _ScaledDescent(optx.AbstractDescent):
-    """Levenberg–Marquardt steps with damping λ·diag(JᵀJ), within bounds."""
-
-    lower: Float[Array, " parameters"]
-    upper: Float[Array, " parameters"]
-
-    def init(self, y: Any, f_info_struct: Any) -> _Place:
-        return _Place(y, jnp.zeros_like(y), jnp.zeros((len(y), len(y))))
-
-    def query(self, y: Any, f_info: Any, state: _Place) -> _Place:
-        J = f_info.jac.as_matrix()
-        return _Place(y, J.T @ f_info.residual, J.T @ J)
-
-    def step(self, step_size: Any, state: _Place) -> tuple[Any, Any]:
-        theta, gradient, matrix = state
-        movable = _movable(theta, gradient, self.lower, self.upper)
-        scale = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(matrix), 1e-12))
-        scaled = jnp.where(movable[:, None] & movable, matrix * scale[:, None] * scale, 0.0)
-        damped = scaled + jnp.diag(jnp.where(movable, _DAMPING / step_size + 1e-12, 1.0))
-        move = -scale * solve(damped, jnp.where(movable, gradient * scale, 0.0))
-        moved = jnp.clip(theta + jnp.clip(move, -_LONGEST, _LONGEST), self.lower, self.upper)
-        return moved - theta, optx.RESULTS.successful
+    first = _State(begin, start, jnp.zeros(()), jnp.asarray(_DAMPING))
+    goes_on = lambda s: ~s.best.converged & (s.best.steps < _STEPS) & ~jnp.isnan(s.predicted)
+    best = jax.lax.while_loop(goes_on, step, first).best
+    slope, _, interior = _slope(best, slots, k, y)
+    information = (slope * k) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
+    return best._replace(information=information)
 
 
-class _Scoring(optx.AbstractGaussNewton):
-    """Gauss–Newton iteration with scaled damping."""
+def _slope(best: Maximum, slots: Slots, k: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Slope of the logarithms of the levels and gradient of the loss, and which parameters may move.
 
-    rtol: float
-    atol: Any
-    norm: Any
-    descent: _ScaledDescent
-    search: optx.ClassicalTrustRegion
-    verbose: Any
+    In the coordinates in which powers move; zero for parameters that do not.
+    """
+    theta, at = best.theta, slots.layout
+    power = theta[: at.components]
+    moved = jnp.concatenate([power + best.scale, jnp.ones(at.parameters - at.components)])
+    slope = best.model.slope(power, slots) / best.mean * moved[:, None]
+    gradient = slope @ (k * (1.0 - y / best.mean)) + slots.precision * (theta - slots.centre)
+    outward = ((theta <= slots.lower) & (gradient > 0.0)) | ((theta >= slots.upper) & (gradient < 0.0))
+    interior = slots.free & ~outward
+    return jnp.where(interior[:, None], slope, 0.0), jnp.where(interior, gradient, 0.0), interior
 
-    def __init__(self, lower: Array, upper: Array, tolerance: Array):
-        self.rtol, self.atol, self.norm = 0.0, tolerance, optx.max_norm
-        self.descent = _ScaledDescent(lower, upper)
-        self.search = optx.ClassicalTrustRegion(0.5, 0.01, 6.0, 0.15)
-        self.verbose = lambda **_: None
+
+def power_scales(unit: Array, shape: Array, noise: Array) -> Float[Array, " components"]:
+    """Power of each component that would be one standard deviation in noise of these levels [rate²]."""
+    information = jnp.sum(shape * (unit / noise) ** 2, axis=1)
+    return jnp.where(information > 0.0, 1.0 / jnp.sqrt(jnp.maximum(information, 1e-300)), 1.0)
+
+
+def covariance(maximum: Maximum) -> Float[np.ndarray, "parameters parameters"]:
+    """Covariance of the estimates, powers as `Maximum.scale` says; zero for what is held or at a bound."""
+    size = 1.0 / np.sqrt(np.diag(maximum.information))
+    interior = np.asarray(maximum.interior)
+    spread = np.linalg.pinv(maximum.information * np.outer(size, size), hermitian=True) * np.outer(size, size)
+    return np.where(np.outer(interior, interior), spread, 0.0)

@@ -353,7 +353,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
             now = spectrum.fit(structure)
             continue
         # Of ln p; what is known better than that is there.
-        std = np.sqrt(np.diag(now.covariance)[: FULL.components]) * now.by_power
+        std = np.sqrt(np.diag(now.covariance))[: FULL.components]
         shaped = np.arange(FULL.components) >= FULL.first_markov
         doubtful = structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE))
         doubtful &= std > _DOUBTFUL * structure.power

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from allanjax.estimate.spectral.components import (
     BIQUAD,
@@ -24,7 +22,7 @@ from allanjax.estimate.spectral.components import (
     levels_of,
     padded,
 )
-from allanjax.estimate.spectral.model import FULL, Maximum, Slots, expected, maximize, power_scales
+from allanjax.estimate.spectral.model import FULL, Maximum, Slots, covariance, maximize
 from allanjax.noise.model import Model
 from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage, Response
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
@@ -210,26 +208,37 @@ class Fitted(NamedTuple):
 
     Attributes:
         structure: with its most likely values.
-        loss: minus the log-likelihood [nats], prior included.
         evidence: log evidence [nats], by Laplace's approximation; each component costs as much as odds of
             twenty to one.
-        covariance: of the joint spectral model's parameters.
-        mean: expected levels [rate²].
-        resonant: share of each resonance in them.
-        slope: derivatives of their logarithms by the parameters.
-        by_response: derivatives of the levels of each component of unit power by those of the response.
-        by_power: derivatives of the powers by their parameters.
+        maximum: the maximum of the likelihood.
     """
 
     structure: Structure
-    loss: float
     evidence: float
-    covariance: np.ndarray
-    mean: np.ndarray
-    resonant: np.ndarray
-    slope: np.ndarray
-    by_response: np.ndarray
-    by_power: np.ndarray
+    maximum: Maximum
+
+    @property
+    def loss(self) -> float:
+        """Minus the log-likelihood [nats], prior included."""
+        return float(self.maximum.loss)
+
+    @property
+    def mean(self) -> Float[np.ndarray, " capacity"]:
+        """Expected levels [rate²]."""
+        return np.asarray(self.maximum.mean)
+
+    @property
+    def resonant(self) -> Float[np.ndarray, "oscillators capacity"]:
+        """Share of each resonance in them."""
+        of = slice(FULL.first_oscillator, FULL.first_other)
+        return self.structure.power[of, None] * np.asarray(self.maximum.model.unit)[of] / self.mean
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
+        """Covariance of powers [rate²] and shapes, in ln; zero for what is held or at a bound."""
+        moved = np.ones(FULL.parameters)
+        moved[: FULL.components] = self.structure.power + np.asarray(self.maximum.scale)
+        return covariance(self.maximum) * np.outer(moved, moved)
 
 
 #: Log prior odds against a component [nats]: a judgement, twenty to one.
@@ -328,16 +337,11 @@ class Spectrum:
         centre[at.qualities : at.response] = _QUALITY[0]
         slots = Slots.of(at, _free(structure), structure.inside, structure.kind)
         slots = dataclasses.replace(slots, lower=lower, upper=upper, precision=precision, centre=centre)
-        data = structure.power, structure.shape, structure.active
-        found, power, mean, resonant, slope, by_response, by_power, covariance = jax.device_get(
-            _fitted(*data, slots, self.levels, self.rough, np.asarray(tolerance))
-        )
-        better = dataclasses.replace(
-            structure, power=np.where(structure.active, power, 0.0), shape=found.theta[at.components :]
-        )
-        evidence = self._evidence(found, structure)
-        of = covariance, mean, resonant, slope, by_response, by_power
-        return Fitted(better, float(found.loss), evidence, *of)
+        start = np.append(np.where(structure.active, structure.power, 0.0), structure.shape)
+        found = jax.device_get(maximize(start, slots, self.levels, self.rough, np.asarray(tolerance)))
+        power = np.where(structure.active, found.theta[: at.components], 0.0)
+        better = dataclasses.replace(structure, power=power, shape=found.theta[at.components :])
+        return Fitted(better, self._evidence(found, structure), found)
 
     def _bounds(self, structure: Structure) -> tuple[np.ndarray, np.ndarray]:
         """Bounds of the parameters."""
@@ -386,27 +390,6 @@ def _free(structure: Structure) -> Bool[np.ndarray, " parameters"]:
     free[at.response] = structure.kind != NONE
     free[at.response + 1] = structure.kind in (TWO_POLES, BIQUAD)
     return free
-
-
-@eqx.filter_jit
-def _fitted(
-    power: Any, shape: Any, active: Any, slots: Slots, levels: Levels, rough: Any, tolerance: Any
-) -> tuple[Maximum, Array, Array, Array, Array, Array, Array, Array]:
-    """Maximum of the likelihood from a start, the powers, the levels, and derivatives of ln p."""
-    from allanjax.estimate.spectral.model import covariance
-
-    at = slots.layout
-    start = jnp.concatenate([jnp.zeros(at.components), shape])
-    scale = power_scales(start, slots, levels, rough)
-    start = start.at[: at.components].set(jnp.log1p(jnp.where(active, power, 0.0) / scale))
-    slots = dataclasses.replace(slots, scale=scale)
-    found = maximize(start, slots, levels, tolerance)
-    u = found.theta[: at.components]
-    model = expected(found.theta, slots, levels)
-    resonant = model.components[at.first_oscillator : at.first_other] / model.mean
-    powers = scale * jnp.expm1(u), jnp.exp(u) * scale
-    by_response = jnp.moveaxis(model.by_response, 0, 1)
-    return found, powers[0], model.mean, resonant, model.slope, by_response, powers[1], covariance(found)
 
 
 def model_of(structure: Structure, rate: float, further: NoiseTerm | None = None) -> Model:
