@@ -16,6 +16,7 @@ the identity.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -24,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
+from allanjax.base.arrays import namespace
 from allanjax.base.linalg import solve
 from allanjax.estimate.spectral.components import (
     NONE,
@@ -44,13 +46,14 @@ _DAMPING, _GOOD, _BAD, _LESS, _MORE = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15
 _SLACK, _STUCK = 0.1, 1e8
 # Predicted gain of a step that is taken in any case [nats].
 _SMALL = 1e-8
+_NEARBY = 1.0
 # Longest step of a parameter, in ln.
 _LONGEST = 2.0
 # Excess of a level over its expectation below which a series is used.
 _NEAR = 1e-4
 # Gain of the next step [nats] at which a fit ends, and most steps.
-_TOLERANCE = 1e-13
-_STEPS = 400
+_TOLERANCE = 1e-11
+_STEPS = 200
 # Smallest expected level, in units of the largest scale of a power.
 _LEAST = 1e-30
 
@@ -119,6 +122,12 @@ class Layout(NamedTuple):
     def other_shapes(self) -> int:
         """Index of the first free shape of a further term among the parameters."""
         return self.response + 2
+
+    @property
+    def owner(self) -> Int[np.ndarray, " shapes"]:
+        """Component of each correlation time, frequency and quality factor."""
+        oscillators = np.arange(self.first_oscillator, self.first_other)
+        return np.concatenate([np.arange(self.first_markov, self.first_oscillator), oscillators, oscillators])
 
     @property
     def parameters(self) -> int:
@@ -218,18 +227,9 @@ class Slots(eqx.Module):
         return cls(layout, inside, np.asarray(kind), free, lower, upper, nothing, nothing, others)
 
     @property
-    def owner(self) -> Int[np.ndarray, " shapes"]:
-        """Component of each shape, those of the response left out."""
-        at = self.layout
-        oscillators = np.arange(at.first_oscillator, at.first_other)
-        own = [] if self.others is None else [at.first_other + k for k, *_ in self.others.shapes]
-        parts = [
-            np.arange(at.first_markov, at.first_oscillator),
-            oscillators,
-            oscillators,
-            np.array(own, int),
-        ]
-        return np.concatenate(parts)
+    def own(self) -> list[int]:
+        """Component of each free shape of a further term."""
+        return [] if self.others is None else [self.layout.first_other + k for k, *_ in self.others.shapes]
 
     def usual(self) -> Float[np.ndarray, " parameters"]:
         """Parameters without powers, and with shapes in the middle of what there is."""
@@ -264,11 +264,12 @@ class Expected(NamedTuple):
     by_shape: Float[Array, "shapes m"]
     by_response: Float[Array, "2 components m"]
 
-    def slope(self, power: Any, slots: Slots) -> Float[Array, "parameters m"]:
-        """Derivatives of the expected levels by the parameters."""
-        own = power[slots.owner, None] * self.by_shape
-        of_slots = slots.layout.response - slots.layout.times
-        return jnp.concatenate([self.unit, own[:of_slots], power @ self.by_response, own[of_slots:]])
+    def slope(self, power: Any, at: Layout, own: Sequence[int] = ()) -> Float[Array, "parameters m"]:
+        """Derivatives of the expected levels by the parameters; `own`: components of the further shapes."""
+        xp = namespace(power, self.unit)
+        owner = np.concatenate([at.owner, np.asarray(own, int)])
+        moved, first = power[owner, None] * self.by_shape, len(at.owner)
+        return xp.concatenate([self.unit, moved[:first], power @ self.by_response, moved[first:]])
 
 
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
@@ -383,7 +384,7 @@ def maximize(
     at, m = slots.layout, levels.angle.shape[-1]
     k, y = jnp.asarray(levels.shape), jnp.asarray(levels.level)
     nothing = Expected(
-        jnp.zeros((at.components, m)), jnp.zeros((len(slots.owner), m)), jnp.zeros((2, at.components, m))
+        jnp.zeros((at.components, m)), jnp.zeros((len(at.owner) + at.shapes, m)), jnp.zeros((2, at.components, m))
     )
     P, start = at.parameters, jnp.clip(theta, slots.lower, slots.upper)
     begin = Maximum(
@@ -420,6 +421,8 @@ def maximize(
         near = jnp.abs(excess) < _NEAR
         apart = jnp.where(near, 1.0, excess)
         weight = jnp.where(near, 1.0 + 2.0 * excess / 3.0, apart**2 / (2.0 * (apart - jnp.log1p(apart))))
+        # Near the maximum the information is the better curvature.
+        weight = jnp.where((best.steps > 0) & (jnp.abs(state.predicted) < _NEARBY), 1.0, weight)
         curvature = (slope * (k * weight)) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
         size = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(curvature), 1e-12))
         damped = curvature * size[:, None] * size + jnp.diag(jnp.where(interior, damping + 1e-12, 0.0))
@@ -449,7 +452,7 @@ def _slope(best: Maximum, slots: Slots, k: Array, y: Array) -> tuple[Array, Arra
     theta, at = best.theta, slots.layout
     power = theta[: at.components]
     moved = jnp.concatenate([power + best.scale, jnp.ones(at.parameters - at.components)])
-    slope = best.model.slope(power, slots) / best.mean * moved[:, None]
+    slope = best.model.slope(power, at, slots.own) / best.mean * moved[:, None]
     gradient = slope @ (k * (1.0 - y / best.mean)) + slots.precision * (theta - slots.centre)
     outward = ((theta <= slots.lower) & (gradient > 0.0)) | ((theta >= slots.upper) & (gradient < 0.0))
     interior = slots.free & ~outward

@@ -1,4 +1,8 @@
-"""Greedy search for the structure of a spectrum: every step is a joint fit of all that is there.
+"""Search for the structure of a spectrum: what it consists of besides the noise terms.
+
+It opens with the best of all responses on a grid, around the peaks that stand out; then adds one component
+after another, each of which is the best of many proposals (`proposals`) and is kept if the evidence of a
+joint fit rises; and at the end takes out what is not needed and swaps what may be another.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
 spectrum; which of them it is taken for depends on the order in which they are tried. So no resonance may be
@@ -8,7 +12,7 @@ shorter than eight samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +22,7 @@ from allanjax.estimate.spectral.components import (
     BIQUAD,
     BUTTERWORTH_1,
     BUTTERWORTH_2,
+    BUTTERWORTH_3,
     BUTTERWORTH_4,
     MOVING_AVERAGE,
     NONE,
@@ -25,10 +30,10 @@ from allanjax.estimate.spectral.components import (
     TWO_POLES,
 )
 from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.structure.proposals import Units, power_fits, promised, slots_to_try, windows
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
-    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     WHITE,
@@ -39,28 +44,28 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
-# Narrowest window [coefficients], and the least gain of one [nats].
-_NARROWEST, _WORTH = 8, 4.0
 # Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
 # the expected ones of its two parameters.
 _GAIN, _PREDICTS = 2.0, 3.0
-# Windows that are tried for a resonance in a round.
-_WINDOWS = 3
+# Gain in likelihood from which on a proposal is fitted jointly [nats]: less than its evidence costs.
+_HOPEFUL = 5.0
+# Peaks that the search opens with, and the least gain [nats] and quality factor of one; windows of a round.
+_PEAKS, _CLEAR_PEAK, _SLIM, _WINDOWS = 8, 20.0, 3.0, 3
+# Half the width, in octaves, of what the median around a place is taken of.
+_AROUND = 0.45
 # Width of a resonance [coefficients] below which it is a line.
 _LINE = 1.25 * LINE
-# Bandwidths that a response starts from [cycles per sample].
-_BANDWIDTHS = (0.06, 0.25)
-# Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts
-# from [radians per sample].
+# Kinds of responses, and bandwidths that one is tried with [cycles per sample].
 _KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
-_FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
-_HIGHEST = 2.8
+_OPENING = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BUTTERWORTH_2, BUTTERWORTH_3)
+_BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
+_BESIDE = (0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8)
 #: Correlation times that a Markov process starts from, in powers of the number of samples.
 TIMES = (0.35, 0.55, 0.75, 0.95)
-# Difference in evidence up to which two fits are the same [nats], and how many different ones are tried.
-_SAME, _TRIED = 0.1, 3
-# Most rounds.
-_ROUNDS = 20
+# Joint fits of the best proposals in a round, and most rounds.
+_TRIED, _ROUNDS = 3, 20
+# Proposals whose powers are fitted.
+_RANKED = 12
 # Bins in an octave.
 _PER_OCTAVE = 12
 # Quality factor from which on a resonance is narrow, gain [nats] of a window that is sure to be accepted, and
@@ -76,55 +81,6 @@ WIDE = 4.0
 _DOUBTFUL = 0.2
 # Deviations of a smoothed level from its expectation beyond which there is something to look for.
 _CLEAR = 2.5
-
-
-def middles(spectrum: Spectrum) -> Float[np.ndarray, " m"]:
-    """Index of the coefficient in the middle of each bin."""
-    edges = spectrum.bins.edges
-    return 0.5 * (edges[:-1] + edges[1:] - 1)
-
-
-def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
-    """Expected squares of all coefficients, interpolated between the bins."""
-    middle = np.log(middles(spectrum))
-    mean = np.log(fitted.mean[: len(middle)])
-    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
-
-
-def smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
-    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
-    k = np.asarray(spectrum.levels.shape)
-    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
-    best = 0.0
-    for width in (6, 12, 24, 48):
-        window = np.ones(width)
-        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
-        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
-    return best
-
-
-def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
-    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
-    total = np.concatenate([[0.0], np.cumsum(ratio)])
-    found: list[tuple[float, float, float]] = []
-    width = _NARROWEST
-    while width <= (len(ratio) - LOWEST) // 4:
-        step = max(width // 4, 1)
-        excess = (total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]) / width
-        for k in np.argsort(-excess)[: 4 * most]:
-            level = float(excess[k])
-            if level <= 1.0:
-                break
-            gain = 0.5 * width * (level - 1.0 - np.log(level)) - np.log(len(ratio) / width)
-            found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
-        width *= 2
-    chosen: list[tuple[float, float, float]] = []
-    for gain, middle, wide in sorted(found, reverse=True):
-        if gain < _WORTH or len(chosen) == most:
-            break
-        if all(abs(middle - other) > 0.5 * (wide + w) for other, w, _ in chosen):
-            chosen.append((middle, wide, gain))
-    return chosen
 
 
 class Record(NamedTuple):
@@ -161,15 +117,19 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
     spectrum, now = refitted(record, start)
     before = now.structure
-    for _ in range(_ROUNDS):
-        found = _grown(record, spectrum, now)
-        if found is None:
-            break
-        spectrum, now = found
-    # A start to which only lines were added has had its swaps.
-    if _outline(now.structure, record.n) == _outline(before, record.n):
-        return spectrum, now
-    return spectrum, pruned(spectrum, _replaced(spectrum, now))
+    if before.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
+        spectrum, now = _opened(record, now)
+    while True:
+        begun = now.structure
+        for _ in range(_ROUNDS):
+            found = _grown(record, spectrum, now)
+            if found is None:
+                break
+            spectrum, now = found
+        # A start to which only lines were added has had its swaps.
+        if _outline(now.structure, record.n) in (_outline(before, record.n), _outline(begun, record.n)):
+            return spectrum, now
+        now = _swapped(spectrum, pruned(spectrum, _replaced(spectrum, now)))
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -200,14 +160,81 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     return spectrum.fit(structure, FINE)
 
 
+def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
+    """The best of fits with some response, and without any, to all peaks that stand out."""
+    structure, n = plain.structure, record.n
+    bins = Bins.of(n, record.rate, (), 2 * _PER_OCTAVE)
+    level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
+    around = [np.median(level[abs(f - g) <= _AROUND]) for g in f]
+    every = np.log2(np.arange(1.0, n) * record.rate / (2.0 * n))
+    ratio = record.squares / np.exp(np.interp(every, f, around))
+    for middle, width, gain in windows(ratio, 2 * _PEAKS):
+        w, quality = np.pi * middle / n, middle / width
+        power = float(np.exp(np.interp(np.log2(middle * record.rate / (2.0 * n)), f, around))) * width / n
+        if gain > _CLEAR_PEAK and quality > _SLIM and len(structure.oscillators) < _PEAKS:
+            quality = float(np.clip(quality, 2.0, max(middle / LINE / 2.0, 2.0)))
+            structure = structure.with_oscillator(w, quality, power, False) or structure
+    spectrum = record.binned(structure)
+    tried = _ranked(spectrum, _responses(structure, _floor(spectrum)))
+    fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
+    finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
+    fits = [finer.fit(f.structure) for f in fits]
+    best = max(fits, key=lambda f: f.evidence)
+    return finer, _settled(finer, plain.structure, pruned(finer, best))
+
+
+def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
+    """Structures with a response, by its kind; white noise of a level of `floor` after it unless that is zero.
+
+    Without that noise the depth of a deep stop band would decide what the response is. All resonances are
+    inside it or after it.
+    """
+    if floor and not structure.active[OUTSIDE]:
+        structure = structure.using(OUTSIDE, floor)
+    found = []
+    for kind in _OPENING:
+        of_kind = [structure.with_response(kind, 2.0 * np.pi * b) for b in _BANDWIDTHS]
+        if len(structure.oscillators):
+            of_kind += [_all_inside(s) for s in of_kind]
+        found.append(of_kind)
+    return found
+
+
+def _all_inside(structure: Structure) -> Structure:
+    for k in structure.oscillators:
+        structure = structure.placed(FULL.first_oscillator + int(k), True)
+    return structure
+
+
+def _ranked(spectrum: Spectrum, groups: Iterable[Sequence[Structure]]) -> list[Structure]:
+    """The best structure of each group by fits of their powers with shapes held, the best one first."""
+    groups = [list(group) for group in groups]
+    every = [s for group in groups for s in group]
+    if not every:
+        return []
+    components = np.flatnonzero(np.any([s.active for s in every], axis=0))
+    of = Units(spectrum)
+    unit = np.stack([of(s, components) for s in every])
+    power = np.stack([s.power[components] for s in every])
+    used = np.stack([s.active[components] for s in every])
+    # The noise before a response is about what it is without.
+    power, loss = power_fits(spectrum, unit, power, used)
+    best, first = [], 0
+    for group in groups:
+        k = first + int(np.argmin(loss[first : first + len(group)]))
+        values = every[k].power.copy()
+        values[components] = power[k]
+        best.append((loss[k], every[k].with_powers(values)))
+        first += len(group)
+    return [s for _, s in sorted(best, key=lambda pair: pair[0])]
+
+
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
     """The best of all additions, fitted in bins that are made for it; None if none gains enough."""
-    tried = [spectrum.fit(proposal) for proposal in _additions(record, spectrum, now)]
-    tried = [found for found in tried if _keeps_white(now, found)]
-    tried = sorted((f for f in tried if f.evidence > now.evidence - 1.0), key=lambda f: -f.evidence)
-    # Several starts end in the same place.
-    places = [f for k, f in enumerate(tried) if k == 0 or tried[k - 1].evidence - f.evidence > _SAME]
-    for best in places[:_TRIED]:
+    for proposal in _additions(record, spectrum, now):
+        best = spectrum.fit(proposal)
+        if best.evidence < now.evidence - 1.0 or not _keeps_white(now, best):
+            continue
         finer = record.binned(best.structure)
         again = finer.fit(best.structure)
         finer = finer.weighing(again)
@@ -215,6 +242,59 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
             return finer, _settled(finer, now.structure, again)
     return None
+
+
+def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:
+    """Structures with one component more, or with several narrow resonances, the most promising first."""
+    structure, n = now.structure, spectrum.n
+    inside = structure.kind != NONE
+    proposals, together = _at_windows(record, spectrum, now)
+    if together is not None:
+        yield together
+    proposals += slots_to_try(structure, n, inside)
+    if inside and not structure.active[OUTSIDE]:
+        proposals.append(structure.using(OUTSIDE, 1.0))
+    new = [int(np.flatnonzero(s.active & ~structure.active)[0]) for s in proposals]
+    of = Units(spectrum)
+    rows = np.stack([of(s, [k])[0] for s, k in zip(proposals, new, strict=True)])
+    gain, power = promised(spectrum, now, rows)
+    best = [int(i) for i in np.argsort(-gain)[:_RANKED] if gain[i] > _HOPEFUL]
+    groups = [[proposals[i].using(new[i], float(power[i]))] for i in best]
+    if structure.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
+        groups += _responses(structure, _floor(spectrum))
+    yield from _ranked(spectrum, groups)[:_TRIED]
+
+
+def _at_windows(
+    record: Record, spectrum: Spectrum, now: Fitted
+) -> tuple[list[Structure], Structure | None]:
+    """Structures with a resonance in a window of much excess; and one with several narrow ones, if there are."""
+    structure, n = now.structure, spectrum.n
+    ratio = record.squares / at_all(spectrum, now)
+    for k in structure.oscillators:
+        if structure.companions(int(k)) >= _MOVING:
+            # What is left there is what a resonance that moves has.
+            low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
+            ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
+    proposals, together, count = [], structure, 0
+    for middle, width, gain in windows(ratio, _WINDOWS):
+        w = np.pi * middle / n
+        quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
+        level = float(np.interp(middle, middles(spectrum), now.mean[: len(spectrum.bins.size)]))
+        # The excess is about as large as the level, over the window.
+        of = w, quality, level * width / n, structure.kind != NONE
+        if (found := structure.with_oscillator(*of)) is not None:
+            proposals.append(found)
+        if quality > _NARROW and gain > _SURE and (more := together.with_oscillator(*of)) is not None:
+            together, count = more, count + 1
+    return proposals, together if count > 1 else None
+
+
+def _floor(spectrum: Spectrum) -> float:
+    """Lowest level of a spectrum that falls to a small part of itself, else zero."""
+    rough = spectrum.rough[: len(spectrum.bins.size)]
+    floor = float(np.min(rough))
+    return floor if floor < _DEEP * float(np.median(rough)) else 0.0
 
 
 def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
@@ -226,20 +306,46 @@ def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
     return _placed(spectrum, now, new)
 
 
+def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit with another kind of response, if one is more likely."""
+    start = now.structure
+    if start.kind == NONE:
+        return now
+    for best in _ranked(spectrum, _of_other_kinds(start))[:_TRIED]:
+        now = _better(now, spectrum.fit(best))
+    return now
+
+
+def _of_other_kinds(structure: Structure) -> list[list[Structure]]:
+    """Structures with another kind of response, of about the same bandwidth, by their kind."""
+    width = structure.bandwidth[0]
+    return [
+        [structure.with_response(kind, min(width * by, _HIGHEST)) for by in _BESIDE]
+        for kind in _KINDS
+        if kind != structure.kind
+    ]
+
+
+# Largest bandwidth that a response starts from [radians per sample].
+_HIGHEST = 2.8
+
+
 def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitted:
     """Fit with each of these components inside the response or after it, whichever is more likely."""
-    if now.structure.kind == NONE:
+    structure = now.structure
+    if structure.kind == NONE:
         return now
+    flips = []
     for component in components:
-        structure, k = now.structure, component - FULL.first_oscillator
+        k = component - FULL.first_oscillator
         # Where the response has fallen by nothing yet there is no difference.
-        if (
-            k >= 0
-            and structure.frequency(k) < _FLAT * structure.bandwidth[0]
-            and structure.quality(k) > _NARROW
-        ):
-            continue
-        now = _better(now, spectrum.fit(structure.placed(component, not structure.inside[component])))
+        flat = k >= 0 and structure.frequency(k) < _FLAT * structure.bandwidth[0]
+        if not (flat and structure.quality(k) > _NARROW):
+            flips.append(component)
+    for best in _ranked(spectrum, [[structure.placed(c, not structure.inside[c])] for c in flips]):
+        (c,) = np.flatnonzero(best.inside != structure.inside)
+        inside = now.structure.placed(int(c), bool(best.inside[c]))
+        now = _better(now, spectrum.fit(inside))
     return now
 
 
@@ -258,78 +364,6 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
     return bool(structure.power[WHITE] > 0.0 or (narrow and structure.kind == now.structure.kind))
 
 
-def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:
-    """Structures with one component more, or with several narrow resonances."""
-    structure, n = now.structure, spectrum.n
-    if structure.kind == NONE:
-        if smoothed_scores(spectrum, now) > _CLEAR:
-            yield from responses(structure, _floor(spectrum))
-    elif not structure.active[OUTSIDE] and (floor := _floor(spectrum)):
-        yield structure.using(OUTSIDE, floor)
-    ratio = record.squares / at_all(spectrum, now)
-    for k in structure.oscillators:
-        if structure.companions(int(k)) >= _MOVING:
-            # What is left there is what a resonance that moves has.
-            low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
-            ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
-    together, narrow = structure, 0
-    for middle, width, gain in windows(ratio, _WINDOWS):
-        w = np.pi * middle / n
-        quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
-        level = float(np.interp(middle, middles(spectrum), now.mean[: len(spectrum.bins.size)]))
-        # The excess is about as large as the level, over the window.
-        power = level * width / n
-        if width > 0.5 * middle and 1.0 / w > 20.0:
-            slow = structure.with_markov(1.0 / w, power)
-            if slow is not None:
-                yield slow
-        inside = structure.kind != NONE
-        found = structure.with_oscillator(w, quality, power, inside)
-        if found is not None:
-            yield found
-        if quality > _NARROW and gain > _SURE:
-            more = together.with_oscillator(w, quality, power, inside)
-            together, narrow = (together, narrow) if more is None else (more, narrow + 1)
-    if narrow > 1:
-        yield together
-
-
-def _floor(spectrum: Spectrum) -> float:
-    """Lowest level of a spectrum that falls to a small part of itself, else zero."""
-    rough = spectrum.rough[: len(spectrum.bins.size)]
-    floor = float(np.min(rough))
-    return floor if floor < _DEEP * float(np.median(rough)) else 0.0
-
-
-def responses(structure: Structure, floor: float) -> Iterator[Structure]:
-    """Structures with a response, and white noise after it, all resonances inside it or after it.
-
-    Without that noise, of a level of `floor` if that is not zero, the depth of a deep stop band would decide
-    what the response is.
-    """
-    if floor:
-        structure = structure.using(OUTSIDE, floor)
-    count = len(structure.oscillators)
-    for kind in _FIRST_KINDS:
-        for bandwidth in _BANDWIDTHS:
-            found = structure.with_response(kind, 2.0 * np.pi * bandwidth)
-            for inside in (False, True) if count else (False,):
-                for k in structure.oscillators:
-                    found = found.placed(FULL.first_oscillator + int(k), inside)
-                yield found
-
-
-def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit with another kind of response, if one is more likely."""
-    if now.structure.kind == NONE:
-        return now
-    start = now.structure
-    for kind in _KINDS:
-        if kind != start.kind:
-            now = _better(now, spectrum.fit(start.with_response(kind, min(start.bandwidth[0], _HIGHEST))))
-    return now
-
-
 def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
     """Fit after all swaps that gain: another kind of response, components moved into it or out of it."""
     for _ in range(3):
@@ -339,6 +373,23 @@ def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
         now = _other_kind(spectrum, _placed(spectrum, now, components))
         if now is before:
             break
+    return now
+
+
+def _swapped(spectrum: Spectrum, now: Fitted) -> Fitted:
+    """Fit in which wide resonances are what else they may be, if that is more likely."""
+    structure = now.structure
+    for k in [int(k) for k in structure.oscillators if structure.quality(int(k)) < WIDE]:
+        rest = now.structure.without(FULL.first_oscillator + k)
+        w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
+        others = [[rest], [s for s in [rest.with_markov(1.0 / w, power)] if s is not None]]
+        if rest.kind == NONE:
+            others += [[rest.with_response(kind, min(w, _HIGHEST))] for kind in _OPENING]
+        else:
+            others += [[rest.using(OUTSIDE, _floor(spectrum) or power)]]
+            others += _of_other_kinds(rest)
+        for best in _ranked(spectrum, [o for o in others if o])[:_TRIED]:
+            now = _better(now, spectrum.fit(best))
     return now
 
 
@@ -352,15 +403,15 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
                 structure = structure.without(k)
             now = spectrum.fit(structure)
             continue
-        # Of ln p; what is known better than that is there.
+        # What is known better than that is there.
         std = np.sqrt(np.diag(now.covariance))[: FULL.components]
         shaped = np.arange(FULL.components) >= FULL.first_markov
         doubtful = structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE))
         doubtful &= std > _DOUBTFUL * structure.power
-        tried = [spectrum.fit(structure.without(int(k))) for k in np.flatnonzero(doubtful)]
+        weakest = sorted(np.flatnonzero(doubtful).tolist(), key=lambda k: -std[k] / structure.power[k])[:2]
         best = now
-        for found in tried:
-            best = _better(best, found)
+        for k in weakest:
+            best = _better(best, spectrum.fit(structure.without(k)))
         if best is now:
             return now
         now = best
@@ -369,16 +420,41 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
 def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     """Fit with further Markov processes if these predict better (Akaike 1973).
 
-    Slow terms are hardly told from each other by the evidence, but differ in the drift that they predict.
+    Slow terms are hardly distinguished by the evidence, but differ in the drift that they predict.
     """
     for _ in range(2):
         starts = (
             now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in TIMES
         )
-        tried = [spectrum.fit(start) for start in starts if start is not None]
-        tried = [found for found in tried if _keeps_white(now, found)]
-        best = min(tried, key=lambda found: found.loss, default=now)
+        tried = [[start] for start in starts if start is not None]
+        fits = [spectrum.fit(start) for start in _ranked(spectrum, tried)[:2]]
+        best = min((f for f in fits if _keeps_white(now, f)), key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break
         now = best
     return now
+
+
+def middles(spectrum: Spectrum) -> Float[np.ndarray, " m"]:
+    """Index of the coefficient in the middle of each bin."""
+    edges = spectrum.bins.edges
+    return 0.5 * (edges[:-1] + edges[1:] - 1)
+
+
+def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
+    """Expected squares of all coefficients, interpolated between the bins."""
+    middle = np.log(middles(spectrum))
+    mean = np.log(fitted.mean[: len(middle)])
+    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
+
+
+def smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
+    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
+    k = np.asarray(spectrum.levels.shape)
+    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
+    best = 0.0
+    for width in (6, 12, 24, 48):
+        window = np.ones(width)
+        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
+        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
+    return best

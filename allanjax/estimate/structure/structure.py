@@ -49,8 +49,8 @@ _UNSTEADY = 0.1
 _CLOSE = 1.5
 # Numbers of levels that arrays have room for, in a search.
 _CAPACITIES = (384, 1024)
-#: Tolerances of a fit within a search, and of one whose numbers are told.
-ROUGH, FINE = 1e-2, 1e-5
+#: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
+ROUGH, FINE = 1e-2, 1e-7
 # Fields of a structure with a value for each component.
 _SLOTS = ("power", "active", "inside")
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
@@ -190,6 +190,10 @@ class Structure:
     def using(self, component: int, power: float) -> Structure:
         """Structure in which a component is in use."""
         return self._with(component, power, bool(self.inside[component]), self.shape)
+
+    def with_powers(self, power: Float[np.ndarray, " components"]) -> Structure:
+        """Structure with these powers."""
+        return dataclasses.replace(self, power=power)
 
     def without(self, component: int) -> Structure:
         """Structure without one component."""
