@@ -56,9 +56,6 @@ _LOOKS = 3
 _WEIGHT_ROUNDS = 2
 # Numbers of terms, free shapes and levels that arrays have room for: those of the joint spectral model.
 _TERMS, _SHAPES, _LEVELS = 24, 32, 1024
-# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
-# its widths: judgements.
-_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
 _SHAPED, _AROUND = 0.05, 1.5
@@ -212,7 +209,7 @@ def fit_jointly(
     found, rows = base.fit(content.structure), len(base.bins.size)
     for _ in range(_WEIGHT_ROUNDS):
         projection = spectrum.project(found.mean[:rows], used)
-        base = base.with_data(projection.level, projection.dof).weighing(found, _error(found, base))
+        base = base.with_data(projection.level, projection.dof).weighing(found, final=True)
         found = base.fit(found.structure, FINE)
     template = Template.of(content._replace(structure=found.structure), ramp)
     mean, per_octave = found.mean[:rows], base.bins.per_octave()
@@ -228,23 +225,6 @@ def fit_jointly(
     solution = solution._replace(**misfit)
     of = template.model, axis, template.active, spectrum, projection, design, solution, mean
     return template, inferred(*of), found.structure
-
-
-def _error(found: Fitted, spectrum: Spectrum) -> Float[np.ndarray, " capacity"]:
-    """Relative error of the levels where the response has fallen and on the skirts of resonances.
-
-    No sensor's are just like the model's; such errors are common to an octave.
-    """
-    structure, bins = found.structure, spectrum.bins
-    f, rows, square = bins.frequency, len(bins.size), np.zeros(len(bins.size))
-    if (response := response_of(structure, bins.rate)) is not None:
-        fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
-        square += (_FILTER * fallen) ** 2
-    hertz = bins.rate / (2.0 * np.pi)
-    for k in structure.oscillators:
-        beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
-        square += np.where(beside, _SKIRT * found.resonant[k, :rows], 0.0) ** 2
-    return padded(np.sqrt(square * bins.per_octave()), len(spectrum.size), 0.0)
 
 
 def _tangent(

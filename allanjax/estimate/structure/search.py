@@ -165,7 +165,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     structure, n = plain.structure, record.n
     bins = Bins.of(n, record.rate, (), 2 * _PER_OCTAVE)
     level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
-    around = [np.median(level[abs(f - g) <= _AROUND]) for g in f]
+    around = [_beside(level, f - g) for g in f]
     every = np.log2(np.arange(1.0, n) * record.rate / (2.0 * n))
     ratio = record.squares / np.exp(np.interp(every, f, around))
     for middle, width, gain in windows(ratio, 2 * _PEAKS):
@@ -181,6 +181,12 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     fits = [finer.fit(f.structure) for f in fits]
     best = max(fits, key=lambda f: f.evidence)
     return finer, _settled(finer, plain.structure, pruned(finer, best))
+
+
+def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> float:
+    """The higher one of the medians of the levels on either side of a place: an edge is no peak."""
+    sides = [level[(side * away >= 0.0) & (abs(away) <= _AROUND)] for side in (-1.0, 1.0)]
+    return max(float(np.median(x)) for x in sides)
 
 
 def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
@@ -311,14 +317,13 @@ def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
     start = now.structure
     if start.kind == NONE:
         return now
-    for best in _ranked(spectrum, _of_other_kinds(start))[:_TRIED]:
+    for best in _ranked(spectrum, _of_other_kinds(start, start.bandwidth[0]))[:_TRIED]:
         now = _better(now, spectrum.fit(best))
     return now
 
 
-def _of_other_kinds(structure: Structure) -> list[list[Structure]]:
-    """Structures with another kind of response, of about the same bandwidth, by their kind."""
-    width = structure.bandwidth[0]
+def _of_other_kinds(structure: Structure, width: float) -> list[list[Structure]]:
+    """Structures with another kind of response, of about this bandwidth [radians per sample], by their kind."""
     return [
         [structure.with_response(kind, min(width * by, _HIGHEST)) for by in _BESIDE]
         for kind in _KINDS
@@ -384,10 +389,10 @@ def _swapped(spectrum: Spectrum, now: Fitted) -> Fitted:
         w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
         others = [[rest], [s for s in [rest.with_markov(1.0 / w, power)] if s is not None]]
         if rest.kind == NONE:
-            others += [[rest.with_response(kind, min(w, _HIGHEST))] for kind in _OPENING]
+            others += _of_other_kinds(rest, w)
         else:
             others += [[rest.using(OUTSIDE, _floor(spectrum) or power)]]
-            others += _of_other_kinds(rest)
+            others += _of_other_kinds(rest, rest.bandwidth[0])
         for best in _ranked(spectrum, [o for o in others if o])[:_TRIED]:
             now = _better(now, spectrum.fit(best))
     return now

@@ -45,6 +45,9 @@ LOWEST_BANDWIDTH = 0.005
 _ERROR = 0.005
 # Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
+# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
+# its widths: judgements.
+_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
 # Numbers of levels that arrays have room for, in a search.
@@ -307,15 +310,26 @@ class Spectrum:
         """Number of samples."""
         return self.bins.n
 
-    def weighing(self, fitted: Fitted, error: float | Float[np.ndarray, " capacity"] = 0.0) -> Spectrum:
-        """Spectrum whose levels count less where they are those of the resonances in a fit.
+    def weighing(self, fitted: Fitted, final: bool = False) -> Spectrum:
+        """Spectrum whose levels count less where a fit has its resonances; and, in the end, beside these.
 
-        The more so where several stand for one that moves. Models must be compared with the same weights.
-        `error` is a further relative error of each level.
+        Resonances drift, the more so where several stand for one that moves. No sensor's skirts and filters
+        are just like the model's, and such errors are common to an octave; they count once the structure is
+        known, as they hide what kind of filter it is. Models must be compared with the same weights.
         """
-        near = np.array([fitted.structure.companions(k) for k in range(FULL.oscillators)])
-        unsteady = _UNSTEADY * near @ fitted.resonant
-        dof = self.size / (1.0 + 0.5 * self.size * (_ERROR**2 + unsteady**2 + error**2))
+        structure, bins = fitted.structure, self.bins
+        f, rows, resonant = bins.frequency, len(bins.size), fitted.resonant
+        near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
+        square, common = (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2, np.zeros(rows)
+        if final and (response := response_of(structure, bins.rate)) is not None:
+            fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
+            common += (_FILTER * fallen) ** 2
+        hertz = bins.rate / (2.0 * np.pi)
+        for k in structure.oscillators if final else ():
+            beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
+            common += np.where(beside, _SKIRT * resonant[k, :rows], 0.0) ** 2
+        square[:rows] += common * bins.per_octave()
+        dof = self.size / (1.0 + 0.5 * self.size * square)
         return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
 
     def weighed_like(self, other: Spectrum) -> Spectrum:
