@@ -209,7 +209,7 @@ def fit_jointly(
     found, rows = base.fit(content.structure), len(base.bins.size)
     for _ in range(_WEIGHT_ROUNDS):
         projection = spectrum.project(found.mean[:rows], used)
-        base = base.with_data(projection.level, projection.dof).weighing(found, final=True)
+        base = base.with_data(projection.level, projection.dof).weighing(found, filters=True, skirts=True)
         found = base.fit(found.structure, FINE)
     template = Template.of(content._replace(structure=found.structure), ramp)
     mean, per_octave = found.mean[:rows], base.bins.per_octave()

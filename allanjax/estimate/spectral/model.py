@@ -384,7 +384,9 @@ def maximize(
     at, m = slots.layout, levels.angle.shape[-1]
     k, y = jnp.asarray(levels.shape), jnp.asarray(levels.level)
     nothing = Expected(
-        jnp.zeros((at.components, m)), jnp.zeros((len(at.owner) + at.shapes, m)), jnp.zeros((2, at.components, m))
+        jnp.zeros((at.components, m)),
+        jnp.zeros((len(at.owner) + at.shapes, m)),
+        jnp.zeros((2, at.components, m)),
     )
     P, start = at.parameters, jnp.clip(theta, slots.lower, slots.upper)
     begin = Maximum(

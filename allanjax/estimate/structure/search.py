@@ -243,10 +243,12 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
             continue
         finer = record.binned(best.structure)
         again = finer.fit(best.structure)
-        finer = finer.weighing(again)
+        # Whatever is added has to show where the filter has not fallen, lest it mends the filter's shape.
+        same = best.structure.kind == now.structure.kind
+        plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
-            return finer, _settled(finer, now.structure, again)
+            return plain, _settled(plain, now.structure, plain.fit(again.structure) if same else again)
     return None
 
 
@@ -271,9 +273,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     yield from _ranked(spectrum, groups)[:_TRIED]
 
 
-def _at_windows(
-    record: Record, spectrum: Spectrum, now: Fitted
-) -> tuple[list[Structure], Structure | None]:
+def _at_windows(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[list[Structure], Structure | None]:
     """Structures with a resonance in a window of much excess; and one with several narrow ones, if there are."""
     structure, n = now.structure, spectrum.n
     ratio = record.squares / at_all(spectrum, now)

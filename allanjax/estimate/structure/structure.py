@@ -310,7 +310,7 @@ class Spectrum:
         """Number of samples."""
         return self.bins.n
 
-    def weighing(self, fitted: Fitted, final: bool = False) -> Spectrum:
+    def weighing(self, fitted: Fitted, filters: bool = False, skirts: bool = False) -> Spectrum:
         """Spectrum whose levels count less where a fit has its resonances; and, in the end, beside these.
 
         Resonances drift, the more so where several stand for one that moves. No sensor's skirts and filters
@@ -321,11 +321,11 @@ class Spectrum:
         f, rows, resonant = bins.frequency, len(bins.size), fitted.resonant
         near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
         square, common = (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2, np.zeros(rows)
-        if final and (response := response_of(structure, bins.rate)) is not None:
+        if filters and (response := response_of(structure, bins.rate)) is not None:
             fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
             common += (_FILTER * fallen) ** 2
         hertz = bins.rate / (2.0 * np.pi)
-        for k in structure.oscillators if final else ():
+        for k in structure.oscillators if skirts else ():
             beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
             common += np.where(beside, _SKIRT * resonant[k, :rows], 0.0) ** 2
         square[:rows] += common * bins.per_octave()
