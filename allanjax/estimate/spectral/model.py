@@ -44,13 +44,12 @@ from allanjax.spectrum.cosine import Bins
 _DAMPING, _GOOD, _BAD, _LESS, _MORE = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15
 # Largest damping with which a small step ends the iteration, and with which any does.
 _SLACK, _STUCK = 0.1, 1e8
-# Predicted gain of a step that is taken in any case [nats].
-_SMALL = 1e-8
-_NEARBY = 1.0
+# Expected gains of a step [nats]: of one that is taken in any case, and of one that is near the maximum.
+_SMALL, _NEARBY = 1e-8, 1.0
 # Longest step of a parameter, in ln.
 _LONGEST = 2.0
-# Excess of a level over its expectation below which a series is used.
-_NEAR = 1e-4
+# Excess of a level over its expectation below which a series is used, and the least ratio of the two.
+_CLOSE, _LOWEST = 1e-4, 1e-12
 # Gain of the next step [nats] at which a fit ends, and most steps.
 _TOLERANCE = 1e-11
 _STEPS = 200
@@ -356,12 +355,105 @@ class Maximum(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State of the iteration: the best place so far and the next one to try."""
+    """State of the iteration: the best place, the next one to try, the gain expected there, the damping."""
 
     best: Maximum
     trial: Float[Array, " parameters"]
     predicted: Float[Array, ""]
     damping: Float[Array, ""]
+
+
+class _Problem(NamedTuple):
+    """What is maximized; see `maximize`."""
+
+    slots: Slots
+    levels: Levels
+    noise: Any
+    tolerance: Any
+
+    def begun(self, theta: Any) -> _State:
+        """State before the first step, which evaluates the start."""
+        at, m = self.slots.layout, self.levels.angle.shape[-1]
+        start = jnp.clip(theta, self.slots.lower, self.slots.upper)
+        by_shape = jnp.zeros((len(at.owner) + at.shapes, m))
+        nothing = Maximum(
+            theta=start,
+            scale=jnp.ones(at.components),
+            loss=jnp.asarray(jnp.inf),
+            information=jnp.eye(at.parameters),
+            interior=jnp.zeros(at.parameters, bool),
+            mean=jnp.ones(m),
+            model=Expected(jnp.zeros((at.components, m)), by_shape, jnp.zeros((2, at.components, m))),
+            steps=jnp.asarray(0),
+            converged=jnp.asarray(False),
+        )
+        return _State(nothing, start, jnp.zeros(()), jnp.asarray(_DAMPING))
+
+    def at(self, theta: Array, former: Maximum) -> Maximum:
+        """The model and the loss at a place."""
+        slots = self.slots
+        model = expected(theta, slots, self.levels)
+        scales = power_scales(model.unit, self.levels.shape, jnp.asarray(self.noise))
+        scale = jnp.where(former.steps == 0, scales, former.scale)
+        mean = theta[: slots.layout.components] @ model.unit
+        mean = jnp.maximum(mean, _LEAST * jnp.max(scale))
+        prior = jnp.where(slots.free, slots.precision * (theta - slots.centre) ** 2, 0.0)
+        value = loss(mean, self.levels) + 0.5 * jnp.sum(prior)
+        return former._replace(theta=theta, scale=scale, loss=value, mean=mean, model=model)
+
+    def step(self, state: _State) -> _State:
+        """The place that was to be tried, if it is better, and the next one."""
+        best, predicted = state.best, state.predicted
+        new = self.at(state.trial, best)
+        gain = best.loss - new.loss
+        taken = gain > jnp.maximum(_BAD * predicted, 0.0)
+        # Of a small step the gain is lost in rounding.
+        taken |= (predicted >= 0.0) & (predicted < _SMALL) & (best.steps > 0)
+        best = jax.tree.map(lambda new, old: jnp.where(taken, new, old), new, best)
+        change = jnp.where(taken & (gain > _GOOD * predicted), _LESS, jnp.where(taken, 1.0, _MORE))
+        damping = jnp.where(best.steps == 0, _DAMPING, state.damping * change)
+        far = (best.steps == 0) | (jnp.abs(predicted) > _NEARBY)
+        trial, gain, interior = self.next(best, damping, far)
+        # At a kink of a response no step gains anything.
+        ended = (jnp.abs(gain) < self.tolerance) & (damping < _SLACK) | (damping > _STUCK)
+        best = best._replace(interior=interior, steps=best.steps + 1, converged=ended)
+        return _State(best, trial, gain, damping)
+
+    def next(self, best: Maximum, damping: Array, far: Array) -> tuple[Array, Array, Array]:
+        """The next place to try, the gain to expect there, and which parameters may move.
+
+        Far from the maximum the curvature is that of the levels' deviances, with which steps are as long as
+        in logarithms; near it, the information.
+        """
+        slots, k = self.slots, jnp.asarray(self.levels.shape)
+        slope, gradient, interior = self.slope(best)
+        excess = self.levels.level / best.mean - 1.0
+        series = jnp.abs(excess) < _CLOSE
+        apart = jnp.where(series, 1.0, jnp.maximum(excess, _LOWEST - 1.0))
+        deviance = apart**2 / (2.0 * (apart - jnp.log1p(apart)))
+        weight = jnp.where(far, jnp.where(series, 1.0 + 2.0 * excess / 3.0, deviance), 1.0)
+        curvature = (slope * (k * weight)) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
+        size = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(curvature), 1e-12))
+        damped = curvature * size[:, None] * size + jnp.diag(jnp.where(interior, damping + 1e-12, 0.0))
+        move = jnp.clip(-size * solve(damped, gradient * size), -_LONGEST, _LONGEST)
+        count = slots.layout.components
+        to = (best.theta[:count] + best.scale) * jnp.expm1(move[:count])
+        trial = jnp.clip(best.theta + jnp.concatenate([to, move[count:]]), slots.lower, slots.upper)
+        return trial, -0.5 * gradient @ move, interior
+
+    def slope(self, best: Maximum) -> tuple[Array, Array, Array]:
+        """Slope of the logarithms of the levels, gradient of the loss, and which parameters may move.
+
+        They are zero for parameters that may not, as at a bound beyond which the loss still falls.
+        """
+        slots, theta, count = self.slots, best.theta, self.slots.layout.components
+        moved = jnp.concatenate([theta[:count] + best.scale, jnp.ones(len(theta) - count)])
+        slope = best.model.slope(theta[:count], slots.layout, slots.own) / best.mean * moved[:, None]
+        surplus = jnp.asarray(self.levels.shape) * (1.0 - self.levels.level / best.mean)
+        gradient = slope @ surplus + slots.precision * (theta - slots.centre)
+        outward = ((theta <= slots.lower) & (gradient > 0.0)) | ((theta >= slots.upper) & (gradient < 0.0))
+        interior = slots.free & ~outward
+        return jnp.where(interior[:, None], slope, 0.0), jnp.where(interior, gradient, 0.0), interior
 
 
 @eqx.filter_jit
@@ -381,84 +473,15 @@ def maximize(
         noise: rough levels [rate²], in which the scales of the powers are one standard deviation.
         tolerance: gain of the next step at which the iteration ends [nats].
     """
-    at, m = slots.layout, levels.angle.shape[-1]
-    k, y = jnp.asarray(levels.shape), jnp.asarray(levels.level)
-    nothing = Expected(
-        jnp.zeros((at.components, m)),
-        jnp.zeros((len(at.owner) + at.shapes, m)),
-        jnp.zeros((2, at.components, m)),
-    )
-    P, start = at.parameters, jnp.clip(theta, slots.lower, slots.upper)
-    begin = Maximum(
-        theta=start,
-        scale=jnp.ones(at.components),
-        loss=jnp.asarray(jnp.inf),
-        information=jnp.eye(P),
-        interior=jnp.zeros(P, bool),
-        mean=jnp.ones(m),
-        model=nothing,
-        steps=jnp.asarray(0),
-        converged=jnp.asarray(False),
-    )
+    problem = _Problem(slots, levels, noise, tolerance)
 
-    def step(state: _State) -> _State:
-        best, theta = state.best, state.trial
-        model, power = expected(theta, slots, levels), theta[: at.components]
-        scale = jnp.where(best.steps == 0, power_scales(model.unit, k, jnp.asarray(noise)), best.scale)
-        mean = jnp.maximum(power @ model.unit, _LEAST * jnp.max(scale))
-        prior = 0.5 * jnp.sum(jnp.where(slots.free, slots.precision * (theta - slots.centre) ** 2, 0.0))
-        value = loss(mean, levels) + prior
-        gain = best.loss - value
-        # Of a small step the gain is lost in rounding.
-        good, taken = gain > _GOOD * state.predicted, gain > jnp.maximum(_BAD * state.predicted, 0.0)
-        taken |= (state.predicted >= 0.0) & (state.predicted < _SMALL) & (best.steps > 0)
-        change = jnp.where(good & taken, _LESS, jnp.where(taken, 1.0, _MORE))
-        damping = jnp.where(best.steps == 0, _DAMPING, state.damping * change)
-        new = best._replace(theta=theta, scale=scale, loss=value, mean=mean, model=model)
-        best = jax.tree.map(lambda new, old: jnp.where(taken, new, old), new, best)
-        # The next step, from the gradient and the curvature of the deviances in the coordinates that move.
-        theta = best.theta
-        slope, gradient, interior = _slope(best, slots, k, y)
-        excess = y / best.mean - 1.0
-        near = jnp.abs(excess) < _NEAR
-        apart = jnp.where(near, 1.0, excess)
-        weight = jnp.where(near, 1.0 + 2.0 * excess / 3.0, apart**2 / (2.0 * (apart - jnp.log1p(apart))))
-        # Near the maximum the information is the better curvature.
-        weight = jnp.where((best.steps > 0) & (jnp.abs(state.predicted) < _NEARBY), 1.0, weight)
-        curvature = (slope * (k * weight)) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
-        size = 1.0 / jnp.sqrt(jnp.maximum(jnp.diag(curvature), 1e-12))
-        damped = curvature * size[:, None] * size + jnp.diag(jnp.where(interior, damping + 1e-12, 0.0))
-        move = jnp.clip(-size * solve(damped, gradient * size), -_LONGEST, _LONGEST)
-        power = theta[: at.components]
-        to = (power + best.scale) * jnp.expm1(move[: at.components])
-        trial = jnp.clip(theta + jnp.concatenate([to, move[at.components :]]), slots.lower, slots.upper)
-        predicted = -0.5 * gradient @ move
-        # At a kink of a response no step gains anything.
-        ended = (jnp.abs(predicted) < tolerance) & (damping < _SLACK) | (damping > _STUCK)
-        best = best._replace(interior=interior, steps=best.steps + 1, converged=ended)
-        return _State(best, trial, predicted, damping)
+    def goes_on(state: _State) -> Array:
+        return ~state.best.converged & (state.best.steps < _STEPS) & ~jnp.isnan(state.predicted)
 
-    first = _State(begin, start, jnp.zeros(()), jnp.asarray(_DAMPING))
-    goes_on = lambda s: ~s.best.converged & (s.best.steps < _STEPS) & ~jnp.isnan(s.predicted)
-    best = jax.lax.while_loop(goes_on, step, first).best
-    slope, _, interior = _slope(best, slots, k, y)
-    information = (slope * k) @ slope.T + jnp.diag(jnp.where(interior, slots.precision, 1.0))
-    return best._replace(information=information)
-
-
-def _slope(best: Maximum, slots: Slots, k: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Slope of the logarithms of the levels and gradient of the loss, and which parameters may move.
-
-    In the coordinates in which powers move; zero for parameters that do not.
-    """
-    theta, at = best.theta, slots.layout
-    power = theta[: at.components]
-    moved = jnp.concatenate([power + best.scale, jnp.ones(at.parameters - at.components)])
-    slope = best.model.slope(power, at, slots.own) / best.mean * moved[:, None]
-    gradient = slope @ (k * (1.0 - y / best.mean)) + slots.precision * (theta - slots.centre)
-    outward = ((theta <= slots.lower) & (gradient > 0.0)) | ((theta >= slots.upper) & (gradient < 0.0))
-    interior = slots.free & ~outward
-    return jnp.where(interior[:, None], slope, 0.0), jnp.where(interior, gradient, 0.0), interior
+    best = jax.lax.while_loop(goes_on, problem.step, problem.begun(theta)).best
+    slope, _, interior = problem.slope(best)
+    prior = jnp.diag(jnp.where(interior, slots.precision, 1.0))
+    return best._replace(information=(slope * levels.shape) @ slope.T + prior)
 
 
 def power_scales(unit: Array, shape: Array, noise: Array) -> Float[Array, " components"]:

@@ -113,7 +113,7 @@ class Units:
 def promised(
     spectrum: Spectrum, now: Fitted, rows: Float[np.ndarray, "proposals m"]
 ) -> tuple[Float[np.ndarray, " proposals"], Float[np.ndarray, " proposals"]]:
-    """Gain [nats] that the score test promises each component beside a fit, and the power that it has then."""
+    """Gain [nats] that the score test promises each component beside a fit, and its power then."""
     m = rows.shape[1]
     k, y = np.asarray(spectrum.levels.shape)[:m], np.asarray(spectrum.levels.level)[:m]
     mean, maximum = now.mean[:m], now.maximum
@@ -152,7 +152,7 @@ def power_fits(
         value = (np.log(mean) + y / mean) @ k
         better = value < least
         best[better], least = p[better], np.minimum(value, least)
-        excess = y / mean - 1.0
+        excess = np.maximum(y / mean, 1e-12) - 1.0
         apart = np.where(abs(excess) < 1e-4, 1e-4, excess)
         weight = k * apart**2 / (2.0 * (apart - np.log1p(apart)))
         slope = unit / mean[:, None] * (p + scale)[..., None]

@@ -190,7 +190,7 @@ def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> fl
 
 
 def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
-    """Structures with a response, by its kind; white noise of a level of `floor` after it unless that is zero.
+    """Structures with a response, by its kind, and white noise of a level of `floor` after it.
 
     Without that noise the depth of a deep stop band would decide what the response is. All resonances are
     inside it or after it.
@@ -218,7 +218,7 @@ def _ranked(spectrum: Spectrum, groups: Iterable[Sequence[Structure]]) -> list[S
     every = [s for group in groups for s in group]
     if not every:
         return []
-    components = np.flatnonzero(np.any([s.active for s in every], axis=0))
+    components = np.flatnonzero(np.any([s.active for s in every], axis=0)).tolist()
     of = Units(spectrum)
     unit = np.stack([of(s, components) for s in every])
     power = np.stack([s.power[components] for s in every])
@@ -274,7 +274,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
 
 
 def _at_windows(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[list[Structure], Structure | None]:
-    """Structures with a resonance in a window of much excess; and one with several narrow ones, if there are."""
+    """Structures with a resonance in a window of much excess; and one with several narrow ones."""
     structure, n = now.structure, spectrum.n
     ratio = record.squares / at_all(spectrum, now)
     for k in structure.oscillators:
@@ -323,7 +323,7 @@ def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def _of_other_kinds(structure: Structure, width: float) -> list[list[Structure]]:
-    """Structures with another kind of response, of about this bandwidth [radians per sample], by their kind."""
+    """Structures with another kind of response, of about this bandwidth [radians per sample]."""
     return [
         [structure.with_response(kind, min(width * by, _HIGHEST)) for by in _BESIDE]
         for kind in _KINDS
