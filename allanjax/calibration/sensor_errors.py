@@ -37,7 +37,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, si_unit
 

@@ -58,7 +58,7 @@ from allanjax.estimate.spectral.fit import (
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import PER_OCTAVE, Bins, cosine_transform, term_column
 from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares

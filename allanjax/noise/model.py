@@ -49,8 +49,8 @@ class NoiseTerm(Parametrized, Process):
         raise NotImplementedError(f"{type(self).__name__} does not define column(time)")
 
     def sampled(self, rate: float) -> Self:
-        """The term for a sensor that samples at `rate` [Hz]; the term itself, unless sampling matters."""
-        return self
+        """The term for a sensor that samples at `rate` [Hz], if it has a field `sample_interval` [s]."""
+        return self.replace(sample_interval=1.0 / rate) if hasattr(self, "sample_interval") else self
 
     def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> NoiseTerm:
         """The term with the channel that it follows, sampled at `rate` [Hz]; itself if it follows none."""

@@ -18,7 +18,7 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.process import Process
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import Sensor
 from allanjax.report.figure import (
