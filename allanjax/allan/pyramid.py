@@ -370,5 +370,5 @@ def check_finite(values: Any, origin: int = 0) -> None:
         row, axis = np.argwhere(bad)[0]
         raise AllanjaxError(
             f"{bad.sum()} values are not finite, the first at sample {origin + row}, axis {axis}: "
-            "the cluster averages need every sample"
+            "use samples without gaps, or one segment"
         )

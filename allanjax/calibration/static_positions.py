@@ -34,7 +34,7 @@ from allanjax.calibration.sensor_errors import (
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SENSORS, Sensor, convert
@@ -241,9 +241,8 @@ def _noise(
     if model is not None and fit is not None:
         raise AllanjaxError("give a model or a fit, not both")
     if model is not None:
-        chosen = {a.name: _model_of(model, a) for a in axes}
-        parts = {a.name: parts_of_model(as_model(chosen[a.name], [a]), recordings[0].rate) for a in axes}
-        return parts, "given"
+        rate = recordings[0].rate
+        return {a.name: parts_of_model(model_of(model, a), rate) for a in axes}, "given"
     source = f"the fit of {fit.name or 'a recording'}" if fit is not None else ""
     if fit is None:
         longest = max(recordings, key=lambda r: r.duration)
@@ -256,17 +255,6 @@ def _noise(
             )
     notes += [f"{a.name}: {fit[a.name].verdict}" for a in axes if not fit[a.name].measured]
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
-
-
-def _model_of(model: ModelLike | Mapping[str, ModelLike], axis: Axis) -> ModelLike:
-    if not isinstance(model, Mapping):
-        return model
-    own = model.get(axis.name, model.get(axis.sensor))
-    if own is None:
-        raise AllanjaxError(
-            f"no noise model for {axis.name}: add it to model= as {axis.name!r} or {axis.sensor!r}"
-        )
-    return own
 
 
 def _scatter(sensor: Sensor, misfit: Misfit) -> list[str]:

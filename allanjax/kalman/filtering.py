@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -29,17 +29,14 @@ from allanjax.kalman.recursion import (
 )
 from allanjax.kalman.result import BiasTrack, BiasTracks, Filtered, FilteredAxis
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import Modelling, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
-from allanjax.record.recording import Axis, Recording
-
-#: A model for all axes, or models by the names of axes, as a fit and `critique.models` have them.
-ModelsLike: TypeAlias = ModelLike | Mapping[str, Any]
+from allanjax.record.recording import Recording
 
 
 def kalman_filter(
     recording: RecordingLike,
-    models: ModelsLike,
+    models: Modelling,
     *,
     smooth: bool = False,
     constant_std: float | None = None,
@@ -88,24 +85,6 @@ def kalman_filter(
         _filtered(recording, k, model_of(models, axis), lost[:, k], smooth, constant_std) for k, axis in axes
     )
     return Filtered(recording.name, tuple(results))
-
-
-def model_of(models: ModelsLike, axis: Axis) -> Model:
-    """The model of an axis: its own or the one for all axes; the fitted model of a fit.
-
-    Raises:
-        AllanjaxError: there is no model for this axis; a parameter without a value.
-    """
-    own: Any = models
-    if isinstance(models, Mapping):
-        if axis.name not in models:
-            raise AllanjaxError(f"no noise model for {axis.name}; there are models for {', '.join(models)}")
-        own = models[axis.name]
-    # A fit of an axis has its model.
-    fitted = getattr(own, "model", None)
-    model = as_model(fitted if isinstance(fitted, Model) else own, [axis])
-    model.check_complete()
-    return model
 
 
 def missing_of(
@@ -282,7 +261,7 @@ class Adapted(BiasTracks[AdaptedAxis]):
 
 def adaptive_filter(
     recording: RecordingLike,
-    models: Mapping[str, ModelsLike] | Sequence[ModelsLike],
+    models: Mapping[str, Modelling] | Sequence[Modelling],
     *,
     switching: float = 1e-3,
     constant_std: float | None = None,
@@ -325,7 +304,7 @@ def adaptive_filter(
 def _adapted(
     recording: Recording,
     k: int,
-    models: Mapping[str, ModelsLike],
+    models: Mapping[str, Modelling],
     missing: Bool[np.ndarray, " n"],
     switching: float,
     constant_std: float | None,

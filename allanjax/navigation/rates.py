@@ -334,13 +334,5 @@ def _bandwidth(found: AxisFit) -> Estimate | None:
     own = found[f"{response.name()}_bandwidth"]
     if not np.isfinite(own.std) and own.lower_limit is None:
         return None
-    # Of two poles, the frequency that they are named by is another.
-    factor = response.half_power / own.value
-    return dataclasses.replace(
-        own,
-        value=own.value * factor,
-        std=own.std * factor,
-        interval=(own.interval[0] * factor, own.interval[1] * factor),
-        interval_68=(own.interval_68[0] * factor, own.interval_68[1] * factor),
-        lower_limit=None if own.lower_limit is None else own.lower_limit * factor,
-    )
+    # The nominal frequency of a filter of two poles is not that of half the power.
+    return own.times(response.half_power / own.value)

@@ -34,7 +34,7 @@ class Estimate(ByValue):
         axis: the axis.
         label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or name of a derived
             quantity, e.g. "angle error after 60 s", or of a finding's parameter, e.g. "frequency".
-        value: the estimate, for a posterior its median; zero for an amplitude of which there is no sign.
+        value: the estimate, for a posterior its median; zero for an amplitude without any sign in the data.
         std: standard deviation.
         interval: 95 % interval; for an amplitude its lower end is zero if zero is not excluded; nan if only a
             limit is known.
@@ -134,8 +134,12 @@ class Estimate(ByValue):
             return self
         # A quantity that is not a parameter may have a unit of the other sensor: a tilt, a misalignment.
         factor = convert(1.0, self.unit, unit, self.axis.sensor if self.parameter else None)
+        return dataclasses.replace(self.times(factor), unit=unit)
+
+    def times(self, factor: float) -> Estimate:
+        """A copy whose numbers are multiplied by a factor."""
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
-        return dataclasses.replace(self, unit=unit, **numbers)
+        return dataclasses.replace(self, **numbers)
 
     def widened(self, factor: float) -> Estimate:
         """A copy whose standard deviation is larger by a factor, with intervals and limits to match.
@@ -177,12 +181,11 @@ class Estimate(ByValue):
         """A copy without uncertainty, for a model that does not fit the data; held values stay."""
         if self.held:
             return self
-        nowhere = (float("nan"), float("nan"))
         return dataclasses.replace(
             self,
-            std=float("nan"),
-            interval=nowhere,
-            interval_68=nowhere,
+            std=np.nan,
+            interval=(np.nan, np.nan),
+            interval_68=(np.nan, np.nan),
             upper_limit=None,
             lower_limit=None,
             detected=False,
@@ -317,9 +320,9 @@ _CALLED: dict[str, dict[Sensor, str]] = {
 def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
     """Label of the coefficient with this usual name; None if there is none, or several.
 
-    Labels themselves, in any case and with spaces; symbols such as "N"; abbreviations such as "ARW" of a gyro
-    and "VRW" of an accelerometer (whose "ARW" is the angle random walk for some, the acceleration random
-    walk for others, and therefore nothing here).
+    Names are labels, in any case and with spaces; symbols such as "N"; and abbreviations such as "ARW" of a
+    gyro and "VRW" of an accelerometer. An accelerometer's "ARW" is ambiguous (angle or acceleration random
+    walk) and therefore not a name.
     """
     if name in coefficients:
         return name
@@ -352,14 +355,14 @@ class AxisReadings(ByValue):
         return self.estimates[label]
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Rows of the printed table: one per quantity that is read."""
-        found: list[tuple[str, ...]] = []
+        """Rows of the printed table: one per quantity that could be read."""
+        rows: list[tuple[str, ...]] = []
         for label, shown in ((k, e.in_unit()) for k, e in self.estimates.items() if e is not None):
             value = format_with_error(shown.value, shown.std)
             band = "" if shown.band is None else f"{shown.band[0]:.3g} … {shown.band[1]:.3g}"
             title = title_of(label, self.axis.sensor)
-            found.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
-        return found
+            rows.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
+        return rows
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per quantity, in usual units; numbers are missing where there is none."""
@@ -372,7 +375,7 @@ class AxisReadings(ByValue):
                 shown = estimate.in_unit()
                 lower, upper = shown.interval
                 row |= {"value": shown.value, "std": shown.std, "lower_95": lower, "upper_95": upper}
-                row |= {"unit": shown.unit}
+                row["unit"] = shown.unit
             rows.append(row | {"reason": self.reasons.get(label, "")})
         columns = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "reason"]
         return pd.DataFrame(rows, columns=columns)
@@ -393,12 +396,7 @@ class Readings(ByValue, PerAxis[AxisReadings]):
 
     CALLED: ClassVar[str] = "the reading"
     HEADINGS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "quantity",
-        "value ± 1σ",
-        "95 % interval",
-        "unit",
-        "band [Hz]",
+        *("axis", "quantity", "value ± 1σ", "95 % interval", "unit", "band [Hz]"),
     )
     RIGHT: ClassVar[tuple[str, ...]] = ("value ± 1σ",)
 

@@ -127,8 +127,8 @@ def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
     axes = []
     for sensor, k in itertools.product(KINDS, range(3)):
         rows = ((classes[term], row[0], row[1 + k]) for term, row in table[sensor].items())
-        found = {term: Tabulated(value, error, unit) for term, unit, (value, error) in rows}
-        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(found)))
+        tabulated = {term: Tabulated(value, error, unit) for term, unit, (value, error) in rows}
+        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(tabulated)))
     return SensorPreset(name, table["description"], tuple(axes))
 
 

@@ -30,7 +30,7 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         model: the terms, every parameter with a value; or their text, `"N=0.1 deg/√h + B=2 deg/h"`.
         n: number of samples.
         rate: sample rate [Hz].
-        key: a JAX random key, or an integer to make one of.
+        key: a JAX random key or an integer seed.
 
     Raises:
         AllanjaxError: a parameter without a value, fewer than one sample, a rate that is not positive.
@@ -63,14 +63,14 @@ def simulate_recording(
     """Simulated recording of n samples, one column per model, the axes independent of each other.
 
     Args:
-        models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value; or a data sheet, of
-            which each sensor has three axes.
+        models: model of each axis (`gyro_x`, `accel_z`, …), every parameter with a value; or a data sheet,
+            with three axes for each sensor.
         n: number of samples.
         rate: sample rate [Hz].
-        key: a JAX random key, or an integer to make one of.
+        key: a JAX random key or an integer seed.
         bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
-        auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; an effect whose
-            channel is not given is left out, with a note in the recording.
+        auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; without its channel
+            an effect is left out, with a note in the recording.
         gyro_unit, accel_unit: units of the recording, for display.
         name: name of the recording.
 
@@ -133,7 +133,7 @@ def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, 
 def _with_traced_values(model: Model) -> Model:
     """Model with arrays for values: Python numbers would be constants of the compiled program.
 
-    Infinite values stay Python numbers, since terms decide by them which formula holds.
+    Infinite values stay Python numbers, since they select a term's formula.
     """
     finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
     return model.with_values(**finite)

@@ -23,7 +23,7 @@ from allanjax.base.late import presented
 from allanjax.base.per_axis import PerAxis, by_sensor
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
-from allanjax.noise.notation import Modelling, models_of
+from allanjax.noise.notation import Modelling, model_of
 from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
@@ -285,7 +285,7 @@ def denoise(
     recording = as_recording(data, rate, gyro_unit, accel_unit, names)
     filters = WaveletFilter.of(wavelet)
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
-    models = models_of(model, [axis.name for axis in recording.axes])
+    models = [model_of(model, axis) for axis in recording.axes]
     # All axes may have the same model.
     levels, known = decomposition.levels, {}
     for of_axis in models:

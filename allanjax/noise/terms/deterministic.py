@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.numerics import in_gauge
 from allanjax.noise.parameter import Value, option, parameter
-from allanjax.noise.state_space import Block, block
+from allanjax.noise.state_space import Block
 
 
 class DriftRamp(NoiseTerm):
@@ -53,7 +53,7 @@ class DriftRamp(NoiseTerm):
         transition = np.array([[1.0, 1.0 / rate], [0.0, 1.0]])
         start = self.coefficient**2 * np.outer(at_first, at_first)
         names, exponents = ("value", "slope"), (0.0, -1.0)
-        return block(transition, [1.0, 0.0], np.zeros((2, 2)), start, names, time_exponents=exponents)
+        return Block(transition, [1.0, 0.0], np.zeros((2, 2)), start, names, time_exponents=exponents)
 
 
 class Sinusoid(NoiseTerm):
@@ -104,7 +104,7 @@ class Sinusoid(NoiseTerm):
         a = 2.0 * np.pi * self.frequency / rate
         transition = np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
         start = self.amplitude**2 / 2.0 * np.eye(2)
-        return block(transition, [1.0, 0.0], np.zeros((2, 2)), start, ("cosine", "sine"))
+        return Block(transition, [1.0, 0.0], np.zeros((2, 2)), start, ("cosine", "sine"))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated line with its phase, a random one if it has none."""

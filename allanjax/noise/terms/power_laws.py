@@ -1,8 +1,7 @@
-"""Noise of a power-law spectrum: quantization (thesis 4.3.1), flicker (4.3.3), random walks (4.3.2, 4.3.4)."""
+"""Noise with power-law spectra: quantization (thesis 4.3.1), random walks (4.3.2, 4.3.4), flicker (4.3.3)."""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
 
@@ -17,7 +16,7 @@ from allanjax.noise.model import NoiseTerm
 from allanjax.noise.numerics import linear_recurrence
 from allanjax.noise.parameter import Value, parameter
 from allanjax.noise.response import NO_POLES, Parts, Poles
-from allanjax.noise.state_space import Block, block, together, white_block
+from allanjax.noise.state_space import Block, together, white_block
 from allanjax.noise.terms.correlated import Markov
 
 
@@ -68,7 +67,7 @@ class Quantization(NoiseTerm):
         transition = np.array([[0.0, 0.0], [1.0, 0.0]])
         start = self.coefficient**2 * np.eye(2)
         names = ("now", "before")
-        return block(transition, [rate, -rate], noise, start, names, time_exponents=(1.0, 1.0))
+        return Block(transition, [rate, -rate], noise, start, names, time_exponents=(1.0, 1.0))
 
 
 class AngleRandomWalk(NoiseTerm):
@@ -136,7 +135,7 @@ class RateRandomWalk(NoiseTerm):
         """States: the mean of the path over a sample interval, and its end."""
         noise = self.coefficient**2 / rate * np.array([[1.0 / 3.0, 0.5], [0.5, 1.0]])
         transition = np.array([[0.0, 1.0], [0.0, 1.0]])
-        return block(transition, [1.0, 0.0], noise, noise, ("mean", "end"), level=(False, True))
+        return Block(transition, [1.0, 0.0], noise, noise, ("mean", "end"), level=(False, True))
 
 
 # Aliases on either side that are summed with a cutoff, for want of a closed form; the rest is below 0.1 %.
@@ -397,11 +396,11 @@ def _with_one_mean(blocks: list[Block]) -> Block:
     ends = merge @ joined.transition[:, 1::2]
     transition = np.column_stack([np.zeros(len(ends)), ends])
     names = ("mean", *(f"end_{k + 1}" for k in range(len(blocks))))
-    merged = block(
+    return Block(
         transition,
         [1.0, *(0.0,) * len(blocks)],
         merge @ joined.noise @ merge.T,
         merge @ joined.start @ merge.T,
         names,
+        joined.white,
     )
-    return dataclasses.replace(merged, white=joined.white)
