@@ -12,9 +12,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, difference_count, too_few
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
-from allanjax.allan.estimators import DataType, allan_variance_estimates
+from allanjax.allan.estimators import (
+    DataType,
+    Kind,
+    Spacing,
+    allan_variance_estimates,
+    check_member,
+    cluster_sizes,
+    difference_count,
+    too_few,
+)
 from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
@@ -245,7 +253,7 @@ def allan_deviation(
                 'data_type, overlapping and cluster_times, or use estimator="exact"'
             )
         found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
-        return _of_all_stretches(replace(found, edf=found.edf / _lost(data)), data)
+        return _of_all_segments(replace(found, edf=found.edf / _lost(data)), data)
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
     options: dict[str, Any] = {"kind": kind, "overlapping": overlapping, "data_type": data_type}
@@ -267,10 +275,10 @@ def allan_deviation(
         overlapping=overlapping,
         axes=axes,
     )
-    return _of_all_stretches(found, data)
+    return _of_all_segments(found, data)
 
 
-def _of_all_stretches(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
+def _of_all_segments(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
     """Curve of a recording's longest segment with the differences of its other segments."""
     if not isinstance(data, Recording) or not data.others:
         return curve

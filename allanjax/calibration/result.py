@@ -59,9 +59,9 @@ def as_orientation(given: OrientationLike) -> Orientation:
     """Orientation from a name, a direction or a matrix.
 
     Args:
-        given: a name, "x up", "z down", "+x" or "x-" (the axis that points up or down), perhaps with a
-            heading, "x up, y north"; the direction that points up, three components along the sensor's
-            axes; or the matrix [3, 3] that turns such components into those along east, north and up.
+        given: a name, "x up", "z down", "+x" or "x-" (the axis that points up or down), optionally with a
+            heading, "x up, y north"; the upward direction, three components along the sensor's axes; or the
+            matrix [3, 3] that turns such components into those along east, north and up.
 
     Raises:
         AllanjaxError: `given` is none of these.
@@ -69,7 +69,10 @@ def as_orientation(given: OrientationLike) -> Orientation:
     if isinstance(given, Orientation):
         return given
     if isinstance(given, str):
-        named = orientation_in(given) or _signed(given)
+        signed = _SIGNED.fullmatch(given.strip().lower())
+        if signed is not None:
+            given = f"{signed[2] or signed[3]} {'up' if '+' in given else 'down'}"
+        named = orientation_in(given)
         if named is None:
             raise AllanjaxError(
                 f"{given!r} is not an orientation: write 'x up', 'z down', '+x' or, with a heading, "
@@ -98,13 +101,12 @@ def orientation_in(text: str) -> Orientation | None:
         AllanjaxError: an axis points in two directions.
     """
     words = text.lower()
-    found = _UP.search(words)
-    if found is None:
+    vertical, heading = _UP.search(words), _NORTH.search(words)
+    if vertical is None:
         return None
-    letter, way = found[1] or "z", found[2]
+    letter, way = vertical[1] or "z", vertical[2]
     up = _unit(letter) if way == "up" else 0.0 - _unit(letter)
     name, north = f"{letter} {way}", None
-    heading = _NORTH.search(words)
     if heading is not None:
         if heading[1] == letter:
             raise AllanjaxError(f"{text!r}: {letter} cannot point {way} and {heading[2]}")
@@ -122,14 +124,6 @@ def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
         return tuple(as_orientation(f"{a} {way}") for a, way in itertools.product(_AXES, ("up", "down")))
     every = itertools.product(itertools.permutations(_AXES, 2), ("up", "down"), ("north", "south"))
     return tuple(as_orientation(f"{a} {way}, {b} {where}") for (a, b), way, where in every)
-
-
-def _signed(text: str) -> Orientation | None:
-    found = _SIGNED.fullmatch(text.strip().lower())
-    if found is None:
-        return None
-    sign, letter = found[1] or found[4], found[2] or found[3]
-    return as_orientation(f"{letter} {'up' if sign == '+' else 'down'}")
 
 
 def _is_rotation(C: Float[np.ndarray, "3 3"]) -> bool:
@@ -152,8 +146,8 @@ UNITS: dict[Sensor, dict[str, str]] = {
     "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
     "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
 }
-#: Scale factors and misalignments with a larger standard deviation are not used: uncalibrated sensors are
-#: better than that.
+#: Scale factors and misalignments with a larger standard deviation are not used, as uncalibrated sensors are
+#: more accurate than that.
 USEFUL = 0.01
 
 
@@ -200,7 +194,7 @@ class AxisCalibration(ByValue, AxisEstimates):
             response to inputs along another axis [µrad, for gyros mrad], and, if requested, "second_order"
             [µg/g²]. A value that the positions do not determine is nan; its remark names the positions that
             would determine it.
-        widening: standard deviation of each over the one for white noise alone; nan without white noise.
+        widening: ratio of each standard deviation to that for white noise alone; nan without white noise.
     """
 
     axis: Axis
@@ -307,7 +301,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def errors(self, sensor: Sensor) -> Triad:
         """Matrix M, biases b and second-order coefficients q, SI, of I = M·f + b + q·f², for `apply`.
 
-        Parameters that are not determined, or not known to 1 %, are those of a perfect sensor.
+        Parameters that are not determined, or not to 1 %, have the values of a perfect sensor.
         """
         M, b, q = np.eye(3), np.zeros(3), np.zeros(3)
         for result in self.results:
@@ -321,7 +315,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                 elif label == "second_order":
                     q[i] = value
                 elif c.std < USEFUL:
-                    M[i, i if label == "scale_factor" else "xyz".index(label[-1])] += value
+                    M[i, i if label == "scale_factor" else _AXES.index(label[-1])] += value
         return Triad(M, b, q)
 
     def apply(self, recording: Recording) -> Recording:

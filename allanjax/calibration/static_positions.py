@@ -83,10 +83,10 @@ def calibrate(
         fit: fit of a long recording of the same sensor, which describes its drift best. Without model and
             fit, the longest of the positions is fitted, and the intervals are widened if the means scatter
             more than under that model.
-        starts: start of each recording [s]; by default each follows the previous one at once.
+        starts: start of each recording [s]; by default each follows the previous one immediately.
         second_order: whether accelerometers also have a part S2·f² (in (2.23) the square is missing).
         orientation_error: standard deviation [rad] of the given orientations, about each horizontal axis.
-        as_is: whether to use all of a recording, even if it was handled.
+        as_is: whether to use entire recordings, even if they were handled.
         rate, gyro_unit, accel_unit, names: rate, units and names of arrays and files, as for `fit`.
 
     Raises:
@@ -169,7 +169,7 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
     """Start of each recording [s], and what was assumed."""
     length = np.array([r.duration for r in recordings])
     if starts is None:
-        note = "positions are assumed to follow each other at once, as given (else pass starts=, --starts)"
+        note = "positions are assumed to follow each other at once (otherwise pass starts=, --starts)"
         return np.concatenate([[0.0], np.cumsum(length)[:-1]]), [note] if len(length) > 1 else []
     begin = np.array(starts, dtype=float)
     if begin.shape != length.shape or not np.isfinite(begin).all():

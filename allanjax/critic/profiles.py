@@ -18,7 +18,7 @@ from jaxtyping import Float, Real
 from scipy.fft import dct, rfft
 from scipy.stats import binom, chi2, kurtosistest, norm
 
-from allanjax.allan.clusters import cluster_sizes
+from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic import profiles
 from allanjax.critic.bank import any_of, extrapolated
 from allanjax.critic.causes.rounding import HARMLESS

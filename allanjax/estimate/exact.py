@@ -25,7 +25,7 @@ from allanjax.estimate.design import free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
-from allanjax.kalman.likelihood import innovations_under, log_likelihoods
+from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.recording import Recording

@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.allan.clusters import Spacing
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.estimators import Spacing
 from allanjax.base.cache import release_programs
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError

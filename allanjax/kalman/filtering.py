@@ -15,8 +15,8 @@ from jaxtyping import Array, Bool, Float
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration
-from allanjax.kalman.likelihood import Constant
 from allanjax.kalman.recursion import (
+    Constant,
     FilterModel,
     Rows,
     in_blocks,
@@ -60,14 +60,13 @@ def kalman_filter(
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
-            that are `Recording.missing` are not used.
-        models: a model with all its values, or such a model as text, for all axes; a fit; or a mapping from
-            names of axes to either.
+            in `Recording.missing` are not used.
+        models: a model with all its values, or its text, for all axes; models by the names of axes; or a fit.
         smooth: whether bias and states are estimated from all samples (Rauch, Tung & Striebel 1965).
-        constant_std: standard deviation of the constant b about zero [rad/s or m/s²] before the first
-            sample; None if nothing is known about it, 0 if there is no constant.
-        missing: further samples that the filter is not to use.
-        rate, gyro_unit, accel_unit: of an array, as for `fit`.
+        constant_std: prior standard deviation of the constant b about zero [rad/s or m/s²]; None if nothing
+            is known about it, 0 if there is no constant.
+        missing: further samples that the filter must not use.
+        rate, gyro_unit, accel_unit: rate and units of an array, as for `fit`.
 
     Raises:
         AllanjaxError: an axis without a model, a parameter without a value, a model that leaves no noise in a
@@ -90,7 +89,11 @@ def kalman_filter(
 def missing_of(
     recording: Recording, missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None
 ) -> Bool[np.ndarray, "samples axes"]:
-    """Samples that a filter does not use: those missing in the recording, and others; not all of an axis."""
+    """Samples that a filter does not use: those missing in the recording, and the given ones.
+
+    Raises:
+        AllanjaxError: a mask of another shape; all samples of an axis.
+    """
     shape = recording.values.shape
     lost = np.zeros(shape, bool) if recording.missing is None else recording.missing
     given = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
@@ -105,7 +108,7 @@ def missing_of(
 
 
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
-    """Raise AllanjaxError if a sample has no scatter under the model."""
+    """Raise AllanjaxError if a sample has no variance under the model."""
     if not np.all(std[..., there] > 0.0):
         raise AllanjaxError(
             f"the samples are not random under {model!r}: add a noise term, e.g. AngleRandomWalk(…)"
@@ -177,9 +180,9 @@ def with_constant(
 # Every model has its own filter. A model's weight after a sample is proportional to its weight before, times
 # the density of its innovation: the weights are the models' probabilities. In Magill's bank and the thesis
 # the true model never changes, and the weights of the others go to zero for good; here it may change, with a
-# stated probability per second, so that a model can come back. The models are then the states of a Markov
-# chain, whose probabilities given all samples show when it changed. (A filter does not know about the change
-# and takes as long as its own memory to adapt.)
+# stated probability per second, so that a model can return. The models are then the states of a Markov chain,
+# whose probabilities given all samples show when it changed. (A filter does not know about the change and
+# takes as long as its own memory to adapt.)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,12 +205,12 @@ class AdaptedAxis(BiasTrack):
 
     Attributes:
         axis, rate, samples: see `BiasTrack`.
-        bias, bias_std: the filters' biases, averaged with the weights, and their standard deviation, from
-            that of each filter and the spread between them.
+        bias, bias_std: weighted average of the filters' biases, and its standard deviation, from that of
+            each filter and the spread between them.
         log_likelihood: log-likelihood under the bank [nats].
         labels: names of the models.
         weights: probability of each model given the samples up to each, [samples, models].
-        probability: the same given all samples.
+        probability: probability of each model given all samples, [samples, models].
         switching: probability of a change per second.
     """
 

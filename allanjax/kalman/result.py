@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-# Lags of the portmanteau test: at most so many, and this share of the samples.
+# Lags of the portmanteau test: at most this number, and at most this share of the samples.
 _LAGS, _SHARE = 40, 0.2
 _TESTS_EXPLAINED = (
     "whiteness p: Ljung–Box test of the innovations; NIS/n: normalized innovations squared per sample, 1 if "
@@ -34,7 +34,7 @@ _TESTS_EXPLAINED = (
 
 @dataclasses.dataclass(frozen=True)
 class ChiSquared:
-    """A statistic with a χ² law where the model is right.
+    """A statistic with a χ² law if the model is right.
 
     Attributes:
         statistic, dof: its value and its degrees of freedom.
@@ -49,8 +49,8 @@ class ChiSquared:
 def whiteness(u: Float[np.ndarray, " n"]) -> ChiSquared:
     """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) of standardized innovations.
 
-    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40. Where there is no sample, u is NaN; n − d is then the
-    number of pairs that are there.
+    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40. u is NaN where a sample is missing, and n − d is then
+    the number of existing pairs.
     """
     there = np.isfinite(u)
     n = int(there.sum())
@@ -88,9 +88,9 @@ class BiasTrack(ByValue):
     Attributes:
         axis: the axis.
         rate: sample rate [Hz].
-        samples: what was filtered.
-        bias, bias_std: what the filter would remove in each sample, and its standard deviation.
-        log_likelihood: of the samples [nats].
+        samples: the filtered samples.
+        bias, bias_std: bias of each sample as the filter estimates it, and its standard deviation.
+        log_likelihood: log-likelihood of the samples [nats].
     """
 
     axis: Axis
@@ -133,10 +133,6 @@ class BiasTrack(ByValue):
         """The bias in the last sample ± 1σ, in the usual unit."""
         scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.0))
         return format_with_error(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """The row of the printed table."""
-        raise NotImplementedError
 
     def __repr__(self) -> str:
         unit = default_coefficient_unit(self.axis.sensor, 0.0)
@@ -183,16 +179,16 @@ class FilteredAxis(BiasTrack):
 
     Attributes:
         axis, rate, samples: see `BiasTrack`.
-        bias, bias_std: of the constant and the sum of the slow terms (`slow`).
-        log_likelihood: exact; of an unknown constant that of the samples' differences.
+        bias, bias_std: the constant plus the sum of the slow terms (`slow`), and its standard deviation.
+        log_likelihood: exact; with an unknown constant, that of the samples' differences.
         model: the noise model.
         missing: samples that the filter did not use.
-        constant, constant_std: the constant after all samples (of a walk, where it began).
+        constant, constant_std: the constant after all samples (for a walk, where it began).
         states, state_stds: states of the noise model.
         names, units: names and units of the states.
         slow: labels of the terms that are drift.
         innovation, innovation_std: samples less their predictions from earlier ones, and their standard
-            deviation; NaN where a sample is missing, and at the first one if the constant is unknown.
+            deviation; NaN where a sample is missing, and at the first if the constant is unknown.
         smoothed: whether bias and states are estimated from all samples, not only from those up to each.
     """
 
@@ -211,7 +207,7 @@ class FilteredAxis(BiasTrack):
 
     @property
     def standardized(self) -> Float[np.ndarray, " n"]:
-        """Innovations over their standard deviations: unit white noise where the model is right."""
+        """Innovations over their standard deviations: unit white noise if the model is right."""
         return self.innovation / self.innovation_std
 
     @property
@@ -273,7 +269,7 @@ class Filtered(BiasTracks[FilteredAxis]):
 
     @property
     def log_likelihood(self) -> float:
-        """Log-likelihood of all axes [nats], which are taken as independent."""
+        """Log-likelihood [nats] of all axes, taken as independent."""
         return sum(result.log_likelihood for result in self.results)
 
     def to_dict(self) -> dict[str, Any]:

@@ -29,7 +29,7 @@ _SHOWN: dict[Sensor, str] = {"gyro": "deg", "accel": "arcsec"}
 _POLAR = math.radians(89.0)
 # Longest averaging time for models [s], times an octave, and error beyond which an angle is not small.
 _LONGEST, _PER_OCTAVE, _LARGE = 1e5, 8, math.radians(30.0)
-# An error above this share of its value an octave before no longer falls; for white noise the share is 0.71.
+# An error above this share of its value one octave earlier no longer falls; for white noise it is 0.71.
 _FALLING = 0.9
 _DEG = math.pi / 180.0
 
@@ -45,13 +45,15 @@ class AxisAlignment(ByValue):
         time: averaging times [s], half in each of two opposite positions.
         error, lower, upper: standard deviation of the angle [rad] and its interval.
         best: the least error [rad], and `best_interval`.
-        best_time: the first averaging time [s] at which the error is within 1 % of the least, which may be a
-            level that it never leaves; and `best_time_interval`.
+        best_time: the first averaging time [s] at which the error is within 1 % of the least, where it may
+            stay; and `best_time_interval`.
         falling: whether the error still falls at the longest time, so that more time would help.
         wanted: the requested error [rad]; None if none was requested, or for an accelerometer.
-        needed: time after which the error is as requested [s], infinite if it never is; `needed_interval`.
+        needed: time [s] after which the requested error is reached, infinite if it never is; and
+            `needed_interval`.
         white_time: the same for white noise alone (2.53) [s].
-        out_of_reach: probability that no averaging time up to the longest gives the requested error.
+        out_of_reach: probability that the requested error is not reached at any averaging time up to the
+            longest.
     """
 
     axis: Axis
@@ -83,7 +85,7 @@ class AxisAlignment(ByValue):
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
         if self.best > _LARGE:
-            return f"{self.angle} not found: its error is never below {significant(self.best / _DEG)} deg"
+            return f"no {self.angle}: its error is never below {significant(self.best / _DEG)} deg"
         if self.wanted is None:
             return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))

@@ -56,7 +56,7 @@ class ErrorGrowth(ByValue):
         time: times [s] since the start.
         error: standard deviation [rad, m/s or m].
         lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
-        causes: by direction, standard deviations of the error that each cause makes by itself.
+        causes: by direction, standard deviations of the error from each cause alone.
     """
 
     quantity: Quantity
@@ -269,7 +269,7 @@ _SMALL, _TERMS = 1.0, 9
 def bias_response(
     time: Float[np.ndarray, " t"], order: int, stiffness: float = 0.0
 ) -> Float[np.ndarray, " t"]:
-    """Error W(t) [s^order] at times [s] that a unit constant error makes when integrated so many times.
+    """Error W(t) [s^order] at times [s] from a constant unit error that is integrated `order` times.
 
     `stiffness` [1/s²] is ω² of the loop: 0 without it, g/R of Schuler's, −2g/R of the vertical channel.
     """
@@ -320,20 +320,20 @@ class ErrorVariances:
         whole = np.arange(steps.max() + 1)
         self._lags = np.concatenate([whole, whole + calibration]) / rate
         self._known: list[tuple[Model, np.ndarray]] = []
-        #: Errors after the steps that a unit bias makes, by order.
+        #: Errors after the steps from a unit bias, by order.
         self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
 
     def __call__(self, model: Model) -> Float[np.ndarray, "terms orders t"]:
         """Variances for each term of the model by itself."""
-        found = [self._of_term(one) for one in one_by_one(model)]
-        return np.stack(found) if found else np.zeros((0, len(self._orders), len(self._steps)))
+        variances = [self._of_term(one) for one in one_by_one(model)]
+        return np.array(variances).reshape(-1, len(self._orders), len(self._steps))
 
     def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
-        """Variances for a model of one term, which other axes and sets of terms may have, too."""
+        """Variances for a model of one term, kept for other axes and sets of terms with the same."""
         for model, variance in self._known:
             if eqx.tree_equal(model, one):
                 return variance
-        # One call, for G is known up to a constant and t² that each call may choose.
+        # One call, since G is known up to c0 + c1·t², which each call may choose.
         near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
         variance = np.array([[_variance(f, near, far) for f in row] for row in self._functionals])
         self._known.append((one, variance))
@@ -361,7 +361,7 @@ def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.nd
     return max(float(within + 2.0 * f.bias * np.einsum("i,i", f.weights, far[:n])), 0.0)
 
 
-# Samples from the start to the last time, at most: their covariances are held in memory.
+# Most samples from the start to the last time: their covariances are held in memory.
 _MOST = 2**21
 
 
@@ -424,13 +424,13 @@ def navigate(
         raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
     steps, before = _whole_samples(given, calibration, sensors.rate)
-    found = _variances(sensors, steps, before, biases, float(gravity), schuler)
-    if not any(found.values()):
+    variances = _variances(sensors, steps, before, biases, float(gravity), schuler)
+    if not any(variances.values()):
         raise AllanjaxError(
             f"no axis can be used; use names such as gyro_x or accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
-    growths = tuple(_growth(q, of, time, sensors) for q, of in found.items() if of)
+    growths = tuple(_growth(q, of, time, sensors) for q, of in variances.items() if of)
     result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
     return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
 
@@ -443,7 +443,7 @@ def _variances(
     gravity: float,
     schuler: bool,
 ) -> dict[str, dict[str, list[Drawn]]]:
-    """Variances of the errors by quantity and direction: a part of each sensor that makes them."""
+    """Variances of the errors by quantity and direction, one for each sensor that contributes."""
     level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
     # Along the vertical gravity drives errors, and about it nothing does.
     vertical = level
@@ -459,7 +459,7 @@ def _variances(
         drawn, bias = noise.drawn(of), (biases[noise.axis.sensor] * of.of_bias) ** 2
         return [_with_bias(drawn, n - 1, bias[n - 1], noise.axis.name) for n in orders]
 
-    found: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
+    variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
     for channel in _CHANNELS:
         upright = channel.tilting is None
         turned = errors(sensors.along("gyro", channel.along), (1,), about if upright else level)
@@ -472,8 +472,8 @@ def _variances(
             ("position", forced[1:] + tilted[1:]),
         ):
             if parts:
-                found[quantity][channel.name] = parts
-    return found
+                variances[quantity][channel.name] = parts
+    return variances
 
 
 def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: float) -> tuple[np.ndarray, int]:

@@ -123,7 +123,7 @@ class Bins(ByValue):
         around: Sequence[tuple[float, float]] = (),
         per_octave: int = PER_OCTAVE,
     ) -> Bins:
-        """Bins of single coefficients, then `per_octave` per octave, and finer ones around lines and resonances.
+        """Bins of single coefficients, then logarithmic ones, and finer ones around lines and resonances.
 
         `around` are the frequency and width [Hz] of each of these; a width of 0 stands for any.
         """
@@ -252,13 +252,12 @@ def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
 # Averaged cosine spectra of a stream: statistics for Whittle's likelihood of a record of any length.
 #
 # Means of D successive samples are themselves samples of the same sensor, read D times more slowly: phase
-# differences over a longer interval. So the spectrum of a long record can be assembled from several rates, each
-# for suitable frequencies. Level k is the series of means over D^k samples. At each
-# level but the last the series is cut into segments of L values, these are transformed one by one (see
-# `cosine`), and the squares of their coefficients are summed, but for the lowest: there neighbouring
-# segments are correlated, and the next level has these frequencies. The last level is short enough to be
-# kept and transformed at once. A record that is short enough has that level only, and its statistics are those
-# of the record itself.
+# differences over a longer interval. So the spectrum of a long record can be assembled from several rates,
+# each for suitable frequencies. Level k is the series of means over D^k samples. At each level but the last
+# the series is cut into segments of L values, these are transformed one by one (see `cosine`), and the
+# squares of their coefficients are summed, but for the lowest: there neighbouring segments are correlated,
+# and the next level has these frequencies. The last level is short enough to be kept and transformed at once.
+# A record that is short enough has that level only, and its statistics are those of the record itself.
 #
 # Blocks and segments are aligned to the stream's sample numbers, and a piece of a stream keeps the values of
 # incomplete segments at its ends. So merged pieces give the same as the entire stream.
