@@ -384,14 +384,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         """Draw the residuals of each position with their scatter under the noise model."""
         raise NotImplementedError
 
-    def _remedies(self) -> dict[str, list[str]]:
-        """The positions that would determine the missing parameters, and the axes that lack them."""
-        lacking: dict[str, list[str]] = {}
-        for result in self.results:
-            for remark in dict.fromkeys(c.remark for c in result.coefficients.values() if c.remark):
-                lacking.setdefault(remark, []).append(result.axis.name)
-        return lacking
-
     def _title(self) -> str:
         return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
 
@@ -399,9 +391,14 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         return by_sensor(self.results, lambda sensor: [unit_of(sensor, label) for label in PARAMETERS])
 
     def _notes(self) -> list[str]:
+        # The positions that would determine the missing parameters, and the axes that lack them.
+        lacking: dict[str, list[str]] = {}
+        for result in self.results:
+            for remark in dict.fromkeys(c.remark for c in result.coefficients.values() if c.remark):
+                lacking.setdefault(remark, []).append(result.axis.name)
         lines = [f"{sensor}: {misfit}" for sensor, misfit in self.misfit.items()]
         lines += [f"{r.axis.name}: {r.verdict}" for r in self.results if r.verdict]
-        lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in self._remedies().items()]
+        lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in lacking.items()]
         return [*lines, f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
 
 

@@ -117,8 +117,7 @@ def calibrate(
             noise = Covariances.of(places, [parts[axis.name] for axis in own])
             own_results, misfit[sensor] = errors_of(setting, means, noise)
             results += own_results
-            notes += _scatter(sensor, misfit[sensor])
-    notes += _remarks(results, world)
+    notes += _remarks(results, misfit, world)
     return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))
 
 
@@ -257,19 +256,14 @@ def _noise(
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
 
 
-def _scatter(sensor: Sensor, misfit: Misfit) -> list[str]:
-    """Note on means that scatter more than under a noise model that may lack drift."""
-    if misfit.wider == 1.0:
-        return []
-    return [
-        f"{sensor}: the means scatter {significant(misfit.wider)} times as much as under this noise model; "
+def _remarks(results: Sequence[AxisCalibration], misfit: Mapping[Sensor, Misfit], world: World) -> list[str]:
+    """Notes on excessive scatter, on gravity, and on what the Earth's rate does not determine."""
+    notes = [
+        f"{sensor}: the means scatter {significant(of.wider)} times as much as under this noise model; "
         "the intervals are widened accordingly, with Student's law"
+        for sensor, of in misfit.items()
+        if of.wider != 1.0
     ]
-
-
-def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
-    """Notes on gravity, and on errors of gyros that the Earth's rate does not determine."""
-    notes = []
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
         notes.append("normal gravity; its anomaly, 35 mGal (1σ), is part of the scale factors' intervals")
     gyros = [r for r in results if r.axis.sensor == "gyro"]
@@ -277,7 +271,8 @@ def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
         return notes
     rate = convert(EARTH_RATE, "rad/s", "deg/h")
     notes.append("gyros: sensitivity to gravity would appear as scale factor and misalignment")
-    aligned = [r.axis.name for r in gyros if _as_if_aligned(r)]
+    known = {r.axis.name: {x for x, c in r.coefficients.items() if math.isfinite(c.value)} for r in gyros}
+    aligned = [name for name, labels in known.items() if labels - {"bias"} == {"scale_factor"}]
     if aligned:
         notes.append(
             f"{', '.join(aligned)}: taken as aligned, since the positions do not determine misalignments; "
@@ -292,9 +287,3 @@ def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
             "values need a rate table"
         )
     return notes
-
-
-def _as_if_aligned(result: AxisCalibration) -> bool:
-    """Whether an axis has a scale factor and none of its misalignments is determined."""
-    known = {label for label, c in result.coefficients.items() if math.isfinite(c.value)}
-    return known - {"bias"} == {"scale_factor"}

@@ -42,7 +42,7 @@ def command(
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
 ) -> None:
-    from allanjax.noise.sensors import SENSORS
+    from allanjax.noise.simulate import SENSORS
 
     if show_list:
         for known in SENSORS.values():

@@ -96,7 +96,8 @@ class AxisAlignment(ByValue):
             reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
-            ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {_or_never(high)})"
+            latest = "never" if math.isinf(high) else duration(high)
+            ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {latest})"
             reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
                 reached += f"; it is out of reach with probability {self.out_of_reach:.0%}"
@@ -314,7 +315,3 @@ def _interval(
     pair = ((low, 0.025), (high, 0.975))
     lower, upper = (float(np.quantile(x, q, method="nearest")) for x, q in pair)
     return lower, upper
-
-
-def _or_never(seconds: float) -> str:
-    return "never" if math.isinf(seconds) else duration(seconds)

@@ -365,15 +365,8 @@ def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.nd
 _MOST = 2**21
 
 
-class _Channel(NamedTuple):
-    """Direction of an error: the sensors' axis along it, and the gyro's axis that tilts gravity into it."""
-
-    name: str
-    along: str
-    tilting: str | None
-
-
-_CHANNELS = (_Channel("north", "x", "y"), _Channel("east", "y", "x"), _Channel("down", "z", None))
+# Directions of errors, the sensors' axis along each, and the gyro's axis that tilts gravity into it.
+_CHANNELS = (("north", "x", "y"), ("east", "y", "x"), ("down", "z", None))
 
 
 def navigate(
@@ -460,11 +453,11 @@ def _variances(
         return [_with_bias(drawn, n - 1, bias[n - 1], noise.axis.name) for n in orders]
 
     variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
-    for channel in _CHANNELS:
-        upright = channel.tilting is None
-        turned = errors(sensors.along("gyro", channel.along), (1,), about if upright else level)
-        forced = errors(sensors.along("accel", channel.along), (1, 2), vertical if upright else level)
-        tilted = errors(sensors.along("gyro", channel.tilting), (2, 3), level) if channel.tilting else []
+    for channel, along, tilting in _CHANNELS:
+        upright = tilting is None
+        turned = errors(sensors.along("gyro", along), (1,), about if upright else level)
+        forced = errors(sensors.along("accel", along), (1, 2), vertical if upright else level)
+        tilted = errors(sensors.along("gyro", tilting), (2, 3), level) if tilting else []
         tilted = [_times(drawn, gravity**2) for drawn in tilted]
         for quantity, parts in (
             ("attitude", turned[:1]),
@@ -472,7 +465,7 @@ def _variances(
             ("position", forced[1:] + tilted[1:]),
         ):
             if parts:
-                variances[quantity][channel.name] = parts
+                variances[quantity][channel] = parts
     return variances
 
 
@@ -521,12 +514,12 @@ def _growth(
 def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
     """Limitations: sensors that are missing, and times for which the errors do not hold."""
     notes = []
-    for channel in _CHANNELS:
-        gyro = channel.tilting and sensors.along("gyro", channel.tilting)
-        accel = sensors.along("accel", channel.along)
-        if channel.tilting and (gyro is None) != (accel is None):
+    for channel, along, tilting in _CHANNELS:
+        gyro = tilting and sensors.along("gyro", tilting)
+        accel = sensors.along("accel", along)
+        if tilting and (gyro is None) != (accel is None):
             only = "the accelerometer" if gyro is None else "the gyro's tilt"
-            notes.append(f"velocity and position {channel.name} contain the errors of {only} only")
+            notes.append(f"velocity and position {channel} contain the errors of {only} only")
     if not result.schuler and last > result.quarter_period:
         notes.append(
             f"short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "

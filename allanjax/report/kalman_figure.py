@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.kalman.filtering import Adapted, AdaptedAxis
-from allanjax.kalman.result import BiasTracks, FilteredAxis
+from allanjax.kalman.filtering import Adapted, AdaptedAxis, BiasTracks, FilteredAxis
 from allanjax.record.units import rate_unit_of
 from allanjax.report.figure import (
     COLOURS,

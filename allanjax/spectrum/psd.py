@@ -296,9 +296,6 @@ _NO_UNIT = (
 )
 
 
-# --- Averaging over frequency -------------------------------------------------------------------------------
-
-
 def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
     """Index of the first ordinate of each group of Hou (2004) table 3.4, of m ordinates.
 
@@ -315,9 +312,6 @@ def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
         if m - starts[-1] < full / 2:
             starts = starts[:-1]
     return starts
-
-
-# --- Results ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -522,9 +516,6 @@ def density_unit(axis: Axis) -> tuple[str, float]:
     """Display unit of an axis's power spectral density, and its factor to SI."""
     name, scale = square_unit(axis)
     return f"{name}/Hz", scale
-
-
-# --- The estimate -------------------------------------------------------------------------------------------
 
 
 def power_spectrum(

@@ -36,8 +36,6 @@ from allanjax.spectrum.autocorrelation import square_unit
 if TYPE_CHECKING:
     import pandas as pd
 
-_HAAR = (1.0, 1.0)
-
 
 def pywavelets() -> ModuleType:
     """PyWavelets' module; AllanjaxError with the remedy if it is not installed."""
@@ -73,16 +71,15 @@ class WaveletFilter:
                 does not need it).
         """
         if name == "haar":
-            half = np.array(_HAAR) / 2.0
-            return cls(name, tuple(half), (half[0], -half[1]), 1)
+            return cls(name, (0.5, 0.5), (0.5, -0.5), 1)
         pywt = pywavelets()
         if name not in pywt.wavelist(kind="discrete") or not pywt.Wavelet(name).orthogonal:
             raise AllanjaxError(
                 f"{name!r} is not an orthogonal wavelet of PyWavelets; use e.g. haar, db2, db4, sym4, coif1"
             )
-        found = pywt.Wavelet(name)
-        low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (found.dec_lo, found.dec_hi))
-        return cls(name, low, high, found.vanishing_moments_psi)
+        wavelet = pywt.Wavelet(name)
+        low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (wavelet.dec_lo, wavelet.dec_hi))
+        return cls(name, low, high, wavelet.vanishing_moments_psi)
 
     def length(self, level: int) -> int:
         """Samples that a coefficient at this level depends on, (2^level − 1)(L − 1) + 1."""
@@ -388,19 +385,19 @@ def wavelet_variance(
             unknown wavelet; PyWavelets is not installed ("haar" does not need it).
     """
     values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
-    found, n = WaveletFilter.of(wavelet), len(values)
-    most = found.most_levels(n)
+    filters, n = WaveletFilter.of(wavelet), len(values)
+    most = filters.most_levels(n)
     if levels is not None and not 1 <= levels <= most:
         raise AllanjaxError(f"{n} samples allow 1 to {most} levels of {wavelet}, not {levels}")
     level = np.arange(1, (levels or most) + 1)
-    variance = np.stack([mean_squares(x, found, level[-1]) for x in values.T], axis=1)
+    variance = np.stack([mean_squares(x, filters, level[-1]) for x in values.T], axis=1)
     noise = Model((AngleRandomWalk(1.0),)) if model is None else as_model(model)
-    expected, covariance = moments(noise, found, level, n, rate)
+    expected, covariance = moments(noise, filters, level, n, rate)
     edf = 2.0 * expected**2 / np.diag(covariance)
     return WaveletVariance(
         level=level,
         variance=variance,
-        count=n - np.array([found.length(int(j)) for j in level]) + 1,
+        count=n - np.array([filters.length(int(j)) for j in level]) + 1,
         edf=np.broadcast_to(edf[:, None], variance.shape),
         n=n,
         rate=rate,
@@ -413,11 +410,11 @@ def mean_squares(
     x: Float[np.ndarray, " n"], wavelet: WaveletFilter, levels: int
 ) -> Float[np.ndarray, " levels"]:
     """Mean squares of the coefficients of each level that the record's ends do not affect."""
-    smooth, found = x - x.mean(), []
+    smooth, powers = x - x.mean(), []
     for k in range(levels):
-        found.append(np.mean(_filtered(smooth, wavelet.high, 2**k) ** 2))
+        powers.append(np.mean(_filtered(smooth, wavelet.high, 2**k) ** 2))
         smooth = _filtered(smooth, wavelet.low, 2**k)
-    return np.array(found)
+    return np.array(powers)
 
 
 def _filtered(

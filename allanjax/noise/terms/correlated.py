@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import math
-import operator
 from collections.abc import Iterable
 from typing import ClassVar
 
@@ -305,7 +303,8 @@ class WanderingResonance(NoiseTerm):
 
 def _sum(values: Iterable[Array]) -> Array:
     """Sum of at least one array."""
-    return functools.reduce(operator.add, values)
+    first, *others = values
+    return sum(others, first)
 
 
 class LowPass(NoiseTerm):
