@@ -223,11 +223,11 @@ class AllanCovariance(eqx.Module):
             part = eqx.tree_at(lambda of: (of.pairs, of.lags, of.weights), self, tuple(some[:3]))
             return function(part, *some[3:])
 
-        def add(k: Array, found: Any) -> Any:
+        def add(k: Array, results: Any) -> Any:
             # The last part begins earlier where it would not be whole.
             return jax.tree.map(
                 lambda x, part: jax.lax.dynamic_update_slice_in_dim(x, part, k * few, x.ndim - 1),
-                found,
+                results,
                 of_part(k * few),
             )
 

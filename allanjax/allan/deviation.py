@@ -149,7 +149,7 @@ class AllanDeviation(ByValue, OfAxes):
 
         It counts the differences of clusters that do not overlap as independent. Neighbours share a cluster:
         for white noise the error is √1.5 times that. Eqs. (4.5) and (4.9) average overlapping clusters, for
-        which it is an overstatement but at the shortest times. `standard_error` is right for both.
+        which it is too large except at the shortest times. `standard_error` is right for both.
         """
         return 1 / np.sqrt(2 * (self.n / self.cluster_size - 1))
 

@@ -4,8 +4,7 @@ Level k of the pyramid holds the means of blocks of 2^k samples; block b is samp
 the recording. Clusters of m = 1, 2 and 4 samples are windows of so many blocks of level 0, those of m = 8·2^k
 samples are windows of 8 blocks of level k. Every block starts a window: every sample up to m = 8, every
 m/8-th beyond. The variance is the mean of ½(difference of two adjacent windows)², eq. (4.5) of Hou (2004),
-over these starts; for all noise but strong quantization that costs less than 1 % of the precision of every
-start.
+over these starts. Except for strong quantization it is less than 1 % less precise than with every start.
 
 Block means keep their digits however long the recording is, which a running sum of its rates would not.
 """

@@ -265,7 +265,7 @@ class Misfit(ByValue):
             return text
         return (
             f"{text}: the means do not fit, worst at {' or '.join(self.suspects)}. Its orientation may be "
-            "wrong by more than the noise (see orientation error), or the noise model may lack a drift"
+            "wrong by more than the noise (see orientation_error), or the noise model may lack a drift"
         )
 
 

@@ -187,23 +187,25 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
 
 
 # Innovations, updated states and gains, of a sample or of all in a block.
-_Found = tuple[Array, Array, Gains]
+_Outputs = tuple[Array, Array, Gains]
 
 
-def _block(system: System, state: State, samples: Array, there: Array, after: Array) -> tuple[State, _Found]:
+def _block(
+    system: System, state: State, samples: Array, there: Array, after: Array
+) -> tuple[State, _Outputs]:
     """State after a block, with innovations, updated states and gains in it."""
     whole = jnp.all(there)
     steady = after | (whole & state.settled)
     old = whole & system.skip.allowed & (state.age >= _YOUNG)
 
-    def one_by_one(state: State) -> tuple[State, _Found]:
-        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Found]:
+    def one_by_one(state: State) -> tuple[State, _Outputs]:
+        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Outputs]:
             new, found = _step(system, state, *at)
             return new, (*found, new.gains)
 
         return jax.lax.scan(step, state, (samples, there))
 
-    def at_once(state: State) -> tuple[State, _Found]:
+    def at_once(state: State) -> tuple[State, _Outputs]:
         def skipped(state: State) -> tuple[Gains, Float[Array, "n n"]]:
             S = _skipped(system.skip, state.S)
             return _updated(system, S, jnp.asarray(True), jnp.asarray(False))

@@ -89,10 +89,11 @@ class AxisAlignment(ByValue):
         if self.wanted is None:
             return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
+        chance = f"{100.0 * self.out_of_reach:.0f} %"
         white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
         if math.isinf(self.needed):
             why = f"takes more than {longest} (the error still falls)" if self.falling else "is out of reach"
-            doubt = "" if not 0.0 < self.out_of_reach < 1.0 else f", with probability {self.out_of_reach:.0%}"
+            doubt = f", with probability {chance}" if 0.0 < self.out_of_reach < 1.0 else ""
             reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
@@ -100,7 +101,7 @@ class AxisAlignment(ByValue):
             ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {latest})"
             reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
-                reached += f"; it is out of reach with probability {self.out_of_reach:.0%}"
+                reached += f"; it is out of reach with probability {chance}"
         return f"{reached}; {white}" if white else reached
 
     def rows(self) -> list[tuple[str, ...]]:

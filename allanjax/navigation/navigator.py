@@ -137,7 +137,7 @@ class ErrorGrowth(ByValue):
         """Rows of the printed table, units first, at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
         ends = unit if np.isfinite(self.lower).any() else ""
-        cells: list[tuple[str, ...]] = [("", "s", unit, ends, "", "")]
+        cells: list[tuple[str, ...]] = [("", "s", unit, ends, "", "%")]
         for k, channel in enumerate(self.channels):
             largest = self.largest(channel)
             for j in at:
@@ -151,7 +151,7 @@ class ErrorGrowth(ByValue):
                         significant(float(value) / scale),
                         f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
                         largest[j],
-                        f"{share:.0%}",
+                        f"{100.0 * share:.0f}",
                     )
                 )
         return cells

@@ -47,7 +47,7 @@ NO_POLES = Poles(np.zeros(0), np.zeros(0))
 
 
 class Parts(NamedTuple):
-    """Density of samples [rate²] taken apart: white + difference·4s + walk/4s + poles."""
+    """Density of samples [rate²] in parts: white + difference·4s + walk/4s + poles."""
 
     white: Any
     difference: Any

@@ -4,13 +4,13 @@ The orthonormal cosine transform (DCT-II) of n rate samples has coefficients
 
     c_j = √(2/n) Σ_k x_k cos(a_j (k + ½)),    a_j = πj/n,    j = 1 … n−1,
 
-at frequencies j·rate/2n. The bias is in c_0 alone and leaves with it. White noise and a random walk have
+at frequencies j·rate/2n. The bias is in c_0 alone, which is left out. White noise and a random walk have
 uncorrelated coefficients exactly (the mean-free random walk's principal components *are* cosines), flicker
 and Markov noise almost: the squared correlations of a coefficient with all others sum to 3 % (flicker) and at
 most 9 % (Markov) at the lowest frequency, to 0.1 % at the sixtieth. Quantization is an exception: its first
 and its last reading are in all coefficients, which matters where hardly any other noise is. So this is
-Whittle's likelihood without what makes it approximate for drifting sensors: the periodogram of the
-differenced record, its usual form, has leakage from the record's ends that is common to all low frequencies.
+Whittle's likelihood, but accurate for drifting sensors: its usual form, the periodogram of the differenced
+record, has leakage from the record's ends that is common to all low frequencies.
 
 The expectation of c_j² follows from the phase covariance G (`noise.model`) without approximation,
 

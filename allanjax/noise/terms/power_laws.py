@@ -351,8 +351,8 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
             break
     if not worst <= TOLERANCE:
         raise AllanjaxError(
-            f"no sum of Gauss–Markov processes approximates {term!r} to {TOLERANCE:.0%} (the best one to "
-            f"{worst:.0%}); fit bias_instability, rate_random_walk or Markov() instead"
+            f"no sum of Gauss–Markov processes approximates {term!r} to {100.0 * TOLERANCE:.0f} % (best: "
+            f"{100.0 * worst:.0f} %); fit bias_instability, rate_random_walk or Markov() instead"
         )
     found = zip(processes, variance, strict=True)
     blocks = [p.replace(amplitude=math.sqrt(v)).state_block(rate, None) for p, v in found if v > 0.0]
