@@ -101,7 +101,12 @@ class Response(Parametrized):
     @property
     def half_power(self) -> float:
         """Frequency at which the power response, as that of an analog filter, has fallen by half [Hz]."""
-        return float(getattr(self, self.parameters()[0].name))
+        bandwidth = float(getattr(self, self.parameters()[0].name))
+        if not hasattr(self, "quality_factor"):
+            return bandwidth
+        # Of two poles, |1 − x² + ix/Q|² = 2.
+        middle = 1.0 - 0.5 / float(self.quality_factor) ** 2
+        return bandwidth * math.sqrt(middle + math.hypot(middle, 1.0))
 
     @property
     def ahead(self) -> int:
@@ -156,12 +161,6 @@ class RecursiveFilter(Response):
         )
 
 
-def second_order_half_power(bandwidth: float, quality_factor: float) -> float:
-    """Frequency at which an analog filter of two poles has lost half of the power: |1 − x² + ix/Q|² = 2."""
-    middle = 1.0 - 0.5 / quality_factor**2
-    return bandwidth * math.sqrt(middle + math.hypot(middle, 1.0))
-
-
 class LowPass1(RecursiveFilter):
     """Low-pass filter of one pole, y_k = w·y_{k−1} + (1 − w)·x_k with w = exp(−2πf_c/rate).
 
@@ -202,10 +201,6 @@ class LowPass2(RecursiveFilter):
         c = c / xp.real(c * (1.0 + w) / (1.0 - w))
         pair = xp.stack([w, xp.conj(w)])
         return Poles(pair, xp.stack([c, xp.conj(c)]) / 2.0)
-
-    @property
-    def half_power(self) -> float:
-        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
 
     def _zero(self, rate: float) -> tuple[Any, Any]:
         """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
@@ -312,10 +307,6 @@ class Biquad(_Bilinear):
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
         passed, stopped = self._passed(frequency, rate)
         return passed**2 / ((passed - stopped) ** 2 + passed * stopped / self.quality_factor**2)
-
-    @property
-    def half_power(self) -> float:
-        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
 
     def _analog(self, tangent: Any) -> Any:
         xp = namespace(self, tangent)
