@@ -168,8 +168,7 @@ def test_tables_tell_decades(result):
 
     def cells(shown):
         rows = [line.replace(",", "") for line in str(shown).splitlines() if line[-1:].isdigit()]
-        # The last number is the share.
-        return [[float(x) for x in re.findall(r"(?<!\w)[\d.]+", row)][:-1] for row in rows]
+        return [[float(x) for x in re.findall(r"(?<!\w)[\d.]+", row)][:-1] for row in rows]  # but the share
 
     attitude = result["attitude"]
     for row, at in zip(cells(result)[:4], (0, 6, 12, 18), strict=True):
