@@ -108,8 +108,7 @@ def outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, A
             blamed.append(name)
         else:
             yield name, outcome
-    # A worker that dies takes all it had been given with it, and all of that is blamed. Alone, only the
-    # guilty fails again.
+    # If a worker dies, all its tasks are blamed. Tried again one by one, only the guilty task fails.
     for name in blamed:
         yield name, _outcome(submitted(client, calls[name]))
 
@@ -130,9 +129,9 @@ def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
 
 @functools.cache
 def _prepare_worker() -> None:
-    """Let this machine's workers share compiled programs, and JAX leave the other workers their cores."""
+    """Let the workers share compiled programs, and limit JAX's threads to this worker's cores."""
     from distributed import get_worker
 
-    # How many threads XLA's processor client starts; read when it first computes, which is after this.
+    # Number of threads of XLA, which reads it when it first computes, after this.
     os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
     enable_compilation_cache()

@@ -13,21 +13,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
-from allanjax.estimate.result import Fit
 from allanjax.estimate.tables import as_html, as_text
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
-from allanjax.fleet.files import matching_files, recording_names
-from allanjax.fleet.groups import Groups, group_names
+from allanjax.fleet.files import (
+    Groups,
+    earlier,
+    group_names,
+    key_of,
+    matching_files,
+    recording_names,
+    store,
+    stored,
+)
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
-from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import judged, left_out, printed
-from allanjax.fleet.table import rows_of, table_of, write_table
+from allanjax.fleet.table import (
+    AxisStructure,
+    judged,
+    left_out,
+    printed,
+    rows_of,
+    structures,
+    table_of,
+    why_not_measured,
+    write_table,
+)
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording
@@ -43,7 +57,7 @@ Progress = Callable[[int, int, int], None]
 
 _RECORDINGS = "recordings"
 _SHORTEST_PIECE = 100_000
-# Of text, which does not say how many rows it has.
+# Bytes of a row of text, whose number of rows is unknown.
 _ROW_BYTES = 40
 
 
@@ -138,7 +152,7 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
+            file and group, a mapping, or a function of the path; see `fleet.files.group_names`.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -166,17 +180,17 @@ def characterize_fleet(
     resumed, others = earlier(folder, recordings, keys)
     for name in resumed:
         done.take(name, stored(folder, name))
-    tell = progress or (lambda done, failed, total: None)
-    tell(*done.counts, len(paths))
+    report = progress or (lambda done, failed, total: None)
+    report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
     if todo:
         with connected(scheduler, workers, len(todo)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
             for name, outcome in outcomes(client, calls):
                 if not isinstance(outcome, Exception):
-                    store(folder, name, {"key": keys[name], "fit": outcome})
+                    store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
-                tell(*done.counts, len(paths))
+                report(*done.counts, len(paths))
     return _written(done, len(resumed), (left_out(others, folder),) if others else (), out)
 
 
@@ -190,14 +204,15 @@ class _Done:
     structures: dict[str, list[AxisStructure]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
 
-    def take(self, name: str, outcome: Mapping[str, Any] | Exception) -> None:
-        """Take in the fit of a recording, or why it has none."""
+    def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
+        """Add the fits of a recording, or the error that prevented them."""
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
         else:
-            self.rows[name] = rows_of(outcome, name, str(self.recordings[name]), self.groups[name])
-            self.structures[name] = structures(outcome)
-            self.errors[name] = _axes_without_result(outcome)
+            file, group = str(self.recordings[name]), self.groups[name]
+            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
+            self.structures[name] = [axis for fit in outcome for axis in structures(fit)]
+            self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -217,11 +232,6 @@ class _Done:
         )
 
 
-def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
-    """Read and fit one recording of a fleet."""
-    return options.fit(read_recording(path, options.reading))
-
-
 def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> None:
     if piece < _SHORTEST_PIECE:
         raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
@@ -234,9 +244,13 @@ def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> 
         )
 
 
-def _characterize(path: Path, options: FitOptions) -> dict[str, Any]:
-    """Task of a worker: one recording."""
-    return to_dict(characterize_recording(path, options))
+def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
+    """Task of a worker: the fit of one recording, or one fit per sensor if their rates differ."""
+    try:
+        return [to_dict(options.fit(read_recording(path, options.reading)))]
+    except MixedRatesError as mixed:
+        readings = [replace(options.reading, columns=sensor) for sensor in mixed.sensors]
+        return [to_dict(options.fit(read_recording(path, reading))) for reading in readings]
 
 
 def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
@@ -252,14 +266,14 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
     """First sample, and how to read it, of each piece of a long recording; none of another."""
     try:
         size = path.stat().st_size
-        # A sample takes a byte at least.
+        # A sample takes at least one byte.
         if size < piece or options.regressors:
             return []
         recording = open_chunks(path, options.reading)
     except (AllanjaxError, OSError):
-        # The worker that reads it as a whole will say what is wrong.
+        # The worker that reads it as a whole reports the error.
         return []
-    # Time stamps would give each piece a rate of its own.
+    # With its own time stamps, each piece would have a slightly different rate.
     reading = replace(options.reading, rate=recording.rate)
     if recording.n is None:
         return [(0, reading)] if size > _ROW_BYTES * piece else []
@@ -268,7 +282,7 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
     begin, end = reading.start, reading.stop
     firsts = range(0, recording.n, piece)
     origin = rows_between(sys.maxsize, recording.rate, begin, None).start
-    # Half-way between two samples: time stamps need not be exact.
+    # Half-way between two samples, since time stamps need not be exact.
     times = [(origin + first - 0.5) / recording.rate for first in firsts[1:]]
     stretches = zip(firsts, [begin, *times], [*times, end], strict=True)
     return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in stretches]
@@ -279,13 +293,13 @@ def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulato
     return accumulate(open_chunks(path, reading), start=first)
 
 
-def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> dict[str, Any]:
+def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> list[dict[str, Any]]:
     """Task of a worker: all pieces of a recording together."""
-    return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
+    return [to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))]
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
-    """Why axes have no result, or one that is not a measurement of the sensor, as `characterize` says it."""
+    """Reasons why axes have no result or no measurement of the sensor, as `characterize` reports them."""
     missing = [axis for axis in fit["axes"] if not axis["converged"]]
     wrong = [axis for axis in fit["axes"] if axis["converged"] and not axis["measured"]]
     return [
@@ -304,13 +318,13 @@ def _reason(path: Path, error: Exception) -> str:
         )
     if isinstance(error, CancelledError):
         return "the scheduler was lost; restart it and run again: finished results are kept"
-    # What a reader or a fit says begins with the file that the worker was given.
+    # Messages of a reader or a fit begin with the path that the worker was given.
     text = str(error).removeprefix(f"{path.absolute()}: ")
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
 def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> FleetResult:
-    """Result of all that is done, after these notes; its table, errors, notes and picture are in `out`."""
+    """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
     table, more = judged(done.table(), done.structures)
     paths = tuple(done.recordings.values())
     result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
