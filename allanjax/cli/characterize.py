@@ -103,9 +103,9 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
 
         accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
         inspection = options.inspect(accumulator)
-        if inspection.stretch is not None:
+        if inspection.longest_part is not None:
             # Disturbed parts cannot be removed from the sums, so the file is read again without them.
-            reading = reading.within(inspection.stretch)
+            reading = reading.within(inspection.longest_part)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
         return options.fit_accumulated(accumulator, inspection)

@@ -114,7 +114,7 @@ class Treatment:
         return {name: of for name, of in found.items() if sum(b - a for a, b in of) < MOST_MISSING * self.n}
 
     @property
-    def allowance(self) -> Float[np.ndarray, " axes"]:
+    def disturbance_error(self) -> Float[np.ndarray, " axes"]:
         """Relative error of the Allan deviation of each axis due to the events that are kept."""
         found = np.zeros(len(self.axes))
         for e in self.kept:
@@ -164,7 +164,7 @@ class Treatment:
             text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}; {then}"
             facts.append(self._fact(own, (name,), consequence, text))  # type: ignore[arg-type]
         if self.kept:
-            share = plain(100.0 * float(self.allowance.max()), 1)
+            share = plain(100.0 * float(self.disturbance_error.max()), 1)
             text = f"{self.describe(self.kept)}; kept, intervals are widened by {share} % of the deviation"
             names = tuple(every[k] for k in sorted({k for e in self.kept for k in e.axes}))
             facts.append(self._fact(self.kept, names, "widened", text))

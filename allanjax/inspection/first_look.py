@@ -44,7 +44,7 @@ class Inspection(ByValue):
 
     Attributes:
         name, rate, n, axes: name, sample rate [Hz], number of samples and axes of the recording.
-        mean, rms: mean of each axis and rms about it, over the stretch [rad/s or m/s²].
+        mean, rms: mean of each axis and rms about it, over the longest part [rad/s or m/s²].
         parts: start and end [s from the first sample] of the parts to estimate from, in order; empty if all
             samples are used.
         lost: samples of single axes that are filled in given the others, by axis.
@@ -54,9 +54,10 @@ class Inspection(ByValue):
         events: disturbances of the sensor.
         left_out: the events for which parts are left out, in words.
         steps: step of the output of each axis [rad/s or m/s²]; 0 if none is detected.
-        allowance: relative error of the Allan deviation of each axis due to disturbed samples that are kept.
-        foreign: rms of white noise on each axis [rad/s or m/s²] that may not be the sensor's own: rounding
-            and outliers.
+        disturbance_error: relative error of the Allan deviation of each axis due to disturbed samples that
+            are kept.
+        added_noise: rms of white noise on each axis [rad/s or m/s²] from rounding and outliers, which may not
+            be the sensor's own.
     """
 
     name: str
@@ -73,13 +74,16 @@ class Inspection(ByValue):
     events: tuple[Event, ...]
     left_out: str
     steps: Float[np.ndarray, " axes"]
-    allowance: Float[np.ndarray, " axes"]
-    foreign: Float[np.ndarray, " axes"]
+    disturbance_error: Float[np.ndarray, " axes"]
+    added_noise: Float[np.ndarray, " axes"]
 
     said = renamed("left_out")
+    stretch = renamed("longest_part")
+    allowance = renamed("disturbance_error")
+    foreign = renamed("added_noise")
 
     @property
-    def stretch(self) -> tuple[float, float] | None:
+    def longest_part(self) -> tuple[float, float] | None:
         """Start and end [s] of the longest part to estimate from; None for the whole recording."""
         return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
@@ -112,11 +116,11 @@ class Inspection(ByValue):
         Samples in `lost` are filled in.
         """
         lost = _at(self.lost, recording)
-        if self.stretch is None:
+        if self.longest_part is None:
             return _completed(recording, lost)
         rows = {part: slice(*(round(time * self.rate) for time in part)) for part in self.parts}
-        longest = rows.pop(self.stretch)
-        quiet = recording.between(*self.stretch)
+        longest = rows.pop(self.longest_part)
+        quiet = recording.between(*self.longest_part)
         kept = [recording.names.index(name) for name in quiet.names]
         others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
         alive = (x for x in others if (np.ptp(x, axis=0) > 0.0).all())
@@ -125,12 +129,12 @@ class Inspection(ByValue):
 
     def uncut(self) -> Inspection:
         """Return this inspection for accumulated samples: if parts must be left out, it is a refusal."""
-        if self.stretch is None:
+        if self.longest_part is None:
             return self
-        start, stop = (f"{time:.6g}" for time in self.stretch)
+        start, stop = (f"{time:.6g}" for time in self.longest_part)
         refusal = (
             f"{self.left_out}; accumulated samples cannot be left out: read again the undisturbed part "
-            f"{span(*self.stretch, grid(self.n / self.rate))} with start={start}, stop={stop} "
+            f"{span(*self.longest_part, grid(self.n / self.rate))} with start={start}, stop={stop} "
             f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
         facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
@@ -211,8 +215,8 @@ def look(
     events, quiet = quiet_parts(windows, sensors, may_move)
     treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
-    stretch = max(parts, key=lambda part: part[1] - part[0], default=None)
-    part = windows.between(*_windows_in(windows, stretch, rate))
+    longest = max(parts, key=lambda part: part[1] - part[0], default=None)
+    part = windows.between(*_windows_in(windows, longest, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, axes, rate)
@@ -235,11 +239,11 @@ def look(
     spikes = [_within(parts, at, rate) for at in spikes]
     if recording is None:
         more, steps = resolved(part, axes, None)
-        foreign = steps / np.sqrt(12.0)
+        added_noise = steps / np.sqrt(12.0)
         more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
         more += [] if ends is None else saturated(axes, ends, steps)
     else:
-        more, steps, foreign = _of_samples(recording, part, stretch, spikes, treatment.lost)
+        more, steps, added_noise = _of_samples(recording, part, longest, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
@@ -260,20 +264,20 @@ def look(
         events,
         treatment.describe(treatment.cut),
         steps,
-        treatment.allowance,
-        foreign,
+        treatment.disturbance_error,
+        added_noise,
     )
 
 
 def _of_samples(
     recording: Recording,
     part: Windows,
-    stretch: tuple[float, float] | None,
+    longest: tuple[float, float] | None,
     spikes: Sequence[Bool[np.ndarray, " n"]],
     lost: Places,
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Facts from the samples themselves; the step, and the rms of foreign white noise, of each axis."""
-    rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
+    """Facts from the samples themselves; the step, and the rms of added white noise, of each axis."""
+    rows = slice(*((0, recording.n) if longest is None else (round(t * recording.rate) for t in longest)))
     drawn = _drawn(recording)
     own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
@@ -292,9 +296,9 @@ def _of_samples(
         if axis.name not in held | grave:
             count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
             facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
-    foreign = np.sqrt(steps**2 / 12.0 + outliers)
+    added_noise = np.sqrt(steps**2 / 12.0 + outliers)
     single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
-    return [*facts, *single], steps, foreign
+    return [*facts, *single], steps, added_noise
 
 
 def _bridged(
@@ -306,11 +310,11 @@ def _bridged(
 
 def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
     """Return which samples are at these places."""
-    found = np.zeros_like(recording.values, bool)
-    for name, stretches in places.items():
-        for first, last in stretches:
-            found[first:last, recording.names.index(name)] = True
-    return found
+    at = np.zeros_like(recording.values, bool)
+    for name, ranges in places.items():
+        for first, last in ranges:
+            at[first:last, recording.names.index(name)] = True
+    return at
 
 
 def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:
@@ -378,13 +382,13 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
 
 
-def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """Return the indices of the first window in the stretch and of the one after its last."""
-    if stretch is None:
+def _windows_in(windows: Windows, part: tuple[float, float] | None, rate: float) -> tuple[int, int]:
+    """Return the indices of the first window in a part [s] and of the one after its last."""
+    if part is None:
         return 0, len(windows)
     edges = windows.edges / rate
-    first = int(np.searchsorted(edges, stretch[0] - 1e-9))
-    last = int(np.searchsorted(edges, stretch[1] + 1e-9, side="right")) - 1
+    first = int(np.searchsorted(edges, part[0] - 1e-9))
+    last = int(np.searchsorted(edges, part[1] + 1e-9, side="right")) - 1
     return first, max(last, first + 1)
 
 

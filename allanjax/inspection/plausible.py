@@ -71,7 +71,7 @@ _TOO_FEW, _FEW_STEPS = 0.5, 2.0
 # Jitter, as a share of the interval, up to which samples count as evenly spaced; readers refuse a fifth.
 _JITTER = 0.05
 # Number of parts whose means are compared with those of the temperature, and the fewest that suffice.
-_STRETCHES, _FEWEST = 64, 12
+_PARTS, _FEWEST = 64, 12
 # Probability that an axis seems to follow a temperature that does not affect it.
 _CHANCE = 0.01
 
@@ -408,7 +408,7 @@ def temperature_facts(recording: Recording) -> Iterator[Fact]:
     test of proportional increments is exact for the former and conservative for the latter. A test of the
     means themselves would find a slope between any two random walks.
     """
-    size = recording.n // _STRETCHES or 1
+    size = recording.n // _PARTS or 1
     whole = recording.n // size * size
     if whole // size < _FEWEST:
         return

@@ -21,7 +21,7 @@ from allanjax.record.recording import Axis
 
 #: Width of the middle half of a normal law, in standard deviations.
 _HALF_WIDTH = 1.349
-#: Numbers of windows that are averaged to find long stretches that are only slightly louder.
+#: Numbers of windows that are averaged to detect long runs that are only slightly louder.
 LENGTHS = (1, 4, 16, 64)
 #: Fewest independent averages among which an unusual one can be detected.
 _FEWEST = 8
@@ -51,10 +51,10 @@ Scores = Float[np.ndarray, "groups places"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Steps:
-    """Differences between the means of neighbouring stretches, at all places.
+    """Differences between the means of neighbouring runs of windows, at all places.
 
     Attributes:
-        lag: number of windows of a stretch; place k compares those from k on with those from k + lag on.
+        lag: number of windows of a run; place k compares those from k on with those from k + lag on.
         score: the score of each axis, and of groups of them, at each place.
         step: difference of each axis, less the median.
         scatter: scatter of the differences of each axis.
@@ -130,7 +130,7 @@ def noise_scores(
 def steps_of(
     windows: Windows, sensors: Sequence[str], left_out: Bool[np.ndarray, " w"] | None = None
 ) -> Iterator[Steps]:
-    """Differences between the means of neighbouring stretches of 1, 2, 4, … windows, with scores.
+    """Differences between the means of neighbouring runs of 1, 2, 4, … windows, with scores.
 
     Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
     windows in `left_out`.

@@ -159,7 +159,7 @@ def test_options_of_a_fit_reach_it():
     refused = run("characterize", *options, "pressure")
     assert (refused.exit_code, "temperature" in refused.stderr) == (1, True)
     aj.write(handled := bench.recording("handled"), "a.parquet")
-    assert aj.inspect(handled).stretch is not None
+    assert aj.inspect(handled).longest_part is not None
     # Far off: no measurement of the sensor.
     of_all = fitted("a.parquet", "--terms", "N + K", "--as-is", code=1)
     check_fit(of_all, aj.fit(handled, "N + K", as_is=True))
