@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from allanjax.base.errors import AllanjaxError, MixedRatesError
+from allanjax.base.errors import AllanjaxError, MixedRatesError, RecordingError
 from allanjax.base.tables import is_unicode
-from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
+from allanjax.cli.interrupt import TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
@@ -49,15 +49,6 @@ Vibrating = Annotated[
     bool,
     typer.Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
 ]
-
-
-def epilog(*examples: str) -> str:
-    """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
-    codes = (
-        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
-        f"{INTERRUPTED} interrupted."
-    )
-    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 class Input(NamedTuple):
@@ -101,11 +92,13 @@ def work_through(
     work: Callable[[Input, Path | None], Outcome],
     document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
     writes: bool = True,
+    unreadable: Callable[[RecordingError, Input], Outcome] | None = None,
 ) -> None:
     """Do a command's `work` on each file and print the results; a bad file does not stop the others.
 
     JSON is what `document` makes of the files' documents and the number of files. Ends the program with an
     error if a file failed. `writes` is whether the command writes files, which go into the folder `out`.
+    `unreadable` makes a result of the error for a file that is not a usable recording.
     """
     directory = out if as_json or not writes else out or RESULTS
     prepare(directory)
@@ -121,8 +114,10 @@ def work_through(
                 pending.extendleft(reversed(file.of(mixed.sensors)))
                 continue
             except FAILURES as failure:
-                errors.append(_reported(file, _reason(failure, file.label)))
-                continue
+                if unreadable is None or not isinstance(failure, RecordingError):
+                    errors.append(_reported(file, _reason(failure, file.label)))
+                    continue
+                done = unreadable(failure, file)
             if as_json:
                 documents.append({"file": file.label, **done.document})
             else:

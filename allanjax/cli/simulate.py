@@ -1,4 +1,4 @@
-"""The command `allanjax simulate`."""
+"""The commands `allanjax simulate` and `demo`."""
 
 import math
 from pathlib import Path
@@ -6,11 +6,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from allanjax.cli.common import Sheet, epilog, prepare, stage, user_errors
-from allanjax.cli.options import parsed_model
+from allanjax.cli.common import Input, Sheet, prepare, print_written, stage, user_errors
+from allanjax.cli.options import command, parsed_model
+from allanjax.cli.recordings import read_and_fit
+from allanjax.fleet.options import FitOptions
 
-HELP = "Simulate a static recording of a known sensor or of given noise terms, and write it to a file."
-EPILOG = epilog(
+
+@command(
     "allanjax simulate --list",
     "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
     "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
@@ -18,9 +20,7 @@ EPILOG = epilog(
     "allanjax simulate --sensor accel --out a.npz "
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
-
-
-def command(
+def simulate(
     preset: Annotated[str | None, typer.Argument(help="Sensor listed by --list.", metavar="SENSOR")] = None,
     terms: Annotated[
         str | None,
@@ -42,6 +42,7 @@ def command(
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
 ) -> None:
+    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file."""
     from allanjax.noise.sensors import SENSORS
 
     if show_list:
@@ -79,3 +80,34 @@ def command(
             write(recording, path)
             size = f"{recording.n:,} samples at {recording.rate:g} Hz"
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
+
+
+@command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
+        "allanjax-demo"
+    ),
+) -> None:
+    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."""
+    prepare(out)
+    with stage("loading allanjax"):
+        from allanjax.cli.demo_sensor import compare, demo_recording
+        from allanjax.record.io import write
+        from allanjax.report.files import write_results
+    with user_errors():
+        out.mkdir(parents=True, exist_ok=True)
+        file = out / "demo.csv"
+        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+            recording = demo_recording()
+            write(recording, file)
+        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+        check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+        with stage("writing results"):
+            paths = write_results(fit, spectrum.result(), out, file.stem, check)
+    table, inside, count = compare(fit)
+    print(table)
+    print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
+    print_written(paths)
+    print("\nFor your own recording:\n    allanjax characterize imu.csv")
+    print("If it has no time stamps and no units in its header:")
+    print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")

@@ -2,15 +2,11 @@
 
 from pathlib import Path
 
-from allanjax.record.io.binary import NPY, NPZ, PARQUET
-from allanjax.record.io.dataflash import DATAFLASH
-from allanjax.record.io.hdf5 import HDF5
-from allanjax.record.io.matlab import MAT
+from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
+from allanjax.record.io.flight_logs import DATAFLASH, ULOG
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
-from allanjax.record.io.tdms import TDMS
 from allanjax.record.io.text import TEXT
-from allanjax.record.io.ulog import ULOG
 from allanjax.record.io.vectornav import VECTORNAV
 from allanjax.record.validation import Source
 

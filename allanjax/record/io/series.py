@@ -100,57 +100,6 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
     return replace(one, name=both, accel=other.accel, auxiliary={**other.auxiliary, **one.auxiliary})
 
 
-def choose(
-    found: Mapping[tuple[str, int], Series],
-    groups: Sequence[tuple[str, ...]],
-    topic: str | None,
-    instance: int | None,
-    source: Source,
-) -> list[Series]:
-    """Return the series of a flight log to read: one, or one of the gyros and one of the accelerometers.
-
-    Args:
-        found: series by message and number of the sensor.
-        groups: messages that form one recording, gyros first.
-        topic: the message, or two separated by a comma; by default the group with the highest rate.
-        instance: number of the sensor; by default the first.
-        source: origin of the series.
-
-    Raises:
-        RecordingError: there is no such message or sensor.
-    """
-    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
-    if not kept:
-        numbers = sorted({number for _, number in found})
-        raise source.error(
-            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
-        )
-    names = {name for name, _ in kept}
-    if topic is None:
-        fastest = max(kept, key=lambda key: kept[key].rate)[0]
-        wanted = next({*group} & names for group in groups if fastest in group)
-    else:
-        wanted = {name.strip() for name in topic.split(",")}
-        if not wanted <= names or not any(wanted <= {*group} for group in groups):
-            raise source.error(
-                f"topic {topic!r} is not a recording in the log; topics are "
-                f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
-            )
-    first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
-    return [kept[key] for key in first]
-
-
 def recording_of(chosen: Sequence[Series], source: Source) -> Series:
     """Return the chosen series, or two joined."""
     return chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
-
-
-def describe_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
-    """Return a note on what was read from a flight log, and what else it has."""
-    words = {
-        id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
-    }
-    taken = " and ".join(words.pop(id(series)) for series in chosen)
-    if not words:
-        return taken
-    return f"{taken}; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"
