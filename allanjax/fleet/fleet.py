@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import csv
+import functools
+import logging
 import os
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from allanjax.base.cache import enable_compilation_cache
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.tables import as_html, as_text
-from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import (
     Groups,
     earlier,
@@ -49,12 +53,17 @@ from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     import pandas as pd
-    from distributed import Client
+    from distributed import Client, Future
     from matplotlib.figure import Figure
 
 Progress = Callable[[int, int, int], None]
 """Called with the numbers of recordings done, failed, and in total."""
 
+Call = tuple[Callable[..., Any], Sequence[Any]]
+"""A function that the workers can import, and its positional arguments; futures among them are waited for."""
+
+# Time in s for a scheduler to answer.
+_CONNECT_SECONDS = 10
 _RECORDINGS = "recordings"
 _SHORTEST_PIECE = 100_000
 # Bytes of a row of text, whose number of rows is unknown.
@@ -184,9 +193,9 @@ def characterize_fleet(
     report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
     if todo:
-        with connected(scheduler, workers, len(todo)) as client:
+        with _connected(scheduler, workers, len(todo)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
-            for name, outcome in outcomes(client, calls):
+            for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
                     store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
@@ -258,7 +267,7 @@ def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Ca
     stretches = _pieces(path, options, piece)
     if not stretches:
         return _characterize, (path, options)
-    pieces = [submitted(client, (_accumulate, (path, reading, first))) for first, reading in stretches]
+    pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in stretches]
     return _characterize_pieces, (pieces, options)
 
 
@@ -295,7 +304,7 @@ def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulato
 
 def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> list[dict[str, Any]]:
     """Task of a worker: all pieces of a recording together."""
-    return [to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))]
+    return [to_dict(options.fit_accumulated(functools.reduce(AllanAccumulator.merge, pieces)))]
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
@@ -336,3 +345,115 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> Fl
     (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
     result.plot(out / "fleet.png")
     return result
+
+
+@contextmanager
+def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterator[Client]:
+    """Client of the cluster at an address, or of a local one that is closed after the tasks.
+
+    Args:
+        scheduler: address of a running scheduler, e.g. `tcp://host:8786`.
+        workers: processes of the local cluster; by default one per core, but no more than tasks.
+        tasks: how many tasks there will be.
+
+    Raises:
+        AllanjaxError: Dask is not installed, or the scheduler does not answer.
+    """
+    try:
+        from dask.system import CPU_COUNT
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise AllanjaxError('a fleet needs Dask: pip install "allanjax[fleet]"') from error
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise AllanjaxError(
+                f"no Dask scheduler answers at {scheduler!r}; check that it runs, and the address in "
+                "scheduler= (--scheduler), e.g. tcp://host:8786"
+            ) from error
+        with client:
+            yield client
+        return
+    with _interrupts_blocked():
+        cluster = LocalCluster(
+            n_workers=min(workers or CPU_COUNT, tasks),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="localhost:0",
+            # A worker that dies is reported with its recording, or does no harm.
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Make processes that are started now ignore Ctrl-C, which they would answer with a traceback each."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started with the first process, the tracker would unblock the signal.
+    resource_tracker.ensure_running()
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
+
+
+def _submitted(client: Client, call: Call) -> Future:
+    """Future of a call on the cluster."""
+    return client.submit(_call, *call, pure=False)
+
+
+def _outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, Any]]:
+    """Make calls on the cluster.
+
+    Args:
+        client: client of the cluster.
+        calls: the calls by their names.
+
+    Yields:
+        Name and result of each call as they end, or the exception it raised; `distributed.KilledWorker` if
+        several workers died over it.
+    """
+    from distributed import KilledWorker, as_completed
+
+    names = {_submitted(client, call): name for name, call in calls.items()}
+    blamed = []
+    for future in as_completed(list(names), loop=client.loop):
+        name = names.pop(future)
+        outcome = _result_of(future)
+        if isinstance(outcome, KilledWorker):
+            blamed.append(name)
+        else:
+            yield name, outcome
+    # If a worker dies, all its tasks are blamed. Tried again one by one, only the guilty task fails.
+    for name in blamed:
+        yield name, _result_of(_submitted(client, calls[name]))
+
+
+def _result_of(future: Any) -> Any:
+    """Result of a future, or the exception that it raised."""
+    try:
+        return future.result()
+    except Exception as error:
+        return error
+
+
+def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+    """Make a call in a worker process."""
+    _prepare_worker()
+    return function(*arguments)
+
+
+@functools.cache
+def _prepare_worker() -> None:
+    """Let the workers share compiled programs, and limit JAX's threads to this worker's cores."""
+    from distributed import get_worker
+
+    # Number of threads of XLA, which reads it when it first computes, after this.
+    os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
+    enable_compilation_cache()

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.disturbances import Places, Treatment, outliers_of, spikes_in
-from allanjax.inspection.events import Event, quiet_parts
+from allanjax.inspection.events import Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
     Ends,
@@ -24,9 +23,8 @@ from allanjax.inspection.plausible import (
     short,
     temperature_facts,
 )
-from allanjax.inspection.scores import mean_squares, motion_warning, motions, rms_within
 from allanjax.inspection.spectral import spectral_facts
-from allanjax.inspection.windows import Windows
+from allanjax.inspection.windows import Windows, mean_squares, motion_warning, motions, rms_within, runs
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
@@ -36,6 +34,18 @@ _NOT_EXAMINED = (
 )
 # An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 _TRIFLE = 0.005
+# Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
+_FAR = 6.0
+# Samples on either side that are compared, and the most outliers within that distance.
+_AROUND, _CLOSE = 3, 3
+# Standard deviations beyond which Gaussian noise has this share of samples; so many times more is no chance.
+_OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
+# Share of the smallest distances from which the scale is estimated, and their rms for normal variates.
+_INNER, _INNER_RMS = 0.7, 0.5565
+# Share of zero distances beyond which the rounding is too coarse for that estimate.
+_EQUAL = 0.35
+# Largest share of outlying samples on an axis: with more, the noise itself has heavy tails.
+_MOST = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -397,3 +407,47 @@ def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
     squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
+
+
+def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return which samples are isolated outliers, up to three close together; none if there are too many.
+
+    An outlier is far both from the mean of its two neighbours and from the median of the seven samples around
+    it, in standard deviations of Gaussian noise. A step is not far from the median; a knock or a burst has
+    more such samples close together.
+    """
+    distance, scale = _distances(x)
+    far, places = np.zeros(len(x), bool), np.flatnonzero(distance > _FAR)
+    if len(places) > 3.0 * _MOST * len(x):
+        return far
+    around = np.pad(x, _AROUND, mode="reflect")[places[:, None] + np.arange(2 * _AROUND + 1)]
+    far[places[abs(x[places] - np.median(around, axis=1)) > _FAR * scale]] = True
+    for first, last in runs(far, _AROUND):
+        far[first:last] &= far[first:last].sum() <= _CLOSE
+    return far if far.mean() <= _MOST else np.zeros_like(far)
+
+
+def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
+    """Return the number of samples beyond Gaussian noise, and the variance that they add.
+
+    Both are zero if chance explains the number. Deviations up to a rounding `step` do not count.
+    """
+    distance, scale = _distances(x)
+    beyond = distance[distance * scale > _OUTLYING * scale + step]
+    if len(beyond) <= _ENOUGH * (1.0 + len(x) * _GAUSSIAN_BEYOND):
+        return 0, 0.0
+    return len(beyond), float(np.sum(beyond**2 - 1.0)) * scale**2 / len(x)
+
+
+def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
+    """Return distances from the mean of the two neighbours in robust standard deviations, and that deviation.
+
+    Distances are zero if many samples equal that mean: the output is rounded, and its steps are not outliers.
+    """
+    left = np.zeros(len(x))
+    left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    # The median itself would be coarse where the output is rounded.
+    inner = np.partition(left, most := int(_INNER * len(x)))[:most]
+    scale = float(np.sqrt(np.mean(inner**2))) / _INNER_RMS
+    rounded = np.mean(left[1:-1] == 0.0) > _EQUAL
+    return (np.zeros(len(x)) if rounded or not scale > 0.0 else left / scale), scale

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.scores import AT_REST, DEG
-from allanjax.inspection.windows import Windows
+from allanjax.inspection.windows import AT_REST, DEG, Windows
 from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of

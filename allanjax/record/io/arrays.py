@@ -179,7 +179,9 @@ def open_hdf5(path: Path, source: Source) -> Table:
         with _opened(path, source) as file:
             datasets = _datasets(file)
             for first in range(0, table.n or 0, chunk):
-                blocks = (_rows(datasets[name], slice(first, first + chunk)) for name in names)
+                part = slice(first, first + chunk)
+                samples = (datasets[name] for name in names)
+                blocks = (x[part] if _row_axis(x) == 0 else x[:, part].T for x in samples)
                 yield tuple(column for x in blocks for column in x.reshape(len(x), -1).T)
 
     return replace(table, rows=rows)
@@ -213,11 +215,6 @@ def _datasets(file: Any) -> Mapping[str, Any]:
 
     file.visititems(visit)
     return found
-
-
-def _rows(dataset: Any, rows: slice) -> np.ndarray:
-    """Return rows of a dataset, [rows] or [rows, columns]."""
-    return dataset[rows] if _row_axis(dataset) == 0 else dataset[:, rows].T
 
 
 def _outline(dataset: Any) -> np.ndarray:

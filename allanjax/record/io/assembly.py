@@ -22,7 +22,7 @@ from allanjax.record.columns import (
     scales_of,
     split_unit,
 )
-from allanjax.record.completion import Gap, on_grid, rows_between, stretches_of, without_repeats
+from allanjax.record.completion import Gap, on_grid, rows_between, segments_of, without_repeats
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
@@ -259,7 +259,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
         notes.append(found.note)
         stretch = stretch._replace(times=np.arange(len(stretch.times)) / rate)
     stamped = bool(layout.time) and not options.uniform
-    others: tuple[_Stretch, ...] = ()
+    others: tuple[_Segment, ...] = ()
     missing: tuple[Gap, ...] | None = () if stamped else None
     if options.gaps == "segments":
         stretch, others, source, missing = _segments(stretch, source, notes)
@@ -279,7 +279,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     return build(*of_stretch, fill, [other.values for other in others], missing)
 
 
-class _Stretch(NamedTuple):
+class _Segment(NamedTuple):
     """Samples of a segment in the file's units, auxiliary channels, and times [s]."""
 
     values: Float[np.ndarray, "samples axes"]
@@ -291,10 +291,10 @@ class _Stretch(NamedTuple):
         """Mean interval of its times [s]."""
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
-    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
+    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Segment":
         """Return these rows."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        return _Stretch(self.values[rows], auxiliary, self.times[rows])
+        return _Segment(self.values[rows], auxiliary, self.times[rows])
 
 
 def _read(
@@ -304,7 +304,7 @@ def _read(
     options: ReadOptions,
     source: Source,
     notes: list[str],
-) -> tuple[_Stretch, Source]:
+) -> tuple[_Segment, Source]:
     """Return the rows from start to stop, without repeated ones, and their source."""
     samples = len(columns[0])
     if layout.time:
@@ -329,7 +329,7 @@ def _read(
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    stretch = _Stretch(values, auxiliary, times[rows])
+    stretch = _Segment(values, auxiliary, times[rows])
     if not layout.time:
         return stretch, source
     kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, stretch.times)
@@ -389,10 +389,10 @@ def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
 
 
 def _segments(
-    stretch: _Stretch, source: Source, notes: list[str]
-) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[Gap, ...]]:
+    stretch: _Segment, source: Source, notes: list[str]
+) -> tuple[_Segment, tuple[_Segment, ...], Source, tuple[Gap, ...]]:
     """Return the longest segment without gaps, other segments, its source, and the gaps."""
-    found = stretches_of(stretch.values, after_gaps(stretch.times))
+    found = segments_of(stretch.values, after_gaps(stretch.times))
     source = source.after(found.longest.start)
     check_length(found.longest.stop - found.longest.start, source)
     longest = stretch.taken(found.longest)
@@ -671,19 +671,16 @@ class _PartOfFile:
             else:
                 times = (row + np.arange(size)) / (rate or 1.0)
             rows = rows_of_times(times, None if len(before) else self.start, self.stop)
-            piece = self._piece(columns, rows, times[rows], row)
-            if len(piece.times):
-                together = np.concatenate([before, piece.times])
+            if rows.stop > rows.start:
+                together, place = (
+                    np.concatenate([before, times[rows]]),
+                    self.table.source.after(row + rows.start),
+                )
                 if stamps and self.stamped is not None and len(together) > 1:
-                    place = piece.source.after(-len(before))
-                    check_rate_kept(together, self.layout.time_label, self.stamped, place)
+                    check_rate_kept(together, self.layout.time_label, self.stamped, place.after(-len(before)))
                 before = together[-_BEFORE:]
-                yield piece
+                axes = tuple(columns[column.index][rows] for column in self.layout.axes)
+                yield _Piece(axes, times[rows], place)
             if rows.stop < size:
                 return
             row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
-
-    def _piece(self, columns: Columns, rows: slice, times: np.ndarray, row: int) -> _Piece:
-        """Return the piece with these rows of a chunk that begins at row `row` of the file."""
-        axes = tuple(columns[column.index][rows] for column in self.layout.axes)
-        return _Piece(axes, times, self.table.source.after(row + rows.start))

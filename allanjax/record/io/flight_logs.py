@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
-from allanjax.record.io.series import Series, recording_of
+from allanjax.record.io.series import Series, joined
 from allanjax.record.io.table import Format, Table, damage_reported, floats
 from allanjax.record.validation import Source
 
@@ -62,8 +62,8 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
     found = {key: series for key, series in found.items() if len(series.times)}
     if not found:
         raise source.error(f"no samples of an IMU ({', '.join(_READERS)}); {_LOG_MORE}")
-    chosen = choose(found, _ULOG_GROUPS, topic, instance, source)
-    notes = [describe_choice(found, chosen)]
+    chosen, note = _chosen(found, _ULOG_GROUPS, topic, instance, source)
+    notes = [note]
     if chosen[0].name == "sensor_combined":
         notes.append(
             f"sensor_combined is averaged and corrected by the autopilot; for raw samples {_LOG_MORE}"
@@ -73,7 +73,7 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         notes.append(f"{count} logging dropout{'s' * (count > 1)}, {lost} ms in total")
     if log.file_corruption:
         notes.append("damaged parts of the log are left out")
-    return recording_of(chosen, source).table("timestamp", source, notes)
+    return joined(chosen, source).table("timestamp", source, notes)
 
 
 class _BoundedFile(io.BufferedReader):
@@ -233,14 +233,14 @@ def open_dataflash(path: Path, source: Source, topic: str | None, instance: int 
         )
     if not found:
         raise source.error(f"no samples of an IMU (IMU, or GYR and ACC); {_LOG_IMU}")
-    chosen = choose(found, _DATAFLASH_GROUPS, topic, instance, source)
-    notes = [describe_choice(found, chosen)]
+    chosen, note = _chosen(found, _DATAFLASH_GROUPS, topic, instance, source)
+    notes = [note]
     skipped = len(data) - int(lengths[kinds].sum())
     if skipped:
         notes.append(f"{skipped} of {len(data)} bytes are incomplete messages and left out")
     if batches:
         notes.append("batches of samples with pauses (ISBH, ISBD) are left out")
-    return recording_of(chosen, source).table("time", source, notes)
+    return joined(chosen, source).table("time", source, notes)
 
 
 def _heads(data: UInt8[np.ndarray, " bytes"]) -> Int[np.ndarray, " heads"]:
@@ -329,14 +329,14 @@ DATAFLASH = Format(
 )
 
 
-def choose(
+def _chosen(
     found: Mapping[tuple[str, int], Series],
     groups: Sequence[tuple[str, ...]],
     topic: str | None,
     instance: int | None,
     source: Source,
-) -> list[Series]:
-    """Return the series of a flight log to read: one, or one of the gyros and one of the accelerometers.
+) -> tuple[list[Series], str]:
+    """Return the series to read, one or one per sensor (gyros first), and a note on the choice.
 
     Args:
         found: series by message and number of the sensor.
@@ -365,16 +365,9 @@ def choose(
                 f"topic {topic!r} is not a recording in the log; topics are "
                 f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
             )
-    first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
-    return [kept[key] for key in first]
-
-
-def describe_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
-    """Return a note on what was read from a flight log, and what else it has."""
-    words = {
-        id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
-    }
-    taken = " and ".join(words.pop(id(series)) for series in chosen)
-    if not words:
-        return taken
-    return f"{taken}; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"
+    first = [min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True)]
+    words = {key: f"{key[0]} {key[1]} at {series.rate:.4g} Hz" for key, series in found.items()}
+    note = " and ".join(words.pop(key) for key in first)
+    if words:
+        note += f"; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"
+    return [kept[key] for key in first], note

@@ -6,8 +6,7 @@ from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
 from allanjax.record.io.flight_logs import DATAFLASH, ULOG
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
-from allanjax.record.io.text import TEXT
-from allanjax.record.io.vectornav import VECTORNAV
+from allanjax.record.io.text import TEXT, VECTORNAV
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried; the last one is the fallback.

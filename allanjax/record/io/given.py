@@ -73,18 +73,6 @@ def as_recording(
     )
 
 
-def from_dataframe(
-    frame: "pd.DataFrame",
-    rate: float | None = None,
-    *,
-    gyro_unit: str | None = None,
-    accel_unit: str | None = None,
-    names: Sequence[str] | None = None,
-) -> Recording:
-    """Make a recording from a data frame; see `Recording.from_dataframe`."""
-    return as_recording(frame, rate, gyro_unit, accel_unit, names)
-
-
 def samples_of(
     data: RecordingLike,
     rate: float | None = None,

@@ -69,14 +69,17 @@ def seconds_between(stamps: Int[np.ndarray, " n"]) -> Float[np.ndarray, " interv
     return regular_intervals(1e-9 * (ordered - ordered[:1]))
 
 
-def joined(gyro: Series, accel: Series, source: Source) -> Series:
-    """Return the gyros of one and the accelerometers of another sorted series, with the stamps of the gyros.
+def joined(chosen: Sequence[Series], source: Source) -> Series:
+    """Return a sorted series, or the gyros of one and the accelerometers of another with the gyros' stamps.
 
     A sample without partner is left out, which leaves a gap.
 
     Raises:
         RecordingError: the rates differ, or the samples were not taken at the same times.
     """
+    if len(chosen) == 1:
+        return chosen[0]
+    gyro, accel = chosen
     rates = gyro.rate, accel.rate
     choose = f"choose one with topic= (--topic), {gyro.name} or {accel.name}"
     if not all(rates) or abs(rates[0] / rates[1] - 1.0) > MAX_RATE_DIFFERENCE:
@@ -86,9 +89,9 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
         )
     half = round(0.5e9 / rates[0])
     partner = np.searchsorted(accel.times, gyro.times - half)
-    found = partner < len(accel.times)
-    found[found] = accel.times[partner[found]] < gyro.times[found] + half
-    rows = np.flatnonzero(found)
+    paired = partner < len(accel.times)
+    paired[paired] = accel.times[partner[paired]] < gyro.times[paired] + half
+    rows = np.flatnonzero(paired)
     rows = rows[np.diff(partner[rows], prepend=-1) > 0]
     if len(rows) < _MATCHED * min(len(gyro.times), len(accel.times)):
         raise source.error(
@@ -98,8 +101,3 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
     one, other = gyro.taken(rows), accel.taken(partner[rows])
     both = f"{gyro.name} and {accel.name}"
     return replace(one, name=both, accel=other.accel, auxiliary={**other.auxiliary, **one.auxiliary})
-
-
-def recording_of(chosen: Sequence[Series], source: Source) -> Series:
-    """Return the chosen series, or two joined."""
-    return chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
