@@ -286,9 +286,11 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
 
 def result_names(files: Sequence[Path]) -> list[str]:
     """Names for the results of each file: the file's without suffix, numbered if several files share it."""
+    from allanjax.record.io.formats import name_of
+
     names: list[str] = []
     for file in files:
-        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
+        stem = name_of(file)
         # Some file systems ignore case.
         taken = {name.casefold() for name in names}
         numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))

@@ -83,6 +83,11 @@ class Values:
         """Whether a unit has an estimate or a limit."""
         return self.known | self.limited
 
+    @property
+    def testable(self) -> bool:
+        """Whether there are enough units for `outlying` to mark one."""
+        return bool(self.known.any() and self.comparable.sum() >= FEWEST_UNITS)
+
     def towards(self, centre: float) -> Numbers:
         """Standard deviations of x on the side that faces the centre; limits have none."""
         s = np.where(self.x > centre, self.below, self.above)
@@ -191,20 +196,14 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
     return marked
 
 
-def testable(axes: list[Values]) -> bool:
-    """Whether `outlying` can mark a unit: whether an axis has enough units."""
-    return any(axis.known.any() and axis.comparable.sum() >= FEWEST_UNITS for axis in axes)
-
-
 def _unlike(values: Values, probability: float, log_prior: Widths) -> Flags:
     """Whether each unit is unlike the others in one column."""
     marked = np.zeros(len(values.x), bool)
-    comparable = values.comparable
-    if not values.known.any() or comparable.sum() < FEWEST_UNITS:
+    if not values.testable:
         return marked
     suspects, is_high = _suspects(values)
     # A limit far above the others does not describe its unit.
-    comparable = comparable & (values.known | ~is_high)
+    comparable = values.comparable & (values.known | ~is_high)
     for k in range(len(suspects), 0, -1):
         suspect = suspects[k - 1]
         others = comparable if is_high[suspect] else values.known

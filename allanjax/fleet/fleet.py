@@ -264,10 +264,10 @@ def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
 
 def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
     """Task for a recording: one function, or the one that puts the pieces of a long recording together."""
-    stretches = _pieces(path, options, piece)
-    if not stretches:
+    parts = _pieces(path, options, piece)
+    if not parts:
         return _characterize, (path, options)
-    pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in stretches]
+    pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in parts]
     return _characterize_pieces, (pieces, options)
 
 
@@ -293,8 +293,8 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
     origin = rows_between(sys.maxsize, recording.rate, begin, None).start
     # Half-way between two samples, since time stamps need not be exact.
     times = [(origin + first - 0.5) / recording.rate for first in firsts[1:]]
-    stretches = zip(firsts, [begin, *times], [*times, end], strict=True)
-    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in stretches]
+    parts = zip(firsts, [begin, *times], [*times, end], strict=True)
+    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in parts]
 
 
 def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulator:
@@ -349,12 +349,9 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> Fl
 
 @contextmanager
 def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterator[Client]:
-    """Client of the cluster at an address, or of a local one that is closed after the tasks.
+    """Client of the cluster at the address `scheduler`, or of a local one that is closed after the tasks.
 
-    Args:
-        scheduler: address of a running scheduler, e.g. `tcp://host:8786`.
-        workers: processes of the local cluster; by default one per core, but no more than tasks.
-        tasks: how many tasks there will be.
+    By default the local cluster has one worker per core, but no more than tasks.
 
     Raises:
         AllanjaxError: Dask is not installed, or the scheduler does not answer.
@@ -409,15 +406,9 @@ def _submitted(client: Client, call: Call) -> Future:
 
 
 def _outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, Any]]:
-    """Make calls on the cluster.
+    """Make calls on the cluster; yield the name and result of each as they end, or the exception it raised.
 
-    Args:
-        client: client of the cluster.
-        calls: the calls by their names.
-
-    Yields:
-        Name and result of each call as they end, or the exception it raised; `distributed.KilledWorker` if
-        several workers died over it.
+    The exception is `distributed.KilledWorker` if several workers died over the call.
     """
     from distributed import KilledWorker, as_completed
 

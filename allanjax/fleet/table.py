@@ -23,7 +23,6 @@ from allanjax.fleet.comparison import (
     log_values,
     outlying,
     pooled_values,
-    testable,
 )
 from allanjax.inspection.facts import listed, why_no_measurement
 from allanjax.noise.estimate import title_of
@@ -58,8 +57,6 @@ _NAMED = 5
 _ROWS, _SHORT = 40, 28
 # Columns that identify the coefficient and the units of a row.
 _PLACE = ("axis", "group", "coefficient")
-# Numbers in words.
-_COUNTS = ("no", "one", "two", "three", "four", "five", "six")
 
 
 @functools.cache
@@ -161,7 +158,7 @@ def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
     `comparison.outlying` judges a coefficient by all axes of a sensor. In a fleet of equal units, the
     probability of any mark is 1 % (Bonferroni: every coefficient has its share).
     """
-    judged = [family for family in families(table) if testable(family.axes)]
+    judged = [family for family in families(table) if any(axis.testable for axis in family.axes)]
     marked = np.zeros(len(table) + 1, bool)
     for family in judged:
         found = outlying(family.axes, FALSE_ALARMS / len(judged), family.coefficient)
@@ -358,11 +355,10 @@ def _split_note(split: Split, names: Sequence[str], group: str) -> str:
         units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
         parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units, _NAMED)})")
     apart = " and ".join(significant(ratio, 2) for ratio in split.ratios)
-    count = _COUNTS[split.groups] if split.groups < len(_COUNTS) else str(split.groups)
+    what = f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''}"
     return (
-        f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''} falls into {count} groups, "
-        f"{apart} times apart: {', '.join(parts)}. Units are compared within these; pass groups of your own "
-        "with group= (--group)"
+        f"{what} falls into {split.groups} groups, {apart} times apart: {', '.join(parts)}. Units are "
+        "compared within these; pass groups of your own with group= (--group)"
     )
 
 

@@ -492,7 +492,6 @@ def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, 
     return "shift", axis, float(span[axis])
 
 
-@dataclasses.dataclass(frozen=True)
 class Treatment:
     """How the events of a recording of n samples of these axes at this rate [Hz] are handled.
 
@@ -505,40 +504,26 @@ class Treatment:
         unclear: whether the disturbance lasts so long that the quiet part may not be the sensor at rest.
     """
 
-    axes: Sequence[Axis]
-    rate: float
-    n: int
-    as_is: bool
-    quiet: Sequence[tuple[int, int]]
-    cut: Sequence[Event]
-    alone: Sequence[Event]
-    kept: Sequence[Event]
-    harmless: Sequence[Event]
-    possible: bool
-    unclear: bool
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         events: Sequence[Event],
         quiet: Sequence[tuple[int, int]],
         axes: Sequence[Axis],
         rate: float,
         n: int,
         as_is: bool,
-    ) -> Treatment:
-        """Return the treatment of events, given the parts without those that must be cut out."""
-        touched = [e for e in events if e.matters]
-        cut = [e for e in touched if e.is_cut]
-        alone = [e for e in touched if e.is_of_one_axis and not e.is_slight]
-        kept = [e for e in touched if e.is_slight]
-        harmless = [e for e in events if not e.matters]
-        quieter = sum(e.last - e.first for e in cut if e.kind == "quieter" and e.size > _MUCH)
-        unclear = quieter > _LONG * n
-        possible = sum(b - a for a, b in quiet) >= _LEAST_SHARE * n and not unclear
-        if cut and not (possible or unclear) and sum(e.share for e in cut) < _SLIGHT:
-            cut, kept, possible = [], [*kept, *cut], True
-        return cls(axes, rate, n, as_is, quiet, cut, alone, kept, harmless, possible, unclear)
+    ) -> None:
+        self.axes, self.rate, self.n, self.as_is, self.quiet = axes, rate, n, as_is, quiet
+        matter = [e for e in events if e.matters]
+        self.cut = [e for e in matter if e.is_cut]
+        self.alone = [e for e in matter if e.is_of_one_axis and not e.is_slight]
+        self.kept = [e for e in matter if e.is_slight]
+        self.harmless = [e for e in events if not e.matters]
+        quieter = sum(e.last - e.first for e in self.cut if e.kind == "quieter" and e.size > _MUCH)
+        self.unclear = quieter > _LONG * n
+        self.possible = sum(b - a for a, b in quiet) >= _LEAST_SHARE * n and not self.unclear
+        if self.cut and not (self.possible or self.unclear) and sum(e.share for e in self.cut) < _SLIGHT:
+            self.cut, self.kept, self.possible = [], [*self.kept, *self.cut], True
 
     @property
     def parts(self) -> tuple[tuple[float, float], ...]:

@@ -223,7 +223,7 @@ def look(
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
     events, quiet = quiet_parts(windows, sensors, may_move)
-    treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
+    treatment = Treatment(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
     longest = max(parts, key=lambda part: part[1] - part[0], default=None)
     part = windows.between(*_windows_in(windows, longest, rate))

@@ -305,13 +305,8 @@ def resolved(
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
     """Return facts about axes with coarsely rounded or repeated samples, and the step of each axis.
 
-    Args:
-        windows: windows of the samples.
-        axes: their axes.
-        columns: the samples of each axis, if they are in memory.
-
-    Returns:
-        The facts; and the step of each axis [rad/s or m/s²], 0 if none is detected.
+    `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
+    detected.
     """
     repeated = np.average(windows.repeated, axis=0, weights=windows.count)
     rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1) / 2.0)

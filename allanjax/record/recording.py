@@ -124,11 +124,11 @@ class Recording(ByValue):
         ReadOptions(gaps=gaps)  # A check of the choice.
         if gaps != "segments":
             return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
-        found = segments_of(table, np.zeros(len(table), bool))
-        rows, notes = found.longest, (*notes, *found.notes(len(table)))
+        segments = segments_of(table, np.zeros(len(table), bool))
+        rows, notes = segments.longest, (*notes, *segments.notes(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
-        source, others = source.after(rows.start), [table[other] for other in found.others]
-        missing = found.gaps(np.arange(len(table)) / rate, rate) or None
+        source, others = source.after(rows.start), [table[other] for other in segments.others]
+        missing = segments.gaps(np.arange(len(table)) / rate, rate) or None
         return build(
             table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
         )

@@ -192,7 +192,7 @@ def test_a_slow_command_reports_progress_and_can_be_interrupted():
 
 
 WARNING = """
-import logging, sys, warnings, allanjax.cli.schema as schema
+import logging, sys, warnings, allanjax.cli.results as results
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.cli.app import main
 def warn(_):
@@ -200,7 +200,7 @@ def warn(_):
     warnings.warn_explicit("no default style", UserWarning, "/lib/openpyxl/style.py", 237)
     logging.getLogger("jax._src.xla_bridge").warning("no GPU")
     warnings.warn("a cache that is full", AllanjaxWarning)
-schema.print_json, sys.argv[1:] = warn, ["schema", "fleet"]
+results.print_json, sys.argv[1:] = warn, ["schema", "fleet"]
 main()
 """
 

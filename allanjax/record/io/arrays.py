@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from allanjax.record.columns import split_unit
-from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported
+from allanjax.record.io.table import Columns, Format, Table, check_claim, damage_reported, optional_package
 from allanjax.record.validation import Source
 
 # Names of scalars that state the sample rate, or the sample interval.
@@ -190,12 +190,7 @@ def open_hdf5(path: Path, source: Source) -> Table:
 @contextmanager
 def _opened(path: Path, source: Source) -> Iterator[Any]:
     """Context of an opened HDF5 file; RecordingError if it cannot be read."""
-    try:
-        import h5py
-    except ModuleNotFoundError as error:
-        raise source.error(
-            'reading an HDF5 file (MATLAB -v7.3) requires h5py: pip install "allanjax[hdf5]", ' + _SAVE_AGAIN
-        ) from error
+    h5py = optional_package("h5py", "hdf5", "an HDF5 file (MATLAB -v7.3)", source, f", {_SAVE_AGAIN}")
     with damage_reported(source, "HDF5", f"copy it again, {_SAVE_AGAIN}"), h5py.File(path, "r") as file:
         yield file
 
@@ -236,11 +231,6 @@ def _row_axis(dataset: Any) -> int:
         return 0
     axis = int("MATLAB_class" in dataset.attrs)
     return 1 - axis if dataset.shape[axis] == 1 else axis
-
-
-def _begins_hdf5(magic: bytes) -> bool:
-    # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
-    return b"\x89HDF\r\n\x1a\n" in (magic[:8], magic[512:520])
 
 
 def read_mat(path: Path, source: Source) -> Table:
@@ -336,10 +326,7 @@ def read_tdms(path: Path, source: Source) -> Table:
     Raises:
         RecordingError: nptdms is not installed, the file is damaged, or the channels do not fit together.
     """
-    try:
-        from nptdms import TdmsFile
-    except ModuleNotFoundError as error:
-        raise source.error('reading a TDMS file requires nptdms: pip install "allanjax[tdms]"') from error
+    nptdms = optional_package("nptdms", "tdms", "a TDMS file", source)
     arrays: dict[str, np.ndarray] = {}
     damage: list[str] = []
     intervals = set()
@@ -347,7 +334,7 @@ def read_tdms(path: Path, source: Source) -> Table:
     with (
         _warnings_kept(damage),
         damage_reported(source, "a TDMS file", "copy it again, or export it as CSV"),
-        TdmsFile.open(path) as file,
+        nptdms.TdmsFile.open(path) as file,
     ):
         groups = [group for group in file.groups() if any(len(channel) for channel in group.channels())]
         for group in groups:
@@ -385,9 +372,15 @@ def _warnings_kept(kept: list[str]) -> Iterator[None]:
         log_manager.console_handler.removeFilter(keep)
 
 
-PARQUET = Format("parquet", lambda magic: magic.startswith(b"PAR1"), open_parquet, (".parquet",))
-NPY = Format("npy", lambda magic: magic.startswith(b"\x93NUMPY"), open_npy, (".npy",))
-NPZ = Format("npz", lambda magic: magic.startswith(b"PK\x03\x04"), read_npz, (".npz",), in_chunks=False)
-HDF5 = Format("hdf5", _begins_hdf5, open_hdf5, (".h5", ".hdf5"))
-MAT = Format("mat", lambda magic: magic.startswith(b"MATLAB"), read_mat, (".mat",), in_chunks=False)
-TDMS = Format("TDMS", lambda magic: magic.startswith(b"TDSm"), read_tdms, (".tdms",), in_chunks=False)
+PARQUET = Format("parquet", b"PAR1", open_parquet, (".parquet",))
+NPY = Format("npy", b"\x93NUMPY", open_npy, (".npy",))
+NPZ = Format("npz", b"PK\x03\x04", read_npz, (".npz",), in_chunks=False)
+HDF5 = Format(
+    "hdf5",
+    # MATLAB's -v7.3 has a text header of 512 bytes before the HDF5 file.
+    lambda magic: b"\x89HDF\r\n\x1a\n" in (magic[:8], magic[512:520]),
+    open_hdf5,
+    (".h5", ".hdf5"),
+)
+MAT = Format("mat", b"MATLAB", read_mat, (".mat",), in_chunks=False)
+TDMS = Format("TDMS", b"TDSm", read_tdms, (".tdms",), in_chunks=False)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped, UInt8
 
 from allanjax.record.io.series import Series, joined
-from allanjax.record.io.table import Format, Table, damage_reported, floats
+from allanjax.record.io.table import CHOICES, Format, Table, damage_reported, floats, optional_package
 from allanjax.record.validation import Source
 
 _REMEDY = "copy it again from the vehicle"
@@ -47,15 +47,12 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
         RecordingError: pyulog is not installed; the log is damaged or lacks samples of an IMU, or those
             chosen; the rates of gyros and accelerometers differ.
     """
-    try:
-        from pyulog import ULog
-    except ModuleNotFoundError as error:
-        raise source.error('reading a PX4 log requires pyulog: pip install "allanjax[px4]"') from error
+    pyulog = optional_package("pyulog", "px4", "a PX4 log", source)
     # It prints messages on damage; damaged numbers are detected later.
     quiet = contextlib.redirect_stdout(io.StringIO())
     damaged = damage_reported(source, "a ULog file", _REMEDY)
     with damaged, quiet, np.errstate(all="ignore"), _BoundedFile(path) as stream:
-        log = ULog(stream, list(_READERS))
+        log = pyulog.ULog(stream, list(_READERS))
         found = {
             (data.name, data.multi_id): _ulog_series(data.name, data.data, source) for data in log.data_list
         }
@@ -181,14 +178,7 @@ _ULOG_GROUPS = (
     ("sensor_combined",),
 )
 
-ULOG = Format(
-    "ULog",
-    lambda magic: magic.startswith(b"ULog\x01\x12\x35"),
-    open_ulog,
-    (".ulg",),
-    in_chunks=False,
-    choices=("topic", "instance"),
-)
+ULOG = Format("ULog", b"ULog\x01\x12\x35", open_ulog, (".ulg",), in_chunks=False, choices=CHOICES)
 
 
 class _Definition(NamedTuple):
@@ -319,14 +309,7 @@ def _series(
     return {(match[1], int(i)): whole.taken(numbers == i).in_order() for i in np.unique(numbers)}
 
 
-DATAFLASH = Format(
-    "DataFlash",
-    lambda magic: magic.startswith(b"\xa3\x95"),
-    open_dataflash,
-    (".bin",),
-    in_chunks=False,
-    choices=("topic", "instance"),
-)
+DATAFLASH = Format("DataFlash", b"\xa3\x95", open_dataflash, (".bin",), in_chunks=False, choices=CHOICES)
 
 
 def _chosen(
@@ -338,15 +321,8 @@ def _chosen(
 ) -> tuple[list[Series], str]:
     """Return the series to read, one or one per sensor (gyros first), and a note on the choice.
 
-    Args:
-        found: series by message and number of the sensor.
-        groups: messages that form one recording, gyros first.
-        topic: the message, or two separated by a comma; by default the group with the highest rate.
-        instance: number of the sensor; by default the first.
-        source: origin of the series.
-
-    Raises:
-        RecordingError: there is no such message or sensor.
+    `found` are the series by message and number of the sensor, and `groups` are messages that form one
+    recording. By default, it is the first instance in the group with the highest rate.
     """
     kept = {key: series for key, series in found.items() if instance in (None, key[1])}
     if not kept:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.record.io.series import Series, joined, seconds_between
-from allanjax.record.io.table import Format, Table, damage_reported
+from allanjax.record.io.table import Format, Table, damage_reported, optional_package
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.validation import Source
 
@@ -62,21 +62,17 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
 
 def _reader(path: Path, source: Source) -> Any:
     """Return the class that reads such a bag."""
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-    except ModuleNotFoundError as error:
-        raise source.error('reading a ROS bag requires rosbags: pip install "allanjax[ros]"') from error
+    readers = [optional_package(f"rosbags.rosbag{k}", "ros", "a ROS bag", source).Reader for k in (1, 2)]
     if path.is_dir():
-        return Reader2
+        return readers[1]
     with path.open("rb") as stream:
         magic = stream.read(16)
     if magic.startswith(_BEGINNINGS[1:]):
         suffix = ".mcap" if magic.startswith(b"\x89MCAP") else ".db3"
         if path.suffix != suffix:
             raise source.error(f"the name of this ROS 2 bag does not end in {suffix}; rename it")
-        return Reader2
-    return Reader1
+        return readers[1]
+    return readers[0]
 
 
 def _imu_topics(bag: Any, source: Source) -> dict[str, list[Any]]:
@@ -123,7 +119,8 @@ def _describe(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> str:
 
 def _messages(bag: Any, connections: Sequence[Any], source: Source, count: int | None = None) -> _Messages:
     """Return the messages of a topic in the order of the bag, or the first `count` of them."""
-    stamps, arrivals, values, frame = [], [], [], ""
+    stamps: list[np.ndarray] = []
+    arrivals, values, frame = [], [], ""
     messages = itertools.islice(bag.messages(connections=connections), count)
     while block := list(itertools.islice(messages, _BLOCK)):
         raw = [message for _, _, message in block]
@@ -226,11 +223,5 @@ def _notes(series: Series, messages: _Messages) -> list[str]:
     return [note for note in notes if note]
 
 
-ROS = Format(
-    "ROS bag",
-    lambda magic: magic.startswith(_BEGINNINGS),
-    open_ros,
-    (".bag", ".mcap", ".db3"),
-    in_chunks=False,
-    choices=("topic",),
-)
+_SUFFIXES = (".bag", ".mcap", ".db3")
+ROS = Format("ROS bag", _BEGINNINGS, open_ros, _SUFFIXES, in_chunks=False, choices=("topic",))

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool
@@ -104,7 +104,20 @@ def open_text(path: Path, source: Source) -> Table:
     def rows(chunk: int) -> Iterator[Columns]:
         with (
             _errors_located(path, layout, source),
-            pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
+            pd.read_csv(
+                path,
+                chunksize=chunk,
+                sep=r"\s+" if layout.delimiter is None else layout.delimiter,
+                header=None,
+                skiprows=layout.start,
+                decimal=layout.decimal,
+                comment=layout.comment,
+                skipinitialspace=True,
+                low_memory=False,
+                encoding=layout.encoding,
+                encoding_errors="replace",
+                compression="gzip" if layout.compressed else None,
+            ) as frames,
         ):
             held = next(frames, None)
             while held is not None:
@@ -128,22 +141,6 @@ def _cut_line(path: Path, layout: _Layout) -> str:
     fields = _split(lines[-1], layout.delimiter)
     short = len(lines) > layout.start + 1 and len(fields) < layout.fields
     return lines[-1].strip() if short and not _is_comment(lines[-1]) else ""
-
-
-def _options(layout: _Layout) -> dict[str, Any]:
-    """Return the arguments of `pandas.read_csv` for this layout."""
-    return {
-        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
-        "header": None,
-        "skiprows": layout.start,
-        "decimal": layout.decimal,
-        "comment": layout.comment,
-        "skipinitialspace": True,
-        "low_memory": False,
-        "encoding": layout.encoding,
-        "encoding_errors": "replace",
-        "compression": "gzip" if layout.compressed else None,
-    }
 
 
 @contextmanager
@@ -370,7 +367,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-TEXT = Format("text", lambda magic: True, open_text)
+TEXT = Format("text", b"", open_text)
 
 
 def read_vectornav(path: Path, source: Source) -> Table:
