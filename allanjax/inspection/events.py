@@ -56,8 +56,8 @@ _MATTERS = 1.0
 _TOGETHER, _COUNTS = 2.0, 0.1
 # Standard deviations of a run's own excess beyond which it is not chance on an axis.
 _CHANCE = 3.0
-# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
-_TRIFLE = 0.005
+#: An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
+TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
 # Rounds of search, each in the quiet parts that remain after the previous one.
@@ -119,22 +119,22 @@ class Run:
 
 def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
     """Return runs with unusual noise or an unusual change of the mean, in order, without overlap."""
-    found = [Run(a, b, "silent") for a, b in _silent(windows)]
+    disturbed = [Run(a, b, "silent") for a, b in _silent(windows)]
     # Runs detected over few windows are left out of the averages over more.
     for length in LENGTHS:
-        touched = touched_by(windows, found)
+        touched = touched_by(windows, disturbed)
         scores = list(noise_scores(windows, sensors, length, touched))
         louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
-        found += [Run(a, b, "noisier") for a, b in louder]
-        found += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
-    steps = list(steps_of(windows, sensors, touched_by(windows, found)))
+        disturbed += [Run(a, b, "noisier") for a, b in louder]
+        disturbed += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, disturbed)]
+    steps = list(steps_of(windows, sensors, touched_by(windows, disturbed)))
     moved: list[Run] = []
     for k, of in enumerate(steps):
         for a, b in _moves(steps[: k + 1], groups_of(sensors)):
             # A change detected over few windows is detected over more windows, too.
             if not _overlaps(a - of.lag, b + of.lag, moved):
                 moved.append(Run(a, b, "moved"))
-    return _merged(sorted(found + moved, key=lambda s: s.first))
+    return _merged(sorted(disturbed + moved, key=lambda s: s.first))
 
 
 def touched_by(windows: Windows, disturbed: Sequence[Run]) -> Bool[np.ndarray, " w"]:
@@ -220,10 +220,10 @@ def _overlaps(first: int, last: int, others: Sequence[Run]) -> bool:
     return any(o.first < last and first < o.last for o in others)
 
 
-def _merged(found: Sequence[Run]) -> list[Run]:
+def _merged(disturbed: Sequence[Run]) -> list[Run]:
     """Runs with overlapping ones joined, of the first kind of silent, noisier, quieter, moved."""
     merged: list[Run] = []
-    for s in found:
+    for s in disturbed:
         if merged and s.first <= merged[-1].last:
             o = merged[-1]
             kinds = [k for k in ("silent", "noisier", "quieter", "moved") if k in (o.kind, s.kind)]
@@ -349,8 +349,8 @@ def quiet_parts(
     searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
     move, as in a model with a step, changes of the mean are not events.
     """
-    out: list[Run] = []
-    found: list[Run] = []
+    cut: list[Run] = []
+    kept: list[Run] = []
     pending, parts = [(0, len(windows), 0)], []
     while pending:
         first, last, rounds = pending.pop()
@@ -359,11 +359,11 @@ def quiet_parts(
         events = list(zip(disturbed, _events(part, disturbed), strict=True))
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
-        # Harmless events may be found again in a part; one that is kept is not, if it fills the part.
+        # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
         for s, e in events:
             if not split or e.matters:
                 moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
-                (out if e.is_cut else found).append(moved)
+                (cut if e.is_cut else kept).append(moved)
         if not split:
             parts.append((first, last))
             continue
@@ -372,7 +372,7 @@ def quiet_parts(
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     edges = windows.edges
     quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
-    joined = sorted(_joined(out) + _joined(found), key=lambda s: s.first)
+    joined = sorted(_joined(cut) + _joined(kept), key=lambda s: s.first)
     return tuple(_events(windows, joined)), quiet
 
 
@@ -382,15 +382,15 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]
     if may_move:
         disturbed = [s for s in disturbed if _what(part, s, disturbed)[0] not in MOVES]
     sigmas, shares = excesses(part, disturbed)
-    limit, found = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
+    limit, described = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
     for s, sigma, share in zip(disturbed, sigmas, shares, strict=True):
         # By chance, the excess of a run is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
-        axes = (share > _TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
-        found.append(
+        axes = (share > TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
+        described.append(
             dataclasses.replace(s, shares=tuple(share.tolist()), axes=tuple(np.flatnonzero(axes).tolist()))
         )
-    return found
+    return described
 
 
 def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
@@ -403,10 +403,10 @@ def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
     return events
 
 
-def _joined(found: Sequence[Run]) -> list[Run]:
+def _joined(disturbed: Sequence[Run]) -> list[Run]:
     """Return the runs in order, with adjacent ones that matter joined."""
     joined: list[Run] = []
-    for s in sorted(found, key=lambda s: s.first):
+    for s in sorted(disturbed, key=lambda s: s.first):
         o = joined[-1] if joined else None
         if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
             larger = max((o, s), key=lambda x: max(x.shares))
@@ -538,20 +538,17 @@ class Treatment:
     @property
     def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
         """Samples of a single axis that are filled in from its other samples, if enough of these remain."""
-        found = {
-            name: tuple((e.first, e.last) for e in events)
-            for name, events in self._alone().items()
-            if not self.as_is
-        }
-        return {name: of for name, of in found.items() if sum(b - a for a, b in of) < MOST_MISSING * self.n}
+        ranges = {name: tuple((e.first, e.last) for e in of) for name, of in self._alone().items()}
+        most = 0.0 if self.as_is else MOST_MISSING * self.n
+        return {name: of for name, of in ranges.items() if sum(b - a for a, b in of) < most}
 
     @property
     def disturbance_error(self) -> Float[np.ndarray, " axes"]:
         """Relative error of the Allan deviation of each axis due to the events that are kept."""
-        found = np.zeros(len(self.axes))
+        error = np.zeros(len(self.axes))
         for e in self.kept:
-            found[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
-        return found
+            error[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
+        return error
 
     def describe(self, events: Sequence[Event]) -> str:
         """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""

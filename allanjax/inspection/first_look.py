@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
 from allanjax.base.wording import duration, plain
-from allanjax.inspection.events import Event, Places, Treatment, quiet_parts
+from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
     Ends,
@@ -32,8 +32,6 @@ _NOT_EXAMINED = (
     "not examined in a stream: outliers, lines, interpolated samples, temperature; to check these, read a "
     "part of the file as a whole (--start, --stop)"
 )
-# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
-_TRIFLE = 0.005
 # Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
 _FAR = 6.0
 # Samples on either side that are compared, and the most outliers within that distance.
@@ -363,7 +361,7 @@ def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray,
 
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
     """Return whether additional variance changes the Allan variance by less than its own error."""
-    return variance <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
+    return variance <= max(TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
 
 
 def _spike_facts(
@@ -376,10 +374,10 @@ def _spike_facts(
         off = float(abs(x - calm).max())
         places = (np.flatnonzero(at) / recording.rate).tolist()
         where = listed([f"{plain(time, 6)} s" for time in places])
-        share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= _TRIFLE else ""
+        share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= TRIFLE else ""
         single = f"{len(places)} outlying samples" if len(places) > 1 else "1 outlying sample"
         size = amount(off, axis, 3)
-        text = f"{single} on {axis.name}{share}, up to {size} off; at {where}: left out and filled in"
+        text = f"{single} on {axis.name}{share}, up to {size} off; left out and filled in at {where}"
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
         yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
 

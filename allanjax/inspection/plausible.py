@@ -97,17 +97,17 @@ def implausible(
         vibrating: whether the platform is meant to move.
     """
     grave: Consequence = "not a measurement"
-    found = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
+    facts = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
     for accel in accelerometers(axes):
         line = _accel(axes, accel, rate, mean, "accel" in moving)
         # The reading of a single axis depends on its tilt.
         means: Consequence = grave if len(accel) >= 3 else "none"
-        found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
+        facts.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
     # If accelerometers with a plausible unit move, so do the gyros.
-    moves = vibrating or ("accel" in moving and not any(fact.text for fact in found[1:]))
+    moves = vibrating or ("accel" in moving and not any(fact.text for fact in facts[1:]))
     gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
-    found.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
-    return [fact for fact in found if fact.text]
+    facts.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
+    return [fact for fact in facts if fact.text]
 
 
 def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:

@@ -409,15 +409,15 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     ]
     tests += [("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
     tests += [("varies by {} rms", rms_within(windows), SHAKES, 1.0)]
-    found = []
+    evidence = []
     for how, values, limits, square in tests:
         for k, axis in enumerate(axes):
             limit = limits[axis.sensor] * np.sqrt(square)
             if values[k] > limit:
                 moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
                 words = f"{axis.name} {moved}; a sensor at rest stays below {most}"
-                found.append(Motion(k, values[k] / limit, words))
-    return sorted(found, key=lambda motion: motion.factor)
+                evidence.append(Motion(k, values[k] / limit, words))
+    return sorted(evidence, key=lambda motion: motion.factor)
 
 
 def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
@@ -445,10 +445,10 @@ def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
 def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
     """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    found: list[tuple[int, int]] = []
+    joined: list[tuple[int, int]] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if found and a - found[-1][1] <= gap:
-            found[-1] = (found[-1][0], b)
+        if joined and a - joined[-1][1] <= gap:
+            joined[-1] = (joined[-1][0], b)
         else:
-            found.append((a, b))
-    return found
+            joined.append((a, b))
+    return joined

@@ -48,9 +48,8 @@ def as_recording(
         AllanjaxError: the data are not a recording.
     """
     if isinstance(data, Recording):
-        given = (rate, gyro_unit, accel_unit, names, gaps)
-        labels = ("rate", "gyro_unit", "accel_unit", "names", "gaps")
-        superfluous = [label for label, value in zip(labels, given, strict=True) if value is not None]
+        given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names, "gaps": gaps}
+        superfluous = [name for name, value in given.items() if value is not None]
         if superfluous:
             raise AllanjaxError(
                 f"a recording has its own rate, units and names, and no gaps: omit {', '.join(superfluous)}"
