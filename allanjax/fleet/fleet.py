@@ -141,7 +141,8 @@ def characterize_fleet(
     """Estimate the noise coefficients of many recordings on a Dask cluster, with one task per recording.
 
     A recording longer than `piece` is read in pieces of that many samples in parallel, so that it is never in
-    memory as a whole; its coefficients are those of an `AllanAccumulator`.
+    memory as a whole; its coefficients are those of an `AllanAccumulator`. Sensors of one recording that have
+    different rates are fitted separately.
 
     Writes `fleet.parquet` (the table), `fleet.png` (distribution of each coefficient over the fleet),
     `errors.csv` (file, message) and `notes.txt` (one remark on the table per line) to `out`, and the fit of
