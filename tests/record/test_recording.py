@@ -174,8 +174,7 @@ COEFFICIENTS = [
     ("arcsec", "rad", DEG / 3600), ("µg/√Hz, ug/rtHz", "m/s²/√Hz", 1e-6 * G0),
     ("m/s/√h", "m/s/√s", 1 / 60), ("m/s/h²", "m/s³", 1 / 3600**2),
     ("h, hour", "s", 3600.0), ("ppm", "1", 1e-6), ("%, percent", "1", 1e-2),
-    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2),
-    ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
+    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2), ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
 ]  # fmt: skip
 # What is not converted: units, the sensor, and what is named.
 NOT_CONVERTED = [
