@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from allanjax.base.errors import AllanjaxError, MixedRatesError, RecordingError
+from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
 from allanjax.cli.interrupt import TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
@@ -92,13 +92,11 @@ def work_through(
     work: Callable[[Input, Path | None], Outcome],
     document: Callable[[list[dict[str, Any]], int], dict[str, Any]],
     writes: bool = True,
-    unreadable: Callable[[RecordingError, Input], Outcome] | None = None,
 ) -> None:
     """Do a command's `work` on each file and print the results; a bad file does not stop the others.
 
     JSON is what `document` makes of the files' documents and the number of files. Ends the program with an
     error if a file failed. `writes` is whether the command writes files, which go into the folder `out`.
-    `unreadable` makes a result of the error for a file that is not a usable recording.
     """
     directory = out if as_json or not writes else out or RESULTS
     prepare(directory)
@@ -114,10 +112,8 @@ def work_through(
                 pending.extendleft(reversed(file.of(mixed.sensors)))
                 continue
             except FAILURES as failure:
-                if unreadable is None or not isinstance(failure, RecordingError):
-                    errors.append(_reported(file, _reason(failure, file.label)))
-                    continue
-                done = unreadable(failure, file)
+                errors.append(_reported(file, _reason(failure, file.label)))
+                continue
             if as_json:
                 documents.append({"file": file.label, **done.document})
             else:

@@ -44,11 +44,14 @@ def check(
 
     def work(file: Input, _: Path | None) -> Outcome:
         with stage(f"{file.label}: reading") as show:
-            recording = file.read(reading)
-            show(f"{file.label}: fitting, to estimate how long to record (the first run also compiles)")
-            return outcome(check(recording, vibrating=vibrating), file)
-
-    def outcome(result: "Check", file: Input) -> Outcome:
+            try:
+                recording = file.read(reading)
+            except RecordingError as error:
+                # Unusable samples are a result; other errors, also about two rates, are raised again.
+                result = unreadable(error, file.name)
+            else:
+                show(f"{file.label}: fitting, to estimate how long to record (the first run also compiles)")
+                result = check(recording, vibrating=vibrating)
         if result.stops:
             stopped.append(file.label)
         return Outcome(str(result), result.to_dict(), (), ())
@@ -56,10 +59,7 @@ def check(
     def document(checks: list[dict[str, Any]], _: int) -> dict[str, Any]:
         return {"schema_version": SCHEMA_VERSION, "checks": checks}
 
-    def failed(error: RecordingError, file: Input) -> Outcome:
-        return outcome(unreadable(error, file.name), file)
-
-    work_through(files, None, as_json, work, document, writes=False, unreadable=failed)
+    work_through(files, None, as_json, work, document, writes=False)
     if stopped:
         raise typer.Exit(1)
 
