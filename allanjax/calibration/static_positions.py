@@ -136,8 +136,8 @@ def _places(
         if look.refusal:
             raise RecordingError(f"{name}: {look.refusal}")
         first = 0.0
-        if look.stretch is not None:
-            first, last = look.stretch
+        if look.longest_part is not None:
+            first, last = look.longest_part
             notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s used")
         kept.append(look.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))

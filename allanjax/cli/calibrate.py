@@ -9,26 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, epilog, prepare, print_result, saved_fit, stage, user_errors
-from allanjax.cli.options import with_options
+from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
+from allanjax.cli.options import command
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
     from allanjax.calibration.result import Calibration
     from allanjax.record.recording import Recording
-
-HELP = (
-    "Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a "
-    "six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow "
-    "from the noise model and include drift between the positions. Writes calibration.json and "
-    "calibration.png."
-)
-EPILOG = epilog(
-    "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
-    "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
-    "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
-)
-
 
 Recordings = Annotated[
     list[str] | None,
@@ -60,8 +47,12 @@ FittedNoise = Annotated[
 ]
 
 
-@with_options
-def command(
+@command(
+    "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
+    "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
+    "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
+)
+def calibrate(
     reading: ReadOptions,
     files: Recordings = None,
     position: Positions = None,
@@ -86,6 +77,11 @@ def command(
     out: Out = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
 ) -> None:
+    """Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a
+    six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow
+    from the noise model and include drift between the positions. Writes calibration.json and
+    calibration.png.
+    """
     directory = out if as_json else out or RESULTS
     prepare(directory)
     from allanjax.calibration.static_positions import calibrate

@@ -20,7 +20,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
-from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
+from allanjax.cli.interrupt import TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
@@ -49,15 +49,6 @@ Vibrating = Annotated[
     bool,
     typer.Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
 ]
-
-
-def epilog(*examples: str) -> str:
-    """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
-    codes = (
-        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
-        f"{INTERRUPTED} interrupted."
-    )
-    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 class Input(NamedTuple):
@@ -291,9 +282,11 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
 
 def result_names(files: Sequence[Path]) -> list[str]:
     """Names for the results of each file: the file's without suffix, numbered if several files share it."""
+    from allanjax.record.io.formats import name_of
+
     names: list[str] = []
     for file in files:
-        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
+        stem = name_of(file)
         # Some file systems ignore case.
         taken = {name.casefold() for name in names}
         numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))

@@ -10,7 +10,6 @@ import typer
 
 from allanjax.cli.common import (
     RESULTS,
-    epilog,
     exit_if_failed,
     prepare,
     print_error,
@@ -18,32 +17,22 @@ from allanjax.cli.common import (
     stage,
     user_errors,
 )
-from allanjax.cli.options import with_options
+from allanjax.cli.options import command
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
     from allanjax.fleet.fleet import Progress
 
-HELP = (
-    "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and "
-    "writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each "
-    "coefficient over the fleet, outlying units marked), errors.csv, notes.txt (read it before the table), "
-    "and recordings/NAME.json as soon as each recording is fitted. If one file fails, the others are still "
-    "processed. A later run with the same --out only fits recordings without a result; the table covers only "
-    "the files given."
-)
-EPILOG = epilog(
+_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
+
+
+@command(
     "allanjax fleet 'logs/*.parquet' --out results",
     r"allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'",
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
-
-_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
-
-
-@with_options
-def command(
+def fleet(
     patterns: Annotated[
         list[str],
         typer.Argument(
@@ -73,6 +62,13 @@ def command(
         typer.Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
     ] = None,
 ) -> None:
+    """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
+    writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each
+    coefficient over the fleet, outlying units marked), errors.csv, notes.txt (read it before the table), and
+    recordings/NAME.json as soon as each recording is fitted. If one file fails, the others are still
+    processed. A later run with the same --out only fits recordings without a result; the table covers only
+    the files given.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet

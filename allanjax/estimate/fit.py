@@ -303,8 +303,8 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
         r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
         # What lines add to the power is half of it in an amplitude.
         widened = (f for f in facts if f.consequence == "widened" and r.axis.name in f.axes)
-        share = float(np.hypot(seen.allowance[k], sum(f.share or 0.0 for f in widened) / 2.0))
-        r = r.allowing(share, float(seen.foreign[k]) / np.sqrt(rate))
+        share = float(np.hypot(seen.disturbance_error[k], sum(f.share or 0.0 for f in widened) / 2.0))
+        r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
         kinds = seen.why_not(r.axis.name)
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(

@@ -23,7 +23,6 @@ from scipy.fft import dct, idct, rfft
 from allanjax.base.arrays import seed_of
 from allanjax.base.errors import RecordingError
 from allanjax.base.wording import duration, plain
-from allanjax.record.validation import Source
 
 
 def without_repeats(
@@ -52,7 +51,7 @@ class Gap(NamedTuple):
     samples: int
 
 
-class Stretches(NamedTuple):
+class Segments(NamedTuple):
     """Segments of a record without missing samples.
 
     Attributes:
@@ -83,9 +82,9 @@ class Stretches(NamedTuple):
         )
 
 
-def stretches_of(
+def segments_of(
     values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
-) -> Stretches:
+) -> Segments:
     """Return the segments without missing samples.
 
     An axis without any value is ignored. `after_gap` are the samples that follow missing ones.
@@ -95,7 +94,7 @@ def stretches_of(
     begins = whole & (after_gap | ~np.concatenate([[False], whole[:-1]]))
     first = np.flatnonzero(begins)
     if not first.size:
-        return Stretches((), slice(0, 0), ())
+        return Segments((), slice(0, 0), ())
     # A segment ends where the next begins, or at the first incomplete sample after it.
     ends = np.append(first[1:], len(values))
     lengths = np.add.reduceat(whole.astype(int), first)
@@ -105,7 +104,7 @@ def stretches_of(
     ]
     order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
     kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
-    return Stretches(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
+    return Segments(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
 
 
 def on_grid(
@@ -135,12 +134,6 @@ def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> 
         return None
     inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
     return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
-
-
-def check_choice(gaps: str, source: Source) -> None:
-    """Raise RecordingError if `gaps` is not a valid choice for missing samples."""
-    if gaps not in ("error", "segments", "fill"):
-        raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:

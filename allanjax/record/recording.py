@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -19,14 +19,14 @@ from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_nam
 from allanjax.record.completion import (
     Gap,
     bridged,
-    check_choice,
     completed,
     gaps_of,
     gaps_within,
     notes_on,
     rows_between,
-    stretches_of,
+    segments_of,
 )
+from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
@@ -80,7 +80,7 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
-        gaps: Literal["error", "segments", "fill"] = "error",
+        gaps: GapChoice = "error",
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
@@ -121,14 +121,14 @@ class Recording(ByValue):
                 raise source.error(
                     f"auxiliary column {key!r} has the shape {column_values.shape}, not ({len(table)},)"
                 )
-        check_choice(gaps, source)
+        ReadOptions(gaps=gaps)  # A check of the choice.
         if gaps != "segments":
             return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
-        found = stretches_of(table, np.zeros(len(table), bool))
-        rows, notes = found.longest, (*notes, *found.notes(len(table)))
+        segments = segments_of(table, np.zeros(len(table), bool))
+        rows, notes = segments.longest, (*notes, *segments.notes(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
-        source, others = source.after(rows.start), [table[other] for other in found.others]
-        missing = found.gaps(np.arange(len(table)) / rate, rate) or None
+        source, others = source.after(rows.start), [table[other] for other in segments.others]
+        missing = segments.gaps(np.arange(len(table)) / rate, rate) or None
         return build(
             table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
         )

@@ -23,7 +23,7 @@ present(
         "FleetResult.plot": "allanjax.report.fleet_figure.plot_fleet_result",
         "Navigation.plot": "allanjax.report.navigation_figure.plot_navigation",
         "Posterior.plot": "allanjax.report.posterior_figure.plot_posterior",
-        "Recording.from_dataframe": "allanjax.record.io.given.from_dataframe",
+        "Recording.from_dataframe": "allanjax.record.io.given.as_recording",
         "PowerSpectrum.plot": "allanjax.report.spectrum_figure.plot_spectrum",
         "SampleRates.plot": "allanjax.report.rates_figure.plot_sample_rates",
         "StateSpace.to_c_header": "allanjax.report.files.to_c_header",

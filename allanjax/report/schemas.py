@@ -154,12 +154,13 @@ def _of_fleet() -> dict[str, Any]:
             "allanjax_version": {"type": "string", "description": "Version of allanjax that made the fit."},
         },
     )
+    fits = fit["$defs"]["bundle"]["properties"]["fits"] | {"description": "One per sensor, if rates differ."}
+    properties = {"key": key, "fit": {"$ref": "#/$defs/fit"}, "fits": fits}
     return {
         "$schema": _DRAFT,
         "title": "allanjax recording of a fleet",
-        **_closed(
-            "One recording of a fleet, as in recordings/NAME.json.",
-            {"key": key, "fit": {"$ref": "#/$defs/fit"}},
-        ),
+        **_closed("One recording of a fleet, as in recordings/NAME.json.", properties),
+        "required": ["key"],
+        "oneOf": [{"required": ["fit"]}, {"required": ["fits"]}],
         "$defs": {name: part for name, part in fit["$defs"].items() if name != "bundle"},
     }

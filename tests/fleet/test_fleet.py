@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
+from commands import run, schema
 from fleets import ARW, axis, coefficient
 from imu_columns import refused
 
@@ -176,10 +176,8 @@ def test_rows_of_a_stored_fit(three):
     sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
     extension = {"further": ["sinusoid"], "model": [{"term": "sinusoid"}]}
     corrected = {"extension": extension, "selection": sets}
-    for more, labels, last, remark in (
-        (corrected, [ARW], "flicker", "line 2 Hz"),
-        ({}, [ARW, "sinusoid"], "sinusoid", ""),
-    ):
+    cases = (corrected, [ARW], "flicker", "line 2 Hz"), ({}, [ARW, "sinusoid"], "sinusoid", "")
+    for more, labels, last, remark in cases:
         three.store("b", [axis("gyro_x", both, **more)])
         result = three.run(three.files[1:2])
         table = result.table
@@ -343,6 +341,32 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs):
     np.testing.assert_allclose(pd.read_parquet("out/fleet.parquet")["value"], expected, rtol=1e-8)
     nothing = run("fleet", "*.parquet")
     assert (nothing.exit_code, "*.parquet" in nothing.stderr) == (1, True)
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_sensors_of_two_rates_in_one_table_have_results_of_their_own(cluster):
+    """Each row repeats the last values of the other sensor; N holds within 4 σ of so many samples."""
+    rng, clocks, N = np.random.default_rng(8), {"gyro": 100.0, "accel": 62.5}, 1e-3
+    time = {name: np.arange(40.0 * rate) / rate + 1e-3 * (name == "accel") for name, rate in clocks.items()}
+    stamps, table = np.union1d(*time.values()), {}
+    for (name, rate), unit in zip(clocks.items(), ("rad/s", "m/s^2"), strict=True):
+        rows = np.maximum(np.searchsorted(time[name], stamps, "right") - 1, 0)
+        own = N * np.sqrt(rate) * rng.standard_normal((len(time[name]), 3))
+        table |= {f"{name}_{k} [{unit}]": x for k, x in zip("xyz", own[rows].T, strict=True)}
+    pd.DataFrame({"time [s]": stamps, **table}).to_csv("both.csv", index=False)
+    assert run("characterize", "both.csv", "--out", "there").exit_code == 0
+    for _ in range(2):
+        result = aj.characterize_fleet("both.csv", "out", scheduler=cluster)
+    assert (result.resumed, {*result.table["recording"]}, len({*result.table["axis"]})) == (1, {"both"}, 6)
+    of_unit = aj.load("out/recordings/both.json")
+    for name, rate in clocks.items():
+        fit = aj.load(f"there/both_{name}.json")
+        assert fit.curve.rate == of_unit[f"both ({name})"].curve.rate == pytest.approx(rate, rel=1e-3)
+        assert list(fit) == [f"{name}_{k}" for k in "xyz"]
+        assert all(abs(fit[axis]["N"].value - N) < 4.0 * N / np.sqrt(2 * 40.0 * rate) for axis in fit)
+    schema("fleet").validate(json.loads(Path("out/recordings/both.json").read_text(encoding="utf-8")))
+    (one, two) = json.loads(run("check", "both.csv", "--json").stdout)["checks"]
+    assert (one["file"], two["file"]) == ("both.csv (gyro)", "both.csv (accel)")
 
 
 def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):

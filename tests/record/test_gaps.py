@@ -153,10 +153,8 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one():
     b, a = butter(2, 0.5)
     walk = rng.standard_normal(n) + 0.05 * np.cumsum(rng.standard_normal(n))
     low_pass = lfilter(b, a, rng.standard_normal(n + 500))[500:]
-    for x, expected in (
-        (walk, 1.0 + (0.05 / (2.0 * np.sin(np.pi * f))) ** 2),
-        (low_pass, np.abs(freqz(b, a, 2.0 * np.pi * f)[1]) ** 2),
-    ):
+    slow, steep = 1.0 + (0.05 / (2.0 * np.sin(np.pi * f))) ** 2, np.abs(freqz(b, a, 2.0 * np.pi * f)[1]) ** 2
+    for x, expected in ((walk, slow), (low_pass, steep)):
         y = filled(np.where(lost_at(n), np.nan, x)[:, None]).values[:, 0]
         ratio = np.abs(np.fft.rfft(y - y.mean())[1:]) ** 2 / n / expected
         # Four standard errors of two thousand exponential values, and a twentieth for the averaging.

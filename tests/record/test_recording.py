@@ -170,25 +170,17 @@ COEFFICIENTS = [
     ("deg/√h, deg/sqrt(h), deg/√hr, deg/√(h), deg/h^0.5, °/√h, deg/h^(1/2), deg·h^-0.5", "rad/√s", DEG / 60),
     ("deg/rt(h), deg/rthr, deg/root-h", "rad/s^0.5", DEG / 60),
     ("deg/h/√h, (deg/h)/√h, deg/h^1.5, deg/hr/sqrt(hr)", "rad/s/√s", DEG / 3600 / 60),
-    ("rad/s/√Hz", "rad/√s", 1.0),
-    ("deg/s/√Hz, dps/sqrt(Hz)", "rad/s/√Hz", DEG),
-    ("arcsec", "rad", DEG / 3600),
-    ("µg/√Hz, ug/rtHz", "m/s²/√Hz", 1e-6 * G0),
-    ("m/s/√h", "m/s/√s", 1 / 60),
-    ("m/s/h²", "m/s³", 1 / 3600**2),
-    ("h, hour", "s", 3600.0),
-    ("ppm", "1", 1e-6),
-    ("%, percent", "1", 1e-2),
-    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2),
-    ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
-]
+    ("rad/s/√Hz", "rad/√s", 1.0), ("deg/s/√Hz, dps/sqrt(Hz)", "rad/s/√Hz", DEG),
+    ("arcsec", "rad", DEG / 3600), ("µg/√Hz, ug/rtHz", "m/s²/√Hz", 1e-6 * G0),
+    ("m/s/√h", "m/s/√s", 1 / 60), ("m/s/h²", "m/s³", 1 / 3600**2),
+    ("h, hour", "s", 3600.0), ("ppm", "1", 1e-6), ("%, percent", "1", 1e-2),
+    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2), ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
+]  # fmt: skip
 # What is not converted: units, the sensor, and what is named.
 NOT_CONVERTED = [
-    ("deg/h", "deg/√h", "gyro", "deg/s"),
-    ("deg/h", "furlong", "gyro", "furlong"),
-    ("g", "m/s²", "gyro", "accelerometer"),
-    ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
-]
+    ("deg/h", "deg/√h", "gyro", "deg/s"), ("deg/h", "furlong", "gyro", "furlong"),
+    ("g", "m/s²", "gyro", "accelerometer"), ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
+]  # fmt: skip
 
 
 def test_units_of_coefficients():

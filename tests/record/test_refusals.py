@@ -274,7 +274,6 @@ ARRAYS = [
     ({"names": ["gx", "gy", "gz", "ax", "ay", "mag"]}, "'mag'|auxiliary="),
     ({"names": ["gx", "gx", "gz", "ax", "ay", "az"]}, "'gx' and 'gx'"),
     ({"auxiliary": {"temperature": np.ones(3)}}, "'temperature'|(3,)|(50,)"),
-    ({"gaps": "drop"}, "gaps=|drop"),
     *(({"rate": x}, "rate=") for x in (0, np.nan, np.inf, None, "100", 1j, np.ones(1))),
 ]
 
@@ -284,6 +283,7 @@ RECORDING = made(NOISE, 50.0, **UNITS, name="unit 7")
 # Other calls in a folder, what the error names, and its class unless it is RecordingError.
 CALLS = [
     (lambda f: RECORDING["mag"], "mag|gyro_x"),
+    (lambda f: made(NOISE, 1.0, **UNITS, gaps="drop"), "gaps=|drop"),
     (lambda f: RECORDING.select(), "gyro_x"),
     (lambda f: RECORDING.between(0.7), "unit 7|15 samples|start="),
     (lambda f: aj.write(RECORDING, f / "imu.mat"), "imu.mat|.parquet"),

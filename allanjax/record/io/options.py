@@ -82,10 +82,10 @@ class ReadOptions:
         """Unit of each sensor's samples, if given."""
         return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
-    def within(self, stretch: tuple[float, float]) -> ReadOptions:
-        """Options for a stretch [s] of the recording that these read, counted from its first sample."""
+    def within(self, part: tuple[float, float]) -> ReadOptions:
+        """Options for a part [s] of the recording that these read, counted from its first sample."""
         origin = self.start or 0.0
-        return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
+        return replace(self, start=origin + part[0], stop=origin + part[1])
 
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""
