@@ -8,7 +8,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Files, Input, Out, Outcome, epilog, fitting, stage, work_through
-from allanjax.cli.options import with_options
+from allanjax.cli.options import FigureFormat, with_options
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def command(
         ),
     ] = False,
     out: Out = None,
+    figure_format: FigureFormat = "png",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
@@ -64,7 +65,7 @@ def command(
         if directory is not None:
             with stage(f"{file.label}: writing results"):
                 drawn = None if spectrum is None else spectrum.result()
-                paths = write_results(fit, drawn, directory, file.name, check)
+                paths = write_results(fit, drawn, directory, file.name, check, figure_format)
         first = [] if check is None else [f"check: {check.summary()}"]
         text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]

@@ -18,7 +18,7 @@ from allanjax.cli.common import (
     stage,
     user_errors,
 )
-from allanjax.cli.options import with_options
+from allanjax.cli.options import FigureFormat, with_options
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -38,8 +38,6 @@ EPILOG = epilog(
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
-
-_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
 
 
 @with_options
@@ -62,6 +60,7 @@ def command(
     out: Annotated[
         Path, typer.Option(help="Folder for the results; a later run continues from it.")
     ] = RESULTS,
+    figure_format: FigureFormat = "png",
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
@@ -85,9 +84,11 @@ def command(
             scheduler=scheduler,
             piece=piece,
             progress=progress,
+            figure_format=figure_format,
             **options.arguments(),
         )
-    print_result(result, as_json=False, written=[out / name for name in _WRITTEN])
+    written = ("fleet.parquet", f"fleet.{figure_format}", "errors.csv", "notes.txt")
+    print_result(result, as_json=False, written=[out / name for name in written])
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

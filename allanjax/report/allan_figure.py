@@ -327,7 +327,7 @@ def _labels(data: Sequence[Drawable]) -> list[str]:
     if all(names) and len(set(names)) == len(names):
         return names
     fits = [x if isinstance(x, Fit) else None for x in data]
-    kinds = [["measured" if fit is None else f"{fit.objective} fit" for fit in fits]]
+    kinds = [["measured" if fit is None else f"{fit.objective.capitalize()} fit" for fit in fits]]
     kinds += [["measured" if fit is None else str(fit.template) for fit in fits]]
     kinds += [[str(k) for k in range(1, len(names) + 1)]]
     pairs = next(p for of in kinds if len(set(p := [*zip(names, of, strict=True)])) == len(names))
