@@ -76,7 +76,7 @@ def band(colour: Any, alpha: float = 0.25, **more: Any) -> dict[str, Any]:
     from matplotlib.colors import to_rgb
 
     dark = sum(to_rgb(rcParams["axes.facecolor"])) < 1.5
-    return {"color": colour, "alpha": min((2.0 if dark else 1.0) * alpha, 1.0), "linewidth": 0.0, **more}
+    return {"color": colour, "alpha": min((1.5 if dark else 1.0) * alpha, 1.0), "linewidth": 0.0, **more}
 
 
 def model_line(label: str = "model") -> dict[str, Any]:

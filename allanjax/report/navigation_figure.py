@@ -29,6 +29,7 @@ _TRACKS = Sheet(6.2, 1.8, between=_BELOW + 0.6, left=1.1, bottom=_BELOW + 0.55)
 # Most points that are drawn of a record, others being left out at even distances; and of its means.
 _MOST, _MEANS = 4000, 300
 _BLUE = draw.COLOURS[0]
+_ENDS: dict[str, Any] = {"color": _BLUE, "linewidth": 0.8, "linestyle": "--"}
 _ERRORS = Sheet(2.9, 2.1, gap=0.55)
 # Causes below this share of the error at all times are not drawn.
 _DRAWN = 0.05
@@ -57,6 +58,8 @@ def plot_bias_tracks(
         key.append(draw.band_entry("95 % interval", _BLUE, 0.3))
         if adapted:
             key += [draw.line_entry(**look) for look in _models(results[0])]
+        else:
+            key.append(draw.line_entry(label="95 % of innovations by chance", **_ENDS))
         heading = Heading(title, draw.facts_of(len(results[0].samples), results[0].rate), key)
         figure, panels = _TRACKS.draw(heading, [1] * len(results))
         for track, (upper,) in zip(results, panels, strict=True):
@@ -76,7 +79,7 @@ def _draw_innovations(panel: Axes, result: FilteredAxis) -> None:
     some = _some(len(result.samples))
     panel.plot(result.time[some], result.standardized[some], **draw.dots(1.4))
     for end in (-TWO_SIDED_95, TWO_SIDED_95):
-        panel.axhline(end, color=_BLUE, linewidth=0.8, linestyle="--")
+        panel.axhline(end, **_ENDS)
     panel.set_ylabel("innovation\n[σ]")
 
 
