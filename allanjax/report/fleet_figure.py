@@ -12,8 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.fleet.fleet import FleetResult
+from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
 from allanjax.report import draw
 from allanjax.report.draw import Heading, Sheet
@@ -60,8 +62,15 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
     are the median of the others' estimates in their group and the band of 90 % of them. Coefficients that
     were detected in no unit, or were held, have no panel. Up to twelve units are named below the axes,
     without the beginning that all names have in common.
+
+    Raises:
+        AllanjaxError: the table lacks a column.
     """
     table = fleet.table
+    if missing := set(table_schema().names) - set(table.columns):
+        raise AllanjaxError(
+            f"the table of a fleet has a column {', '.join(sorted(missing))}, this one has not"
+        )
     drawn = _drawn(table)
     groups = list(table["group"].unique())
     sensors = [sensor for sensor in draw.SENSORS if (drawn["sensor"] == sensor).any()]
