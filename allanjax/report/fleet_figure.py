@@ -68,9 +68,7 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
     """
     table = fleet.table
     if missing := set(table_schema().names) - set(table.columns):
-        raise AllanjaxError(
-            f"the table of a fleet has a column {', '.join(sorted(missing))}, this one has not"
-        )
+        raise AllanjaxError(f"the fleet's table lacks the column {', '.join(sorted(missing))}")
     drawn = _drawn(table)
     groups = list(table["group"].unique())
     sensors = [sensor for sensor in draw.SENSORS if (drawn["sensor"] == sensor).any()]
