@@ -201,7 +201,9 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
         write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
     key = [
-        KeyEntry(f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}", look)
+        KeyEntry(
+            f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}{_HEIGHT.get(c.term, '')}", look
+        )
         for c, look in zip(coefficients.values(), styles, strict=True)
         for x in (c.in_unit(),)
     ]
