@@ -1,6 +1,5 @@
 """The command `allanjax calibrate`."""
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +9,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
-from allanjax.cli.options import command
+from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
@@ -75,6 +74,7 @@ def calibrate(
         bool, typer.Option("--as-is", help="Use the whole recordings, including disturbed parts.")
     ] = False,
     out: Out = None,
+    figure_format: FigureFormat = "png",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
 ) -> None:
     """Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a
@@ -104,7 +104,7 @@ def calibrate(
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
             )
-        print_result(result, as_json, () if directory is None else _write(result, directory))
+        print_result(result, as_json, () if directory is None else _write(result, directory, figure_format))
 
 
 def _read(
@@ -119,12 +119,13 @@ def _read(
     return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
 
 
-def _write(result: "Calibration", directory: Path) -> list[Path]:
-    """Write calibration.json and calibration.png, and return their paths."""
+def _write(result: "Calibration", directory: Path, figure_format: str) -> list[Path]:
+    """Write calibration.json and the figure beside it, and return their paths."""
+    from allanjax.report.files import write_document
+
     directory.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-    paths = [directory / f"calibration.{kind}" for kind in ("json", "png")]
-    paths[0].write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+    paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
+    write_document(result.to_dict(), paths[0])
     result.plot(path=paths[1])
     return paths
 

@@ -17,7 +17,7 @@ from allanjax.cli.common import (
     stage,
     user_errors,
 )
-from allanjax.cli.options import command
+from allanjax.cli.options import FigureFormat, command
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def fleet(
     out: Annotated[
         Path, typer.Option(help="Folder for the results; a later run continues from it.")
     ] = RESULTS,
+    figure_format: FigureFormat = "png",
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
@@ -81,9 +82,11 @@ def fleet(
             scheduler=scheduler,
             piece=piece,
             progress=progress,
+            figure_format=figure_format,
             **options.arguments(),
         )
-    print_result(result, as_json=False, written=[out / name for name in _WRITTEN])
+    written = ("fleet.parquet", f"fleet.{figure_format}", "errors.csv", "notes.txt")
+    print_result(result, as_json=False, written=[out / name for name in written])
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from allanjax.noise.model import Model
     from allanjax.record.units import Sensor
 
+#: Format of the figures that a command writes into a folder.
+FigureFormat = Annotated[
+    Literal["png", "svg", "pdf"], typer.Option("--format", help="Format and suffix of the figures.")
+]
+
 # Types of the reading options that are numbers; the others are text.
 _NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 

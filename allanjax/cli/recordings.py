@@ -9,7 +9,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, fitting, stage, work_through
-from allanjax.cli.options import command
+from allanjax.cli.options import FigureFormat, command
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import ReadOptions
 
@@ -83,6 +83,7 @@ def characterize(
         ),
     ] = False,
     out: Out = None,
+    figure_format: FigureFormat = "png",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
@@ -107,7 +108,7 @@ def characterize(
         if directory is not None:
             with stage(f"{file.label}: writing results"):
                 drawn = None if spectrum is None else spectrum.result()
-                paths = write_results(fit, drawn, directory, file.name, check)
+                paths = write_results(fit, drawn, directory, file.name, check, figure_format)
         first = [] if check is None else [f"check: {check.summary()}"]
         text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
@@ -176,6 +177,7 @@ def critique(
         typer.Option("--refit", help="Also print the coefficients after correction for the findings."),
     ] = False,
     out: Out = None,
+    figure_format: FigureFormat = "png",
     as_json: Annotated[
         bool,
         typer.Option(
@@ -195,7 +197,7 @@ def critique(
 
     def work(file: Input, directory: Path | None) -> Outcome:
         result = _read_and_criticize(file, reading, vibrating)
-        paths = [] if directory is None else _write(result, directory, file)
+        paths = [] if directory is None else _write(result, directory, file, figure_format)
         missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in result.dead]
         missing += [f"{axis}: {why}" for axis, why in result.fit.not_measured.items()]
         text = f"{result}\n\n{result.refit()}" if refit else str(result)
@@ -218,15 +220,15 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
         return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
 
 
-def _write(critique: "Critique", directory: Path, file: Input) -> list[Path]:
+def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> list[Path]:
     """Write the JSON file and the figures, and return their paths."""
-    from allanjax.report.critique_figure import figure_names, plot_critique
-    from allanjax.report.critique_json import write_json
+    from allanjax.report.critique_figure import critique_figures
+    from allanjax.report.critique_json import to_dict
+    from allanjax.report.files import write_document
 
     named = dataclasses.replace(critique, name=file.name)
     with stage(f"{file.label}: writing results"):
         directory.mkdir(parents=True, exist_ok=True)
         paths = [directory / f"{file.name}_critique.json"]
-        write_json(critique, paths[0])
-        plot_critique(named, directory)
-    return paths + [directory / picture for picture in figure_names(named)]
+        write_document(to_dict(critique), paths[0])
+        return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]

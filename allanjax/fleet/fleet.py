@@ -136,6 +136,7 @@ def characterize_fleet(
     scheduler: str | None = None,
     piece: int = 20_000_000,
     progress: Progress | None = None,
+    figure_format: str = "png",
     **reading: Any,
 ) -> FleetResult:
     """Estimate the noise coefficients of many recordings on a Dask cluster, with one task per recording.
@@ -166,6 +167,7 @@ def characterize_fleet(
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
+        figure_format: png, svg or pdf.
         progress: called with the numbers of recordings done, failed, and in total.
         **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, ...
 
@@ -201,7 +203,7 @@ def characterize_fleet(
                     store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
                 report(*done.counts, len(paths))
-    return _written(done, len(resumed), (left_out(others, folder),) if others else (), out)
+    return _written(done, len(resumed), (left_out(others, folder),) if others else (), out, figure_format)
 
 
 @dataclass(frozen=True)
@@ -333,7 +335,7 @@ def _reason(path: Path, error: Exception) -> str:
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
-def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> FleetResult:
+def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figure_format: str) -> FleetResult:
     """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
     table, more = judged(done.table(), done.structures)
     paths = tuple(done.recordings.values())
@@ -344,7 +346,7 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> Fl
         writer.writeheader()
         writer.writerows(result.errors)
     (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
-    result.plot(out / "fleet.png")
+    result.plot(out / f"fleet.{figure_format}")
     return result
 
 

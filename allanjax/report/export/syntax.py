@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import json
 import re
 import textwrap
@@ -115,19 +117,20 @@ def _xml_comments(lines: Sequence[str], indent: str = "") -> list[str]:
 def _json(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
     """JSON, which has no comments: these are texts in "_comment", beside the values."""
     root: dict[str, Any] = {}
-    told = list(head)
+    comments = list(head)
     for entry in entries:
-        *groups, name = entry.name.split("/")
-        _below(root, groups)[name] = _plain(entry.value)
-        told += [f"{name}: {comment}" for comment in entry.comments]
-    _below(root, target.comment_at.split("/"))["_comment"] = told
+        comments += [f"{entry.name.rpartition('/')[2]}: {comment}" for comment in entry.comments]
+    values = [(entry.name, _plain(entry.value)) for entry in entries]
+    for place, value in [*values, (f"{target.comment_at}/_comment", comments)]:
+        *groups, name = place.split("/")
+        functools.reduce(lambda level, group: level.setdefault(group, {}), groups, root)[name] = value
     return json.dumps(root, indent=2) + "\n"
 
 
-def _below(root: dict[str, Any], groups: Sequence[str]) -> dict[str, Any]:
-    for group in groups:
-        root = root.setdefault(group, {})
-    return root
+def _common(one: Sequence[str], other: Sequence[str]) -> int:
+    """How many levels two paths share."""
+    pairs = zip(one, other, strict=False)
+    return len([*itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)])
 
 
 def _plain(value: Value) -> Any:
@@ -135,16 +138,6 @@ def _plain(value: Value) -> Any:
     if isinstance(value, tuple):
         return [float(number(x)) for x in value]
     return float(number(value)) if isinstance(value, float) else value
-
-
-def _common(one: Sequence[str], other: Sequence[str]) -> int:
-    """How many levels two paths share."""
-    same = 0
-    for a, b in zip(one, other, strict=False):
-        if a != b:
-            break
-        same += 1
-    return same
 
 
 _WRITERS: Mapping[Syntax, Callable[[Target, Sequence[str], Sequence[Entry]], str]] = {
@@ -214,10 +207,6 @@ def _read_yaml(target: Target, text: str) -> Iterator[Found]:
         above.append((indent, name))
 
 
-def _read_json(target: Target, text: str) -> Iterator[Found]:
-    yield from _of_json((), json.loads(text))
-
-
 def _of_json(path: tuple[str, ...], value: object) -> Iterator[Found]:
     if isinstance(value, dict):
         for name, inner in value.items():
@@ -227,10 +216,6 @@ def _of_json(path: tuple[str, ...], value: object) -> Iterator[Found]:
         numbers = [x for x in several if isinstance(x, int | float) and not isinstance(x, bool)]
         if numbers and len(numbers) == len(several):
             yield path, tuple(map(float, numbers))
-
-
-def _read_xml(target: Target, text: str) -> Iterator[Found]:
-    yield from _of_xml((), ET.fromstring(text))
 
 
 def _of_xml(path: tuple[str, ...], element: ET.Element) -> Iterator[Found]:
@@ -250,9 +235,9 @@ def _read_lines(target: Target, text: str) -> Iterator[Found]:
 
 
 _READERS: Mapping[Syntax, Callable[[Target, str], Iterator[Found]]] = {
-    "json": _read_json,
+    "json": lambda _, text: _of_json((), json.loads(text)),
     "lines": _read_lines,
-    "xml": _read_xml,
+    "xml": lambda _, text: _of_xml((), ET.fromstring(text)),
     "yaml": _read_yaml,
 }
 
