@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.tables import Tabled
+from allanjax.base.tables import Cell, Column, Tabled, columns_from
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-class AxisResult(Protocol):
-    """Result of one axis, as `PerAxis` holds it."""
-
-    @property
-    def axis(self) -> Any:
-        """The axis, whose `name` is the key."""
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Rows of this axis in the table of all axes."""
-
-
-_T = TypeVar("_T", bound=AxisResult)
+_T = TypeVar("_T", bound=Any)
 
 
 class PerAxis(Tabled, Mapping[str, _T]):
@@ -75,16 +64,12 @@ class PerAxis(Tabled, Mapping[str, _T]):
 
         return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
 
+    def _tables(self) -> Sequence[Sequence[Column]]:
+        of_sensor: dict[Any, list[Sequence[Cell]]] = {}
+        for result in self.results:
+            of_sensor.setdefault(result.axis.sensor, []).extend(result.rows())
+        return [columns_from(self._heads(sensor), rows) for sensor, rows in of_sensor.items()]
 
-def by_sensor(results: Sequence[Any], units: Callable[[Any], Sequence[str]]) -> list[tuple[str, ...]]:
-    """Rows of a table of axes: for each sensor the units of its columns, then the rows of its axes.
-
-    `units` are the units of all columns but the first; a column without values has no unit.
-    """
-    cells: list[tuple[str, ...]] = []
-    for sensor in dict.fromkeys(r.axis.sensor for r in results):
-        rows = [row for r in results if r.axis.sensor == sensor for row in r.rows()]
-        filled = (any(column) for column in zip(*rows, strict=True))
-        shown = zip(filled, ("", *units(sensor)), strict=True)
-        cells += [tuple(unit if has else "" for has, unit in shown), *rows]
-    return cells
+    def _heads(self, sensor: Any) -> Sequence[str]:
+        """Heads of the printed table of a sensor's axes, whose `rows()` have these columns."""
+        raise NotImplementedError

@@ -15,8 +15,9 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import finite_or_none, format_with_error, significant
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import Cell, Number
+from allanjax.base.wording import chi_squared, finite_or_none, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
@@ -213,11 +214,11 @@ class AxisCalibration(ByValue, AxisEstimates):
         wider = significant(max((x for x in self.widening.values() if np.isfinite(x)), default=1.0))
         return "" if wider == "1.00" else f"intervals up to {wider} times as wide as for white noise alone"
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: the parameters of the axis ± 1σ."""
         shown = {label: c.in_unit() for label, c in self.coefficients.items()}
-        cells = {k: "–" if c.remark else format_with_error(c.value, c.std) for k, c in shown.items()}
-        return [(self.axis.name, *(cells.get(label, "") for label in PARAMETERS))]
+        cells = {k: "–" if c.remark else Number(c.value, c.std) for k, c in shown.items()}
+        return [(self.axis.name, *map(cells.get, PARAMETERS))]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per parameter, in its usual unit."""
@@ -266,7 +267,7 @@ class Misfit(ByValue):
     def __str__(self) -> str:
         if not self.dof:
             return "as many parameters as means, so the fit cannot be checked: add positions"
-        text = f"χ² = {significant(self.chi2)} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if not self.suspects:
             return text
         return (
@@ -290,10 +291,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     """
 
     CALLED: ClassVar[str] = "the calibration"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "bias", "scale\nfactor", *(f"misalignment\n{x}" for x in _AXES), "second\norder"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     results: tuple[AxisCalibration, ...]
     positions: tuple[Position, ...]
@@ -401,8 +398,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def _title(self) -> str:
         return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(self.results, lambda sensor: [unit_of(sensor, label) for label in PARAMETERS])
+    def _heads(self, sensor: Sensor) -> list[str]:
+        return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]
 
     def _notes(self) -> list[str]:
         lines = [f"{sensor}: {misfit}" for sensor, misfit in self.misfit.items()]

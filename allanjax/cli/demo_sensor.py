@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from allanjax.base.earth import STANDARD_GRAVITY
-from allanjax.base.tables import text_table
+from allanjax.base.tables import as_text, columns_from
 from allanjax.base.wording import plain
 from allanjax.estimate.result import Fit
 from allanjax.noise.model import Model
@@ -56,4 +56,4 @@ def compare(fit: Fit) -> tuple[str, int, int]:
             true = f"{plain(value, 4)} {shown.unit}" if truth else "none"
             rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
     headings = ("axis", "coefficient", "estimate", "true", "95 %")
-    return text_table("estimates and true coefficients", headings, rows), inside, len(rows)
+    return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -23,8 +23,9 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, plain, significant
-from allanjax.estimate.tables import as_html, as_text, details, overview
+from allanjax.base.tables import Column
+from allanjax.base.wording import chi_squared, duration, percent, plain, significant
+from allanjax.estimate.tables import details, overview, remarks
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
@@ -216,7 +217,7 @@ def deviation(relative: float) -> str:
     """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
-        return f"{100.0 * abs(relative):.2g} %"
+        return percent(abs(relative))
     return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
@@ -578,9 +579,7 @@ class AxisFit(ByValue, AxisEstimates):
         """How well the model fits, in one line."""
         if not self.converged:
             return f"no result: {self.reason}"
-        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
-        if np.isfinite(self.p_value):
-            text += f" (p = {significant(self.p_value, 2)})" if self.p_value > 1e-300 else " (p < 1e-300)"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
@@ -717,11 +716,11 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
         return details(self._title(), self.results)
 
-    def __str__(self) -> str:
-        return as_text(self._title(), *overview(self))
+    def _tables(self) -> list[list[Column]]:
+        return overview(self)
 
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), *overview(self))
+    def _notes(self) -> Iterator[str]:
+        return remarks(self)
 
     def _title(self) -> str:
         length = duration(self.curve.n / self.curve.rate)

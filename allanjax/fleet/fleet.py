@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
+from allanjax.base.tables import Column, Tabled
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.result import Fit
-from allanjax.estimate.tables import as_html, as_text
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import matching_files, recording_names
 from allanjax.fleet.groups import Groups, group_names
@@ -26,7 +26,7 @@ from allanjax.fleet.options import FitOptions
 from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
 from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import judged, left_out, printed
+from allanjax.fleet.summary import judged, left_out, lines_of, tables
 from allanjax.fleet.table import rows_of, table_of, write_table
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -47,8 +47,8 @@ _SHORTEST_PIECE = 100_000
 _ROW_BYTES = 40
 
 
-@dataclass(frozen=True, eq=False)
-class FleetResult(ByValue):
+@dataclass(frozen=True, eq=False, repr=False)
+class FleetResult(ByValue, Tabled):
     """The coefficients of a fleet.
 
     Attributes:
@@ -87,15 +87,11 @@ class FleetResult(ByValue):
             f"{self.resumed} from an earlier run"
         )
 
-    def __str__(self) -> str:
-        tables, lines = printed(self.table)
-        return as_text(self._title(), tables, [*lines, *self.notes])
+    def _tables(self) -> list[list[Column]]:
+        return tables(self.table)
 
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        tables, lines = printed(self.table)
-        return as_html(self._title(), tables, [*lines, *self.notes])
+    def _notes(self) -> list[str]:
+        return [*lines_of(self.table), *self.notes]
 
 
 def characterize_fleet(

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.tables import Cell
 from allanjax.base.wording import duration
 from allanjax.kalman.likelihood import Constant
 from allanjax.kalman.recursion import (
@@ -32,6 +33,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import Sensor
 
 #: A model for all axes, or models by the names of axes, as a fit and `critique.models` have them.
 ModelsLike: TypeAlias = ModelLike | Mapping[str, Any]
@@ -252,7 +254,7 @@ class AdaptedAxis(BiasTrack):
             own |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
         return super()._columns() | own
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: bias, most probable model and its weight, number of changes."""
         best = int(np.argmax(self.weights[-1]))
         weight = f"{self.weights[-1, best]:.3f}"
@@ -264,11 +266,9 @@ class Adapted(BiasTracks[AdaptedAxis]):
     """Results of a bank of filters for every axis of a recording."""
 
     CALLED: ClassVar[str] = "the adaptive filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *BiasTracks.HEADINGS,
-        *("most probable model", "its weight", "changes"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = (*BiasTracks.HEADINGS[1:], *HEADINGS[3:])
+
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return *super()._heads(sensor), "most probable model", "its weight", "changes"
 
     def _title(self) -> str:
         first = self.results[0]

@@ -14,11 +14,12 @@ from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import Cell, Number
 from allanjax.base.wording import duration, finite_or_none, format_with_error
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.units import Sensor, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,18 +130,15 @@ class BiasTrack(ByValue):
             "bias_upper_95": high,
         }
 
-    def _last_bias(self) -> str:
-        """The bias in the last sample ± 1σ, in the usual unit."""
+    def _last_bias(self) -> Number:
+        """The bias in the last sample with its standard deviation, in the usual unit."""
         scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.0))
-        return format_with_error(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """The row of the printed table."""
-        raise NotImplementedError
+        return Number(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
 
     def __repr__(self) -> str:
-        unit = default_coefficient_unit(self.axis.sensor, 0.0)
-        return f"<{type(self).__name__} {self.axis.name}: bias at the end {self._last_bias()} {unit}>"
+        bias, unit = self._last_bias(), default_coefficient_unit(self.axis.sensor, 0.0)
+        at_end = format_with_error(bias.value, bias.error)
+        return f"<{type(self).__name__} {self.axis.name}: bias at the end {at_end} {unit}>"
 
 
 _T = TypeVar("_T", bound=BiasTrack)
@@ -154,8 +152,6 @@ class BiasTracks(ByValue, PerAxis[_T]):
         name: the recording's name.
         results: one per axis.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "bias at the end ± 1σ")
 
     name: str
     results: tuple[_T, ...]
@@ -172,9 +168,8 @@ class BiasTracks(ByValue, PerAxis[_T]):
         """
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        others = [""] * (len(self.HEADINGS) - 2)
-        return by_sensor(self.results, lambda sensor: [default_coefficient_unit(sensor, 0.0), *others])
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return "axis", f"bias at the end ± 1σ ({default_coefficient_unit(sensor, 0.0)})"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -234,7 +229,7 @@ class FilteredAxis(BiasTrack):
             own |= {name: x, f"{name}_std": std}
         return super()._columns() | own
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
         size, lost = self.nis, int(self.missing.sum())
         tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
@@ -265,11 +260,6 @@ class Filtered(BiasTracks[FilteredAxis]):
     """Results of a Kalman filter for every axis of a recording."""
 
     CALLED: ClassVar[str] = "the filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *BiasTracks.HEADINGS,
-        *("whiteness p", "NIS/n", "NIS p", "log-likelihood [nats]", "missing samples"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     @property
     def log_likelihood(self) -> float:
@@ -280,6 +270,10 @@ class Filtered(BiasTracks[FilteredAxis]):
         """The result of each axis as plain dictionaries, in SI."""
         axes = [result.to_dict() for result in self.results]
         return {"name": self.name, "rate_hz": self.results[0].rate, "axes": axes}
+
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        tests = ("whiteness p", "NIS/n", "NIS p")
+        return *super()._heads(sensor), *tests, "log-likelihood (nats)", "missing samples"
 
     def _title(self) -> str:
         first = self.results[0]

@@ -13,8 +13,8 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import duration, finite_or_none, significant
+from allanjax.base.per_axis import PerAxis
+from allanjax.base.wording import duration, finite_or_none, percent, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -90,14 +90,15 @@ class AxisAlignment(ByValue):
         white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
         if math.isinf(self.needed):
             why = f"takes more than {longest} (the error still falls)" if self.falling else "is out of reach"
-            doubt = "" if not 0.0 < self.out_of_reach < 1.0 else f", with probability {self.out_of_reach:.0%}"
+            doubtful = 0.0 < self.out_of_reach < 1.0
+            doubt = f", with probability {percent(self.out_of_reach)}" if doubtful else ""
             reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
             ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {_or_never(high)})"
             reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
-                reached += f"; it is out of reach with probability {self.out_of_reach:.0%}"
+                reached += f"; it is out of reach with probability {percent(self.out_of_reach)}"
         return f"{reached}; {white}" if white else reached
 
     def rows(self) -> list[tuple[str, ...]]:
@@ -143,10 +144,6 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
     """
 
     CALLED: ClassVar[str] = "the alignment"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "angle", "least error 1σ", "95 % interval", "averaging time", "95 % interval"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
 
     name: str
     latitude: float
@@ -164,9 +161,9 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         what = " and ".join(what for angle, what in done.items() if angle in angles)
         return f"{name}{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        units = {sensor: ("", unit, unit, "s", "s") for sensor, unit in _SHOWN.items()}
-        return by_sensor(self.results, units.__getitem__)
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        error, time = (f"least error 1σ ({_SHOWN[sensor]})", "averaging time (s)")
+        return "axis", "angle", error, f"95 % interval ({_SHOWN[sensor]})", time, "95 % interval (s)"
 
     def _notes(self) -> list[str]:
         verdicts = {r.axis.name: r.verdict for r in self.results}

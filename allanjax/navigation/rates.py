@@ -15,7 +15,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.per_axis import PerAxis
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
@@ -155,10 +155,6 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
     """
 
     CALLED: ClassVar[str] = "the sample rates"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "picked at", "level", "aliased", "95 % interval", "from quantization"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     name: str
     picked: tuple[AllanDeviation, ...]
@@ -185,10 +181,9 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         first, last = self.picked[0].rate, self.picked[-1].rate
         return f"{name}sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(
-            self.results, lambda sensor: ("Hz", default_coefficient_unit(sensor, 0.5), "%", "%", "%")
-        )
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        level = f"level ({default_coefficient_unit(sensor, 0.5)})"
+        return "axis", "picked at (Hz)", level, "aliased (%)", "95 % interval (%)", "from quantization (%)"
 
     def _notes(self) -> list[str]:
         return [f"{result.axis.name}: {result.describe()}" for result in self.results]

@@ -14,7 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
+from allanjax.base.tables import Column, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -356,7 +356,7 @@ class AxisReadings(ByValue):
         found: list[tuple[str, ...]] = []
         for label, shown in ((k, e.in_unit()) for k, e in self.estimates.items() if e is not None):
             value = format_with_error(shown.value, shown.std)
-            band = "" if shown.band is None else f"{shown.band[0]:.3g} … {shown.band[1]:.3g}"
+            band = " … ".join(plain(f, 3) for f in shown.band or ())
             title = title_of(label, self.axis.sensor)
             found.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
         return found
@@ -392,15 +392,6 @@ class Readings(ByValue, PerAxis[AxisReadings]):
     """
 
     CALLED: ClassVar[str] = "the reading"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "quantity",
-        "value ± 1σ",
-        "95 % interval",
-        "unit",
-        "band [Hz]",
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = ("value ± 1σ",)
 
     title: str
     results: tuple[AxisReadings, ...]
@@ -408,8 +399,9 @@ class Readings(ByValue, PerAxis[AxisReadings]):
     def _title(self) -> str:
         return self.title
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return [row for result in self.results for row in result.rows()]
+    def _tables(self) -> list[list[Column]]:
+        heads = ("axis", "quantity", "value ± 1σ", "95 % interval", "unit", "band (Hz)")
+        return [columns_from(heads, [row for result in self.results for row in result.rows()])]
 
     def _notes(self) -> list[str]:
         """The quantities that cannot be read, and why."""

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.tables import wrapped
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
@@ -30,7 +31,6 @@ from allanjax.report.critique_story import (
     sentence,
     significance,
     what,
-    wrap,
 )
 from allanjax.report.figure import (
     CLUSTER_TIME,
@@ -428,6 +428,6 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
             lines.append(f"{what(before)} → {format_remainder(before, after)}")
-    text = literal("\n".join(wrap(line, _COLUMNS) for line in lines))
+    text = literal("\n".join(wrapped(line, _COLUMNS, rest="") for line in lines))
     written = panel.text(0.0, 1.0, text, va="top", transform=panel.transAxes, linespacing=1.35)
     written.set_in_layout(False)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import textwrap
 import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -16,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
+from allanjax.base import tables
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, plain, significant
+from allanjax.base.wording import chi_squared, duration, plain, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.inspection.facts import why_no_measurement
 from allanjax.noise.estimate import Estimate, title_of
@@ -42,8 +41,6 @@ WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 1.2, "linestyle": ":"
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 50
-# Spaces at which no line is broken: in "N = 1.3 ± 0.2 deg/√h", "< 3 arcsec" and "95 %".
-_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<→]) |(?<=\d) (?=[A-Za-zµσ(×²/°])")
 FONT_SIZE = 9.0
 CLUSTER_TIME = "cluster time T [s]"
 FREQUENCY = "frequency f [Hz]"
@@ -210,7 +207,7 @@ class Heading(NamedTuple):
         """The title, the lines below it, and columns and lines of the key, on so many inches."""
         most = int(width * 8)
         title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
-        lines = textwrap.wrap(self.subtitle, int(width * 12.5), break_on_hyphens=False) or [""]
+        lines = tables.wrapped(self.subtitle, int(width * 12.5), rest="").split("\n")
         widths = [0.6 + 0.065 * len(str(entry.get_label())) for entry in self.key] or [0.0]
         columns = len(widths) if sum(widths) < width else max(int(width / max(widths)), 1)
         return title, lines, columns, -(-len(self.key) // columns)
@@ -376,9 +373,7 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     """
     if not result.converged:
         return KeyEntry(wrapped(result.verdict))
-    text = f"χ² = {result.chi2:.1f} for {result.dof} degrees of freedom"
-    if np.isfinite(result.p_value):
-        text += f" (p = {result.p_value:.2g})" if result.p_value > 1e-300 else " (p < 1e-300)"
+    text = chi_squared(result.chi2, result.dof, result.p_value)
     misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
     if own := misfits.get(unit):
         return KeyEntry(wrapped(f"does not fit: {own}; {text}"), WORST if np.isfinite(own.at) else None)
@@ -416,9 +411,7 @@ def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
 
 def wrapped(text: str) -> str:
     """Text in lines of the key's width, not broken within a word, or between a number and its unit."""
-    kept = _TOGETHER.sub("\u00a0", text)
-    lines = textwrap.wrap(kept, _KEY_COLUMNS, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace("\u00a0", " ")
+    return tables.wrapped(text, _KEY_COLUMNS, rest="")
 
 
 def facts_of(n: int, rate: float) -> str:

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.tables import text_table, wrapped
+from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, significant
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
@@ -44,7 +44,7 @@ _ENDED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Autocorrelation(ByValue, OfAxes):
+class Autocorrelation(ByValue, OfAxes, Tabled):
     """Estimated autocorrelation of each axis, mean subtracted, against the lag.
 
     Attributes:
@@ -137,20 +137,23 @@ class Autocorrelation(ByValue, OfAxes):
             columns[f"{name} standard error{unit}"] = self.standard_error[:, k] / scale
         return pd.DataFrame(columns)
 
-    def __str__(self) -> str:
+    def _title(self) -> str:
+        return repr(self)
+
+    def _tables(self) -> list[list[Column]]:
         rows = []
         for k, name in enumerate(self.names):
             unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
             error = float(self.standard_error[0, k]) / scale
             shown = "" if np.isnan(error) else significant(error, 2)
             rows.append((name, significant(float(self.value[0, k]) / scale), shown, unit))
-        table = text_table(repr(self), ("axis", "at lag 0", "1σ", "unit"), rows, right=("at lag 0", "1σ"))
-        remarks = dict.fromkeys(self.remarks)
-        notes = [
-            f"{', '.join(n for n, own in zip(self.names, self.remarks, strict=True) if own == r)}: {r}"
-            for r in remarks
-        ]
-        return "\n".join([table, *map(wrapped, notes)])
+        return [columns_from(("axis", "at lag 0", "1σ", "unit"), rows)]
+
+    def _notes(self) -> list[str]:
+        axes: dict[str, list[str]] = {}
+        for name, remark in zip(self.names, self.remarks, strict=True):
+            axes.setdefault(remark, []).append(name)
+        return [f"{', '.join(names)}: {remark}" for remark, names in axes.items()]
 
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
