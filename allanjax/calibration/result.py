@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import Cell, Number
-from allanjax.base.wording import chi_squared, finite_or_none, significant
+from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
@@ -142,7 +142,7 @@ def _unit(letter: str) -> Float[np.ndarray, 3]:
 
 
 def _written(vector: Float[np.ndarray, 3]) -> str:
-    return "(" + ", ".join(f"{x + 0.0:.3g}" for x in vector) + ")"
+    return "(" + ", ".join(f"{plain(x + 0.0, 3)}" for x in vector) + ")"
 
 
 SCHEMA_VERSION = 1

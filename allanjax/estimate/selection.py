@@ -217,7 +217,7 @@ class TermSet:
         return " + ".join(self.terms)
 
     def __repr__(self) -> str:
-        return f"<TermSet {self}: {100.0 * self.probability:.3g} %, {self.parameters} parameters>"
+        return f"<TermSet {self}: {plain(100.0 * self.probability, 3)} %, {self.parameters} parameters>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -314,7 +314,7 @@ class AxisSelection(ByValue):
         )
 
     def __repr__(self) -> str:
-        chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
+        chosen, best = (f"{s} ({plain(100.0 * s.probability, 3)} %)" for s in (self.chosen, self.best))
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.tables import Cell
-from allanjax.base.wording import duration
+from allanjax.base.wording import duration, plain
 from allanjax.kalman.likelihood import Constant
 from allanjax.kalman.recursion import (
     FilterModel,
@@ -272,7 +272,7 @@ class Adapted(BiasTracks[AdaptedAxis]):
 
     def _title(self) -> str:
         first = self.results[0]
-        models = f"{len(first.labels)} models, changes at {first.switching:g} per second"
+        models = f"{len(first.labels)} models, changes at {plain(first.switching)} per second"
         return f"{self.name or 'recording'}: adaptive filter, {models}"
 
     def _notes(self) -> list[str]:

@@ -269,7 +269,7 @@ def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
         if round(ratio) > most:
             raise AllanjaxError(
                 f"{rate:g} Hz leaves only {recording.n // round(ratio)} samples: use at least "
-                f"{recording.rate / most:.3g} Hz or a longer recording"
+                f"{plain(recording.rate / most, 3)} Hz or a longer recording"
             )
         factors.add(round(ratio))
     return sorted(factors)

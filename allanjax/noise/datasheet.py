@@ -29,7 +29,7 @@ from typing import Any
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import significant
+from allanjax.base.wording import percent, plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
@@ -299,7 +299,7 @@ class _Sheet:
         if stepped is not None:
             share = (stepped / N) ** 2
             self.statements.append(
-                f"quantization steps would add {100.0 * share:.2g} % to the power of N; they are not added"
+                f"quantization steps would add {percent(share)} to the power of N; they are not added"
             )
         return N
 
@@ -332,7 +332,9 @@ class _Sheet:
         )
         width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
         how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)" if kind == "first-order" else ""
-        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz{how}")
+        self.statements.append(
+            f"rms_noise is taken as white in a noise bandwidth of {plain(width, 4)} Hz{how}"
+        )
         return rms / math.sqrt(2.0 * width)
 
     def _flicker(self) -> float | None:

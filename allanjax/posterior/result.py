@@ -18,7 +18,7 @@ from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import Column
-from allanjax.base.wording import duration
+from allanjax.base.wording import duration, plain
 from allanjax.estimate.result import AxisEstimates, Fit
 from allanjax.estimate.tables import all_coefficients
 from allanjax.noise.estimate import Estimate
@@ -222,7 +222,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"
         text = (
-            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
+            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {plain(self.tau.max(), 3)}, "
             f"R̂ ≤ {self.r_hat.max():.4f}"
         )
         # Curves and drift are those of the sampled terms, which may not be all.

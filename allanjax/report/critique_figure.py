@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
+from allanjax.base.wording import plain
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
@@ -358,7 +359,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
-    name = f"means of {before.n / len(edges) / before.rate:.2g} s"
+    name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
     panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **dots())
     some = np.arange(before.n)[:: max(before.n // 5000, 1)]
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")

@@ -25,7 +25,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, significant
+from allanjax.base.wording import duration, plain, significant
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, models_of
@@ -158,7 +158,7 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
         return (
-            f"Autocorrelation({names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"Autocorrelation({names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
             f"lags up to {duration(self.lag[-1])})"
         )
 

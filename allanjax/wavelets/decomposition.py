@@ -224,7 +224,7 @@ class AxisDenoising(ByValue):
         )
 
     def __repr__(self) -> str:
-        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {self.cutoff:.3g} Hz>"
+        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {plain(self.cutoff, 3)} Hz>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

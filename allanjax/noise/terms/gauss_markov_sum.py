@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import percent
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.state_space import Block, block, together, white_block
 from allanjax.noise.terms.markov import Markov
@@ -51,8 +52,8 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
             break
     if not worst <= TOLERANCE:
         raise AllanjaxError(
-            f"no sum of Gauss–Markov processes approximates {term!r} to {TOLERANCE:.0%} (the best one to "
-            f"{worst:.0%}); fit bias_instability, rate_random_walk or Markov() instead"
+            f"no sum of Gauss–Markov processes approximates {term!r} to {percent(TOLERANCE)} (the best one "
+            f"to {percent(worst)}); fit bias_instability, rate_random_walk or Markov() instead"
         )
     found = zip(processes, variance, strict=True)
     blocks = [p.replace(amplitude=math.sqrt(v)).state_block(rate, None) for p, v in found if v > 0.0]
