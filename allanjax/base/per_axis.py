@@ -25,8 +25,6 @@ class PerAxis(Tabled, Mapping[str, _T]):
         results: one an axis.
     """
 
-    #: What messages call such a result, with its article.
-    CALLED: ClassVar[str] = "the result"
     #: What is raised for an axis that there is not.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
@@ -49,7 +47,7 @@ class PerAxis(Tabled, Mapping[str, _T]):
     def __getitem__(self, axis: str) -> _T:
         """The result of one axis, e.g. `fit["gyro_x"]`."""
         if axis not in self.axes:
-            called = getattr(self, "name", "") or self.CALLED
+            called = getattr(self, "name", "") or type(self).__name__
             raise self.ERROR(f"{called} has no axis {axis!r}; it has {', '.join(self.axes)}")
         return self.results[self.axes.index(axis)]
 

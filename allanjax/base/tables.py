@@ -258,7 +258,7 @@ class Tabled:
         return ()
 
     def _title(self) -> str:
-        """Title of the printed tables."""
+        """Title of the printed tables, without the result's name, which stands before it."""
         raise NotImplementedError
 
     def _tables(self) -> Sequence[Sequence[Column]]:
@@ -273,7 +273,8 @@ class Tabled:
         tables = self._tables()
         cells = [cell.strip() for columns in tables for c in columns for cell in c.cells]
         legend = [line for mark, line in _LEGEND.items() if any(re.match(mark, cell) for cell in cells)]
-        return self._title(), tables, [*legend, *(f"warning: {w}" for w in self.warnings), *self._notes()]
+        title = ": ".join(filter(None, (getattr(self, "name", ""), self._title())))
+        return title, tables, [*legend, *(f"warning: {w}" for w in self.warnings), *self._notes()]
 
     def __str__(self) -> str:
         return as_text(*self._printed())

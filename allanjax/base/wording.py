@@ -63,12 +63,20 @@ def duration(seconds: float) -> str:
     return f"{plain(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{plain(seconds / 3600.0, 3)} h"
 
 
+def record_size(n: int, rate: float) -> str:
+    """Length and rate of a record, e.g. "150,000 samples at 100 Hz (25 min)"."""
+    return f"{n:,} samples at {rate:g} Hz ({duration(n / rate)})"
+
+
+def format_p_value(p: float, digits: int = 2) -> str:
+    """p-value in words, e.g. "p = 0.66"."""
+    return f"p = {plain(p, digits)}" if p > 1e-300 else "p < 10⁻³⁰⁰"
+
+
 def chi_squared(chi2: float, dof: int, p_value: float) -> str:
     """Test of a fit in words, e.g. "χ² = 119.9 for 127 degrees of freedom (p = 0.66)"."""
     text = f"χ² = {chi2:,.1f} for {dof} degrees of freedom"
-    if math.isnan(p_value):
-        return text
-    return f"{text} (p {f'= {significant(p_value, 2)}' if p_value > 1e-300 else '< 10⁻³⁰⁰'})"
+    return text if math.isnan(p_value) else f"{text} ({format_p_value(p_value)})"
 
 
 def finite_or_none(x: float) -> float | None:

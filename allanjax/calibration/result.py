@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -289,8 +289,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         noise: source of the noise model.
         notes: what was assumed, and what could not be done.
     """
-
-    CALLED: ClassVar[str] = "the calibration"
 
     results: tuple[AxisCalibration, ...]
     positions: tuple[Position, ...]

@@ -7,7 +7,7 @@ import functools
 import html
 import os
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
@@ -120,8 +120,6 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         notes: notes for the user.
         dead: axes that could not be compared, and why.
     """
-
-    CALLED: ClassVar[str] = "the critique"
 
     name: str
     rate: float

@@ -32,7 +32,7 @@ from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
 from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.spectral.components import columns_of
@@ -364,10 +364,7 @@ class Check(ByValue, Tabled):
         }
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
-        if not self.rate:
-            return f"{name}cannot be read as a recording"
-        return f"{name}{self.n:,} samples at {self.rate:g} Hz ({duration(self.n / self.rate)})"
+        return record_size(self.n, self.rate) if self.rate else "cannot be read as a recording"
 
     def _of(self, verdict: str) -> list[Line]:
         return [line for line in self.lines if line.verdict == verdict]

@@ -409,7 +409,6 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         notes: for a data sheet, what was assumed and what it does not give.
     """
 
-    CALLED: ClassVar[str] = "the horizon"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -435,9 +434,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         }
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        return f"{name}N and K for a filter that is corrected every {length(self.horizon)}{process}"
+        return f"N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
     def _heads(self, sensor: Sensor) -> list[str]:
         units = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()}

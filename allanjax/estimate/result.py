@@ -24,7 +24,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import Column
-from allanjax.base.wording import chi_squared, duration, percent, plain, significant
+from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
 from allanjax.estimate.tables import details, overview, remarks
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
@@ -612,7 +612,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
         parts: the parts of the recording that were used, in s from its first sample; empty for all of it.
     """
 
-    CALLED: ClassVar[str] = "the fit"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -714,7 +713,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def details(self) -> str:
         """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
-        return details(self._title(), self.results)
+        return details(self._printed()[0], self.results)
 
     def _tables(self) -> list[list[Column]]:
         return overview(self)
@@ -723,7 +722,4 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return remarks(self)
 
     def _title(self) -> str:
-        length = duration(self.curve.n / self.curve.rate)
-        name = f"{self.name}: " if self.name else ""
-        others = self.curve.describe_others()
-        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"
+        return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()

@@ -358,7 +358,6 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         facts: what the inspection of the recording detected, the gravest first.
     """
 
-    CALLED: ClassVar[str] = "the selection"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -371,7 +370,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         return warnings_of(self.facts)
 
     def _title(self) -> str:
-        return f"{self.name}: noise terms by evidence".lstrip(": ")
+        return "noise terms by evidence"
 
     def _tables(self) -> list[list[Column]]:
         """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""

@@ -1,14 +1,19 @@
-"""Files of a fleet's recordings, and their names."""
+"""Files of a fleet: its recordings with their names, and stored fits with keys of all they depend on."""
 
 from __future__ import annotations
 
 import glob
+import hashlib
+import json
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.fleet.options import FitOptions
 from allanjax.record.io.formats import is_bag, name_of
 
 
@@ -67,3 +72,76 @@ def recording_names(paths: Sequence[Path]) -> list[str]:
             if count[names[k].casefold()] > 1:
                 names[k] = "_".join(tail[-depth:])
     return names
+
+
+# --- Stored fits -----------------------------------------------------------------------------------------
+
+Key = dict[str, Any]
+
+
+def key_of(path: Path, options: FitOptions) -> Key | None:
+    """Key of a result: all that it depends on; None if there is no such file."""
+    try:
+        status = [part.stat() for part in (path.iterdir() if is_bag(path) else (path,))]
+    except OSError:
+        return None
+    return {
+        "path": str(path.resolve()),
+        "size": sum(part.st_size for part in status),
+        "modified_ns": max(part.st_mtime_ns for part in status),
+        "options": options.to_dict(),
+        "allanjax_version": version("allanjax"),
+    }
+
+
+def earlier(
+    folder: Path, recordings: Mapping[str, Path], keys: Mapping[str, Key | None]
+) -> tuple[list[str], list[Path]]:
+    """Names of the recordings whose fits a folder has, and files of other recordings whose fits it has.
+
+    Names are unique within one run only: stored fits are renamed to their new names, and those of other
+    recordings make way for them.
+    """
+    paths = {name: str(path.resolve()) for name, path in recordings.items()}
+    found = {path.stem: document["key"] for path in folder.glob("*.json") if (document := _document(path))}
+    names = {}
+    for name, key in found.items():
+        at = name
+        if paths.get(name, key["path"]) != key["path"]:
+            at = f"{name}-{hashlib.sha256(key['path'].encode()).hexdigest()[:8]}"
+            _file(folder, name).replace(_file(folder, at))
+        names[_text(key)] = at
+    done = [name for name, key in keys.items() if key is not None and _text(key) in names]
+    for name in done:
+        _file(folder, names[_text(keys[name])]).replace(_file(folder, name))
+    left_out = {key["path"] for key in found.values()} - set(paths.values())
+    return done, [Path(path) for path in sorted(left_out)]
+
+
+def stored(folder: Path, name: str) -> dict[str, Any]:
+    """Stored fit of the recording of this name."""
+    return json.loads(_file(folder, name).read_text(encoding="utf-8"))["fit"]
+
+
+def store(folder: Path, name: str, document: Mapping[str, Any]) -> None:
+    """Store a document as a whole or not at all: it is written to another file, which is renamed."""
+    path, draft = _file(folder, name), folder / f".{name}.{os.getpid()}"
+    draft.write_text(json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    draft.replace(path)
+
+
+def _document(path: Path) -> dict[str, Any] | None:
+    """Key and fit of a recording; None if the file holds something else."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return document if isinstance(document["key"]["path"], str) and document["fit"]["axes"] else None
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _file(folder: Path, name: str) -> Path:
+    return folder / f"{name}.json"
+
+
+def _text(key: Key | None) -> str:
+    return json.dumps(key, sort_keys=True)

@@ -20,11 +20,10 @@ from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.result import Fit
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
-from allanjax.fleet.files import matching_files, recording_names
+from allanjax.fleet.files import earlier, key_of, matching_files, recording_names, store, stored
 from allanjax.fleet.groups import Groups, group_names
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
-from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import judged, left_out, lines_of, tables
 from allanjax.fleet.table import rows_of, table_of, write_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -265,15 +265,13 @@ class AdaptedAxis(BiasTrack):
 class Adapted(BiasTracks[AdaptedAxis]):
     """Results of a bank of filters for every axis of a recording."""
 
-    CALLED: ClassVar[str] = "the adaptive filter"
-
     def _heads(self, sensor: Sensor) -> tuple[str, ...]:
         return *super()._heads(sensor), "most probable model", "its weight", "changes"
 
     def _title(self) -> str:
         first = self.results[0]
         models = f"{len(first.labels)} models, changes at {plain(first.switching)} per second"
-        return f"{self.name or 'recording'}: adaptive filter, {models}"
+        return f"adaptive filter, {models}"
 
     def _notes(self) -> list[str]:
         changes = ((r.axis.name, c) for r in self.results for c in r.changes)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -259,8 +259,6 @@ class FilteredAxis(BiasTrack):
 class Filtered(BiasTracks[FilteredAxis]):
     """Results of a Kalman filter for every axis of a recording."""
 
-    CALLED: ClassVar[str] = "the filter"
-
     @property
     def log_likelihood(self) -> float:
         """Log-likelihood of all axes [nats], which are taken as independent."""
@@ -279,7 +277,7 @@ class Filtered(BiasTracks[FilteredAxis]):
         first = self.results[0]
         length = duration(len(first.samples) / first.rate)
         kind = "smoother" if first.smoothed else "filter"
-        return f"{self.name or 'recording'}: Kalman {kind}, {length} at {first.rate:g} Hz"
+        return f"Kalman {kind}, {length} at {first.rate:g} Hz"
 
     def _notes(self) -> list[str]:
         drifts: dict[str, list[str]] = {}

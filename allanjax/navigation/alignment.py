@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -143,8 +143,6 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the alignment"
-
     name: str
     latitude: float
     results: tuple[AxisAlignment, ...]
@@ -155,11 +153,10 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         return {"name": self.name, "latitude_rad": self.latitude, "axes": axes}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         done = {"tilt": "leveling", "azimuth": "gyro-compassing"}
         angles = {result.angle for result in self.results}
         what = " and ".join(what for angle, what in done.items() if angle in angles)
-        return f"{name}{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
+        return f"{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
 
     def _heads(self, sensor: Sensor) -> tuple[str, ...]:
         error, time = (f"least error 1σ ({_SHOWN[sensor]})", "averaging time (s)")

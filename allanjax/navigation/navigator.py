@@ -229,11 +229,8 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         loop = "with the Schuler loop" if self.schuler else "short-term"
-        return (
-            f"{name}errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
-        )
+        return f"errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
 
     def _tables(self) -> list[list[Column]]:
         time = self.growths[0].time

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -154,8 +154,6 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the sample rates"
-
     name: str
     picked: tuple[AllanDeviation, ...]
     averaged: tuple[AllanDeviation, ...]
@@ -177,9 +175,8 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         return {"name": self.name, "axes": [result.to_dict() for result in self.results]}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         first, last = self.picked[0].rate, self.picked[-1].rate
-        return f"{name}sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
+        return f"sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
 
     def _heads(self, sensor: Sensor) -> tuple[str, ...]:
         level = f"level ({default_coefficient_unit(sensor, 0.5)})"

@@ -134,7 +134,7 @@ class DataSheet(ByValue, Tabled):
         return {f"{sensor}_{letter}": model for sensor, model in self.models.items() for letter in "xyz"}
 
     def _title(self) -> str:
-        return self.name or "data sheet"
+        return "" if self.name else "data sheet"
 
     def _tables(self) -> list[list[Column]]:
         tables = []

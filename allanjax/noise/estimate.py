@@ -6,7 +6,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -390,8 +390,6 @@ class Readings(ByValue, PerAxis[AxisReadings]):
         title: title of the table.
         results: one per axis.
     """
-
-    CALLED: ClassVar[str] = "the reading"
 
     title: str
     results: tuple[AxisReadings, ...]

@@ -18,7 +18,7 @@ from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.per_axis import PerAxis
 from allanjax.base.tables import Column
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration, plain, record_size
 from allanjax.estimate.result import AxisEstimates, Fit
 from allanjax.estimate.tables import all_coefficients
 from allanjax.noise.estimate import Estimate
@@ -351,8 +351,6 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         results: one posterior per axis.
     """
 
-    CALLED: ClassVar[str] = "the posterior"
-
     fit: Fit
     results: tuple[AxisPosterior, ...]
 
@@ -382,10 +380,8 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.fit.name}: " if self.fit.name else ""
-        curve = self.fit.curve
-        length = duration(curve.n / curve.rate)
-        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({length})"
+        name, curve = self.fit.name, self.fit.curve
+        return f"{name}{': ' if name else ''}posterior from {record_size(curve.n, curve.rate)}"
 
     def _tables(self) -> list[list[Column]]:
         return all_coefficients(self.results, "median")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from allanjax.base.wording import significant
+from allanjax.base.wording import format_p_value
 from allanjax.calibration.result import Calibration
 from allanjax.record.units import Sensor, unit_scale
 from allanjax.report.figure import (
@@ -55,9 +55,7 @@ def plot_calibration(
     rows = [row for row in kinds if row[2]]
     at = np.arange(len(calibration.positions))
     with style():
-        checks = (
-            f"{SENSORS[s]}: {f'p = {significant(m.p_value, 2)}' if m.dof else 'no check'}" for s, m, _ in rows
-        )
+        checks = (f"{SENSORS[s]}: {format_p_value(m.p_value) if m.dof else 'no check'}" for s, m, _ in rows)
         key = [points_entry("measured − fitted mean, ± 1σ of the noise")]
         heading = Heading(f"Calibration from {len(at)} positions", "; ".join(checks), key)
         figure, panels = _SHEET.draw(heading, [len(kept) for _, _, kept in rows])

@@ -8,7 +8,15 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from allanjax.base.tables import WIDTH, as_text, columns_from, printable, width_of, wrapped
-from allanjax.base.wording import duration, format_with_error, percent, plain, times_ten, without_error
+from allanjax.base.wording import (
+    duration,
+    format_p_value,
+    format_with_error,
+    percent,
+    plain,
+    times_ten,
+    without_error,
+)
 from allanjax.critic.finding import CoefficientChange, Discrepancy, Finding, cause_title
 from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
@@ -63,7 +71,7 @@ def parameters(finding: Finding) -> list[str]:
 def significance(finding: Finding) -> str:
     """How improbable a finding is by chance: a p-value where there is a test, else the odds."""
     if finding.p_value is not None:
-        return p_value(finding.p_value)
+        return format_p_value(finding.p_value)
     if finding.evidence is None:
         measured = finding.gain is not None or _is_counted_elsewhere(finding)
         return "" if measured else "visible directly in the samples"
@@ -143,14 +151,7 @@ def suited(unit: str, value: float) -> tuple[str, float]:
 
 def describe(d: Discrepancy) -> str:
     """Discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1×10⁻³⁰)"."""
-    return f"{what(d)} ({p_value(d.p_value)})"
-
-
-def p_value(p: float) -> str:
-    """p-value in words, e.g. "p = 1×10⁻³⁰"."""
-    if p <= 1e-300:
-        return "p < 10⁻³⁰⁰"
-    return f"p = {plain(p, 1 if p < 1e-3 else 2)}"
+    return f"{what(d)} ({format_p_value(d.p_value)})"
 
 
 def what(d: Discrepancy) -> str:
@@ -333,14 +334,14 @@ _BRIEF, _FULL = 1, 3
 
 
 def story(critique: Critique) -> str:
-    """Table of the findings that change most, a line for each axis, warnings and notes."""
+    """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
     causes = _causes(critique)
     lines = [_headline(critique, causes)]
     if causes:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
         lines.append(f"and {len(causes) - MOST} more: critique.details()")
-    return "\n".join([*lines, "", *_end(critique, _BRIEF)])
+    return printable("\n".join([*lines, "", *_end(critique, _BRIEF)]))
 
 
 def details(critique: Critique) -> str:
@@ -482,7 +483,7 @@ def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
         if after.p_value < UNEXPLAINED:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
-    return "gone" if after.p_value > UNEXPLAINED else f"still there ({p_value(after.p_value)})"
+    return "gone" if after.p_value > UNEXPLAINED else f"still there ({format_p_value(after.p_value)})"
 
 
 def changes(finding: Finding, axis: Axis) -> list[str]:
@@ -508,11 +509,6 @@ def _notable(before: float, after: float) -> bool:
     if not known.all():
         return bool(known.any())
     return abs(after - before) > _NOTABLE * max(abs(before), abs(after))
-
-
-def critique_text(critique: Critique) -> str:
-    """The critique as standard output can show it, for `print`."""
-    return printable(story(critique))
 
 
 def finding_text(finding: Finding) -> str:

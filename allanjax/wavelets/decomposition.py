@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -236,8 +236,6 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
         wavelet: name of the wavelet in PyWavelets.
         results: one per axis.
     """
-
-    CALLED: ClassVar[str] = "the de-noised recording"
 
     recording: Recording
     wavelet: str

@@ -145,7 +145,8 @@ def rate_from_times(
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
             f"{np.std(intervals):.3g} s, and {percent(float(np.mean(long)))} of the intervals are gaps "
-            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; {_evenly(times)}"
+            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; "
+            f"{_evenly(times)}"
             f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; do not resample, which smooths the "
             "noise",
             "jitter",
