@@ -1,4 +1,4 @@
-"""Tables of results as text and as HTML; and text in ASCII for an output without Unicode, `deg/sqrt(h)`."""
+"""Results as text and HTML: tables, results of several axes, and ASCII for an output without Unicode."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ import re
 import sys
 import textwrap
 import unicodedata
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple, TextIO, TypeAlias
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TextIO, TypeAlias, TypeVar
 
+from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import exponent, fixed, power_of, times_ten
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ERRORS = "allanjax"
 """Name of the error handler that writes these replacements, for `str.encode` and for streams."""
@@ -284,3 +288,64 @@ class Tabled:
 
     def _repr_html_(self) -> str:
         return as_html(*self._printed())
+
+
+_T = TypeVar("_T", bound=Any)
+
+
+class PerAxis(Tabled, Mapping[str, _T]):
+    """A mapping from the names of axes to their results, in the recording's order.
+
+    `for name in fit`, `fit["gyro_x"]`, `fit.values()` and `fit.items()` are those of a dictionary. A subclass
+    is a dataclass with the field `results`, and says what its table shows.
+
+    Attributes:
+        results: one an axis.
+    """
+
+    #: What is raised for an axis that there is not.
+    ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
+
+    results: tuple[_T, ...]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return tuple(result.axis.name for result in self.results)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.axes)
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    def __contains__(self, axis: object) -> bool:
+        return axis in self.axes
+
+    def __getitem__(self, axis: str) -> _T:
+        """The result of one axis, e.g. `fit["gyro_x"]`."""
+        if axis not in self.axes:
+            called = getattr(self, "name", "") or type(self).__name__
+            raise self.ERROR(f"{called} has no axis {axis!r}; it has {', '.join(self.axes)}")
+        return self.results[self.axes.index(axis)]
+
+    def get(self, axis: str, default: Any = None) -> Any:
+        """The result of one axis, or the default if there is no such axis."""
+        # Not `Mapping.get`, which waits for a KeyError.
+        return self[axis] if axis in self else default  # noqa: SIM401
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Table of all axes, one below the other."""
+        import pandas as pd
+
+        return pd.concat([result.to_dataframe() for result in self.results], ignore_index=True)
+
+    def _tables(self) -> Sequence[Sequence[Column]]:
+        of_sensor: dict[Any, list[Sequence[Cell]]] = {}
+        for result in self.results:
+            of_sensor.setdefault(result.axis.sensor, []).extend(result.rows())
+        return [columns_from(self._heads(sensor), rows) for sensor, rows in of_sensor.items()]
+
+    def _heads(self, sensor: Any) -> Sequence[str]:
+        """Heads of the printed table of a sensor's axes, whose `rows()` have these columns."""
+        raise NotImplementedError

@@ -15,8 +15,7 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Cell, Number
+from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
@@ -225,20 +224,11 @@ class AxisCalibration(ByValue, AxisEstimates):
         import pandas as pd
 
         rows = [
-            {
-                "axis": self.axis.name,
-                "parameter": label,
-                "value": c.value,
-                "std": c.std,
-                "lower_95": c.interval[0],
-                "upper_95": c.interval[1],
-                "unit": c.unit,
-                "over_white_noise": self.widening[label],
-                "remark": c.remark,
-            }
-            for label, c in ((label, e.in_unit()) for label, e in self.coefficients.items())
+            c.row() | {"parameter": label, "over_white_noise": self.widening[label], "remark": c.remark}
+            for label, c in self.coefficients.items()
         ]
-        return pd.DataFrame(rows)
+        numbers = ("value", "std", "lower_95", "upper_95", "unit")
+        return pd.DataFrame(rows, columns=["axis", "parameter", *numbers, "over_white_noise", "remark"])
 
 
 @dataclass(frozen=True, eq=False)

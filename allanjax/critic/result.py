@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import side_of_limit, values_of

@@ -30,7 +30,7 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import finite_or_none, percent, significant
 from allanjax.estimate.as_json import in_both_units

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -22,8 +22,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Column
+from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
 from allanjax.estimate.tables import details, overview, remarks
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
@@ -64,21 +63,6 @@ _FACTOR = 1.5
 _NOTABLE, _CLEAR = 0.02, 0.06
 # Scatter that is so large a share of a deviation is told with it.
 _MUCH = 0.3
-_COLUMNS: dict[str, Callable[[Estimate], Any]] = {
-    "axis": lambda c: c.axis.name,
-    "coefficient": lambda c: c.label,
-    "value": lambda c: c.value,
-    "median": lambda c: c.value,
-    "std": lambda c: c.std,
-    "lower_68": lambda c: c.interval_68[0],
-    "upper_68": lambda c: c.interval_68[1],
-    "lower_95": lambda c: c.interval[0],
-    "upper_95": lambda c: c.interval[1],
-    "unit": lambda c: c.unit,
-    "detected": lambda c: c.detected,
-    "upper_limit_95": lambda c: c.upper_limit,
-    "measured": lambda c: c.measured,
-}
 # Ratio of a limit of the bandwidth to its value within which the limit is told.
 _NEAR = 3.0
 # Places that are named; of more the strongest.
@@ -259,8 +243,7 @@ class AxisEstimates:
         """One row per coefficient, in its usual unit."""
         import pandas as pd
 
-        shown = [c.in_unit() for c in self.coefficients.values()]
-        rows = [{name: _COLUMNS[name](c) for name in self.COLUMNS} for c in shown]
+        rows = [c.row() for c in self.coefficients.values()]
         return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
 
     def __repr__(self) -> str:

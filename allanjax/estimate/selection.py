@@ -18,8 +18,7 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Column, Number, column, columns_from, tables_of
+from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
 from allanjax.base.wording import duration, plain
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp

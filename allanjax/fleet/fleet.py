@@ -23,10 +23,9 @@ from allanjax.fleet.cluster import Call, connected, outcomes, submitted
 from allanjax.fleet.files import earlier, key_of, matching_files, recording_names, store, stored
 from allanjax.fleet.groups import Groups, group_names
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import judged, left_out, lines_of, tables
-from allanjax.fleet.table import rows_of, table_of, write_table
+from allanjax.fleet.table import AxisStructure, rows_of, structures, table_of, why_not_measured, write_table
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording

@@ -13,14 +13,15 @@ from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.tables import MAIN, SYMBOLS
 from allanjax.fleet.grades import Split, found_split, pooled_values
 from allanjax.fleet.outlying_units import FEWEST_UNITS
-from allanjax.fleet.remarks import (
+from allanjax.fleet.table import (
     INCOMPLETE,
     NOT_MEASURED,
     AxisStructure,
     Remark,
+    families,
+    mark_outlying,
     unlike_mates,
 )
-from allanjax.fleet.table import families, mark_outlying
 from allanjax.noise.estimate import title_of
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from allanjax.base.chi_squared import upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Cell, Number
+from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_with_error
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis

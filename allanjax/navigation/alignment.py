@@ -13,7 +13,7 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration, finite_or_none, percent, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model

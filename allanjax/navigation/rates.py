@@ -15,7 +15,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit

@@ -13,8 +13,7 @@ import numpy as np
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Column, columns_from, printable
+from allanjax.base.tables import Column, PerAxis, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -197,6 +196,25 @@ class Estimate(ByValue):
         shown = self if unit is None else self.in_unit(unit)
         return shown._sentence(shown._amount())
 
+    def row(self) -> dict[str, Any]:
+        """The estimate in its usual unit, as a row of a data frame."""
+        c = self.in_unit()
+        return {
+            "axis": c.axis.name,
+            "coefficient": c.label,
+            "value": c.value,
+            "median": c.value,
+            "std": c.std,
+            "lower_68": c.interval_68[0],
+            "upper_68": c.interval_68[1],
+            "lower_95": c.interval[0],
+            "upper_95": c.interval[1],
+            "unit": c.unit,
+            "detected": c.detected,
+            "upper_limit_95": c.upper_limit,
+            "measured": c.measured,
+        }
+
     def describe_interval(self) -> str:
         """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
         return format_interval(*self.interval, self.value, self.std if self.is_normal else np.nan)
@@ -365,15 +383,11 @@ class AxisReadings(ByValue):
         """Table with one row per quantity, in usual units; numbers are missing where there is none."""
         import pandas as pd
 
-        rows = []
-        for label, estimate in self.estimates.items():
-            row: dict[str, object] = {"axis": self.axis.name, "coefficient": label}
-            if estimate is not None:
-                shown = estimate.in_unit()
-                lower, upper = shown.interval
-                row |= {"value": shown.value, "std": shown.std, "lower_95": lower, "upper_95": upper}
-                row |= {"unit": shown.unit}
-            rows.append(row | {"reason": self.reasons.get(label, "")})
+        rows = [
+            ({} if estimate is None else estimate.row())
+            | {"axis": self.axis.name, "coefficient": label, "reason": self.reasons.get(label, "")}
+            for label, estimate in self.estimates.items()
+        ]
         columns = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "reason"]
         return pd.DataFrame(rows, columns=columns)
 

@@ -16,8 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import Column
+from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import duration, plain, record_size
 from allanjax.estimate.result import AxisEstimates, Fit
 from allanjax.estimate.tables import all_coefficients

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, models_of
