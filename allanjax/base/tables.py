@@ -213,14 +213,22 @@ def as_text(title: str, tables: Sequence[Sequence[Column]], lines: Iterable[str]
 def _in_lines(columns: Sequence[Column]) -> list[str]:
     """Lines of a table; a text in the first column is not repeated below itself.
 
-    If the table is too wide, units go into a second line of the head, and at last cells are cut.
+    If the table is too wide, units go into a second line of the head, columns move together, and at last
+    cells are cut.
     """
     columns = [Column(printable(c.head), [*map(printable, c.cells)]) for c in columns if any(c.cells)]
     if width_of(columns) > WIDTH:
         columns = [c.broken() for c in columns]
     widths = [c.width for c in columns]
-    while sum(widths) + _GAP * (len(widths) - 1) > WIDTH:
+    between = len(widths) - 1
+    gap = next((gap for gap in range(_GAP, 1, -1) if sum(widths) + gap * between <= WIDTH), 1)
+    while sum(widths) + gap * between > WIDTH:
         widths[widths.index(max(widths))] -= 1
+
+    def line(cells: Sequence[str]) -> str:
+        cut = (x if len(x.rstrip()) <= n else f"{x[: n - 1]}…" for x, n in zip(cells, widths, strict=True))
+        return (" " * gap).join(f"{x:{n}.{n}}" for x, n in zip(cut, widths, strict=True)).rstrip()
+
     heads = [c.head.split("\n") for c in columns]
     height = max(map(len, heads), default=0)
     above = zip(*([""] * (height - len(head)) + head for head in heads), strict=True)
@@ -228,14 +236,7 @@ def _in_lines(columns: Sequence[Column]) -> list[str]:
     for name, *others in zip(*(c.cells for c in columns), strict=True):
         rows.append((name if name != previous else "", *others))
         previous = name
-    line = printable("─") * (sum(widths) + _GAP * (len(widths) - 1))
-    return [*(_line(row, widths) for row in above), line, *(_line(row, widths) for row in rows)]
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """One line of a table, with cells that are too long cut."""
-    cut = (x if len(x) <= n else f"{x[: n - 1]}…" for x, n in zip(cells, widths, strict=True))
-    return (" " * _GAP).join(f"{x:{n}}" for x, n in zip(cut, widths, strict=True)).rstrip()
+    return [*map(line, above), printable("─") * (sum(widths) + gap * between), *map(line, rows)]
 
 
 def as_html(title: str, tables: Sequence[Sequence[Column]], lines: Iterable[str] = ()) -> str:

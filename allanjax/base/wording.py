@@ -37,6 +37,11 @@ def format_interval(lower: float, upper: float, value: float, std: float) -> str
     return _joined(" … ", (lower, upper), value, std)
 
 
+def format_range(lower: float, upper: float) -> str:
+    """Ends of an interval with three digits each, e.g. "9.72 … 12.9"; "" if there is none."""
+    return "" if math.isnan(lower) else f"{significant(lower)} … {significant(upper)}"
+
+
 def significant(x: float, digits: int = 3) -> str:
     """Number with `digits` significant digits, including zeros, e.g. "3,470", "0.500" or "1.20×10⁻⁶"."""
     if not math.isfinite(x) or x == 0.0:

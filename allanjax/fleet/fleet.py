@@ -20,8 +20,16 @@ from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
 from allanjax.estimate.result import Fit
 from allanjax.fleet.cluster import Call, connected, outcomes, submitted
-from allanjax.fleet.files import earlier, key_of, matching_files, recording_names, store, stored
-from allanjax.fleet.groups import Groups, group_names
+from allanjax.fleet.files import (
+    Groups,
+    earlier,
+    group_names,
+    key_of,
+    matching_files,
+    recording_names,
+    store,
+    stored,
+)
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.summary import judged, left_out, lines_of, tables
@@ -132,7 +140,7 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
+            file and group, a mapping, or a function of the path; see `fleet.files.group_names`.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.

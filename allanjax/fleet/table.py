@@ -33,31 +33,20 @@ def table_schema() -> pa.Schema:
     import pyarrow as pa
 
     text, number, flag = pa.string(), pa.float64(), pa.bool_()
-    return pa.schema(
-        {
-            "recording": text,
-            "file": text,
-            "group": text,
-            "axis": text,
-            "sensor": text,
-            "coefficient": text,
-            "value": number,
-            "std": number,
-            "lower_95": number,
-            "upper_95": number,
-            "unit": text,
-            "detected": flag,
-            "upper_limit_95": number,
-            "measured": flag,
-            "p_value": number,
-            "terms": text,
-            "outlying": flag,
-            "start_s": number,
-            "stop_s": number,
-            "remarks": text,
-            "warnings": text,
-        }
+    types = (
+        ("recording file group axis sensor coefficient", text),
+        ("value std lower_95 upper_95", number),
+        ("unit", text),
+        ("detected", flag),
+        ("upper_limit_95", number),
+        ("measured", flag),
+        ("p_value", number),
+        ("terms", text),
+        ("outlying", flag),
+        ("start_s stop_s", number),
+        ("remarks warnings", text),
     )
+    return pa.schema([(name, kind) for names, kind in types for name in names.split()])
 
 
 def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:

@@ -14,7 +14,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
-from allanjax.base.wording import duration, finite_or_none, percent, significant
+from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -107,8 +107,8 @@ class AxisAlignment(ByValue):
             return [(self.axis.name, self.angle, *[""] * 4)]
         cells = [self.axis.name, self.angle]
         for name, scale in (("best", unit_scale(_SHOWN[self.axis.sensor])), ("best_time", 1.0)):
-            low, high = (significant(x / scale) for x in getattr(self, f"{name}_interval"))
-            cells += [significant(getattr(self, name) / scale), "" if low == "nan" else f"{low} … {high}"]
+            ends = (x / scale for x in getattr(self, f"{name}_interval"))
+            cells += [significant(getattr(self, name) / scale), format_range(*ends)]
         return [tuple(cells)]
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -17,7 +17,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
 from allanjax.navigation.likely import (
     AxisNoise,
     Drawn,
@@ -137,22 +137,14 @@ class ErrorGrowth(ByValue):
         """Columns of the printed table, with rows at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
         cells = []
-        for k, channel in enumerate(self.channels):
+        numbers = (x / scale for x in (self.error, self.lower, self.upper))
+        for channel, error, lower, upper in zip(self.channels, *numbers, strict=True):
             largest = self.largest(channel)
             for j in at:
-                value = self.error[k, j]
-                share = (self.causes[channel][largest[j]][j] / value) ** 2 if value > 0.0 else 1.0
-                low, high = (significant(float(x[k, j]) / scale) for x in (self.lower, self.upper))
-                cells.append(
-                    (
-                        f"{self.quantity} {channel}",
-                        plain(float(self.time[j]), 4),
-                        significant(float(value) / scale),
-                        f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
-                        largest[j],
-                        f"{100.0 * share:.0f}",
-                    )
-                )
+                cause = self.causes[channel][largest[j]][j] / scale
+                share = (cause / error[j]) ** 2 if error[j] > 0.0 else 1.0
+                texts = (plain(self.time[j], 4), significant(error[j]), format_range(lower[j], upper[j]))
+                cells.append((f"{self.quantity} {channel}", *texts, largest[j], f"{100.0 * share:.0f}"))
         heads = (
             "error",
             "after (s)",
