@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 ERRORS = "allanjax"
 """Name of the error handler that writes these replacements, for `str.encode` and for streams."""
 
-# Roots and raised digits, which are written as a whole, and single characters.
+# Roots, powers of ten and raised digits, which are written as a whole, and single characters.
 _ROOT = re.compile(r"√([A-Za-z]+)")
+_POWER = re.compile("×10([⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+)")
 _RAISED = re.compile("[⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻]+")
 _LEVEL = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁺⁻", "0123456789+-")
 _PAIRS = (
@@ -40,6 +41,8 @@ def _in_words(error: UnicodeError) -> tuple[str, int]:
     text, at = error.object, error.start
     if root := _ROOT.match(text, at):
         return f"sqrt({root[1]})", root.end()
+    if power := _POWER.match(text, at):
+        return f"e{int(power[1].translate(_LEVEL)):+03d}", power.end()
     if raised := _RAISED.match(text, at):
         return f"^{raised[0].translate(_LEVEL)}", raised.end()
     return _word(text[at]), at + 1
