@@ -27,6 +27,8 @@ from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.renamed import renamed
+from allanjax.base.wording import plain
 from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
@@ -105,6 +107,8 @@ class AllanDeviation(ByValue, OfAxes):
         if self.estimator == "pyramid":
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
+
+    others_told = renamed("describe_others")
 
     def describe_others(self) -> str:
         """The other segments in words, to append to a text about the longest; "" if there are none."""
@@ -186,8 +190,8 @@ class AllanDeviation(ByValue, OfAxes):
         names = ", ".join(self.names) if self.axes else f"{self.deviation.shape[1]} axes"
         first, last = self.cluster_time[[0, -1]]
         return (
-            f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.cluster_time)} cluster times from {first:.4g} s to {last:.4g} s)"
+            f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.cluster_time)} cluster times from {plain(first, 4)} s to {plain(last, 4)} s)"
         )
 
 

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -15,8 +15,8 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import finite_or_none, format_with_error, significant
+from allanjax.base.tables import Cell, Number, PerAxis
+from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
@@ -135,7 +135,7 @@ def _unit(letter: str) -> Float[np.ndarray, 3]:
 
 
 def _written(vector: Float[np.ndarray, 3]) -> str:
-    return "(" + ", ".join(f"{x + 0.0:.3g}" for x in vector) + ")"
+    return "(" + ", ".join(f"{plain(x + 0.0, 3)}" for x in vector) + ")"
 
 
 SCHEMA_VERSION = 1
@@ -207,31 +207,22 @@ class AxisCalibration(ByValue, AxisEstimates):
         wider = significant(max((x for x in self.widening.values() if np.isfinite(x)), default=1.0))
         return "" if wider == "1.00" else f"intervals up to {wider} times as wide as for white noise alone"
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: the parameters of the axis ± 1σ."""
         shown = {label: c.in_unit() for label, c in self.coefficients.items()}
-        cells = {k: "–" if c.remark else format_with_error(c.value, c.std) for k, c in shown.items()}
-        return [(self.axis.name, *(cells.get(label, "") for label in PARAMETERS))]
+        cells = {k: "–" if c.remark else Number(c.value, c.std) for k, c in shown.items()}
+        return [(self.axis.name, *map(cells.get, PARAMETERS))]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per parameter, in its usual unit."""
         import pandas as pd
 
         rows = [
-            {
-                "axis": self.axis.name,
-                "parameter": label,
-                "value": c.value,
-                "std": c.std,
-                "lower_95": c.interval[0],
-                "upper_95": c.interval[1],
-                "unit": c.unit,
-                "over_white_noise": self.widening[label],
-                "remark": c.remark,
-            }
-            for label, c in ((label, e.in_unit()) for label, e in self.coefficients.items())
+            c.row() | {"parameter": label, "over_white_noise": self.widening[label], "remark": c.remark}
+            for label, c in self.coefficients.items()
         ]
-        return pd.DataFrame(rows)
+        numbers = ("value", "std", "lower_95", "upper_95", "unit")
+        return pd.DataFrame(rows, columns=["axis", "parameter", *numbers, "over_white_noise", "remark"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +251,7 @@ class Misfit(ByValue):
     def __str__(self) -> str:
         if not self.dof:
             return "as many parameters as means, so the fit cannot be checked: add positions"
-        text = f"χ² = {significant(self.chi2)} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if not self.suspects:
             return text
         return (
@@ -282,12 +273,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         noise: source of the noise model.
         notes: what was assumed, and what could not be done.
     """
-
-    CALLED: ClassVar[str] = "the calibration"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "bias", "scale\nfactor", *(f"misalignment\n{x}" for x in _AXES), "second\norder"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     results: tuple[AxisCalibration, ...]
     positions: tuple[Position, ...]
@@ -387,8 +372,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def _title(self) -> str:
         return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(self.results, lambda sensor: [unit_of(sensor, label) for label in PARAMETERS])
+    def _heads(self, sensor: Sensor) -> list[str]:
+        return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]
 
     def _notes(self) -> list[str]:
         # The positions that would determine the missing parameters, and the axes that lack them.

@@ -140,7 +140,7 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
     Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or upper
     limits of terms that are not detected, contain the true value; and how many there are.
     """
-    from allanjax.base.tables import text_table
+    from allanjax.base.tables import as_text, columns_from
     from allanjax.base.wording import plain
 
     rows, inside = [], 0
@@ -156,4 +156,4 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
             true = f"{plain(value, 4)} {shown.unit}" if truth else "none"
             rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
     headings = ("axis", "coefficient", "estimate", "true", "95 %")
-    return text_table("estimates and true coefficients", headings, rows), inside, len(rows)
+    return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)

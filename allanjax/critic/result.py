@@ -7,14 +7,14 @@ import functools
 import html
 import os
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import side_of_limit, values_of
@@ -120,8 +120,6 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         notes: notes for the user.
         dead: axes that could not be compared, and why.
     """
-
-    CALLED: ClassVar[str] = "the critique"
 
     name: str
     rate: float

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.base.wording import plain
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
@@ -218,7 +219,7 @@ def _undecided(candidate: Candidate, view: View) -> str:
     if candidate.chance > _CERTAIN or not instead:
         return ""
     name, odds = cause_title(candidate.cause, sensor), np.exp(candidate.gain)
-    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {odds:.2g} : 1)"
+    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {plain(odds, 2)} : 1)"
 
 
 def _chosen(

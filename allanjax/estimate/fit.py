@@ -21,7 +21,7 @@ from allanjax.allan.estimators import Spacing
 from allanjax.base.cache import release_programs
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.tables import text_table
+from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import (
     check_count,
@@ -438,8 +438,8 @@ def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     return tuple(notes)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class BulkFit(ByValue):
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class BulkFit(ByValue, Tabled):
     """The fit of one model to many axes: arrays [axes] or [axes, coefficients], in SI.
 
     Axes that did not converge have NaN for their coefficients and detect nothing.
@@ -521,19 +521,19 @@ class BulkFit(ByValue):
         scales = {s: [unit_scale(u, s) if u else 1.0 for u in units] for s, units in of_sensor.items()}
         return np.array([of_sensor[s] for s in sensors], object), np.array([scales[s] for s in sensors])
 
-    def __str__(self) -> str:
+    def _tables(self) -> list[list[Column]]:
         rows = []
         for (label, unit), of_label in self.to_dataframe().groupby(["coefficient", "unit"], sort=False):
             seen = of_label["value"][of_label["detected"]]
             ends = [significant(x, 4) for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
             rows.append([str(label), str(unit), *ends, f"{len(seen)} of {len(of_label)} axes"])
-        title = (
+        return [columns_from(("coefficient", "unit", "5 %", "median", "95 %", "detected"), rows)]
+
+    def _title(self) -> str:
+        return (
             f"{len(self)} axes of {self.curve.n:,} samples at {self.curve.rate:g} Hz, "
             f"{np.count_nonzero(self.converged)} converged; values where detected"
         )
-        return text_table(title, ("coefficient", "unit", "5 %", "median", "95 %", "detected"), rows)
-
-    __repr__ = __str__
 
 
 def fit_many(

@@ -30,9 +30,9 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
-from allanjax.base.wording import finite_or_none, significant
+from allanjax.base.wording import finite_or_none, percent, significant
 from allanjax.estimate.as_json import in_both_units
 from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
@@ -330,7 +330,7 @@ class AxisHorizon(ByValue):
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
         named = {k: x for k, x in self.shares.items() if x >= _NAMED}
-        return ", ".join(f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in named.items())
+        return ", ".join(f"{title_of(k, self.axis.sensor)} {percent(x)}" for k, x in named.items())
 
     def rows(self) -> list[tuple[str, ...]]:
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
@@ -409,11 +409,6 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         notes: for a data sheet, what was assumed and what it does not give.
     """
 
-    CALLED: ClassVar[str] = "the horizon"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "pair", "N", "95 %", "K", "95 %", "T", "bias\n1σ", "predicted\nerror", "true\nerror"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -439,25 +434,22 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         }
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        return f"{name}N and K for a filter that is corrected every {length(self.horizon)}{process}"
+        return f"N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        def units(sensor: Sensor) -> tuple[str, ...]:
-            names = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
-            own = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()} | {"time": "s"}
-            return ("", *(own[name] for name in names))
-
-        return by_sensor(self.results, units)
+    def _heads(self, sensor: Sensor) -> list[str]:
+        units = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()}
+        N, K, error = (f"({units[name]})" for name in ("white", "walk", "integral"))
+        pairs = [f"N {N}", f"95 % {N}", f"K {K}", f"95 % {K}", "T (s)", f"bias\n1σ ({units['bias']})"]
+        return ["axis", "pair", *pairs, f"predicted\nerror {error}", f"true\nerror {error}"]
 
     def _notes(self) -> list[str]:
         kinds = {"gyro": "angle", "accel": "velocity"}
         errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
         explained = (
             f"error: 1σ of the {errors} after {length(self.horizon)}, as the filter predicts it, and true. "
-            f"equal: the prediction is right. bound: the true error is below it with {self.probability:.0%} "
-            "probability. fitted: N and K of the fit without its other terms"
+            f"equal: the prediction is right. bound: the true error is below it with "
+            f"{percent(self.probability)} probability. fitted: N and K of the fit without its other terms"
         )
         causes = [
             f"{r.axis.name}: error from {r.causes()}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -22,9 +22,9 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, plain, significant
-from allanjax.estimate.tables import as_html, as_text, details, overview
+from allanjax.base.tables import Column, PerAxis
+from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
+from allanjax.estimate.tables import details, overview, remarks
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
@@ -63,21 +63,6 @@ _FACTOR = 1.5
 _NOTABLE, _CLEAR = 0.02, 0.06
 # Scatter that is so large a share of a deviation is told with it.
 _MUCH = 0.3
-_COLUMNS: dict[str, Callable[[Estimate], Any]] = {
-    "axis": lambda c: c.axis.name,
-    "coefficient": lambda c: c.label,
-    "value": lambda c: c.value,
-    "median": lambda c: c.value,
-    "std": lambda c: c.std,
-    "lower_68": lambda c: c.interval_68[0],
-    "upper_68": lambda c: c.interval_68[1],
-    "lower_95": lambda c: c.interval[0],
-    "upper_95": lambda c: c.interval[1],
-    "unit": lambda c: c.unit,
-    "detected": lambda c: c.detected,
-    "upper_limit_95": lambda c: c.upper_limit,
-    "measured": lambda c: c.measured,
-}
 # Ratio of a limit of the bandwidth to its value within which the limit is told.
 _NEAR = 3.0
 # Places that are named; of more the strongest.
@@ -216,7 +201,7 @@ def deviation(relative: float) -> str:
     """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
-        return f"{100.0 * abs(relative):.2g} %"
+        return percent(abs(relative))
     return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
@@ -258,8 +243,7 @@ class AxisEstimates:
         """One row per coefficient, in its usual unit."""
         import pandas as pd
 
-        shown = [c.in_unit() for c in self.coefficients.values()]
-        rows = [{name: _COLUMNS[name](c) for name in self.COLUMNS} for c in shown]
+        rows = [c.row() for c in self.coefficients.values()]
         return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
 
     def __repr__(self) -> str:
@@ -578,9 +562,7 @@ class AxisFit(ByValue, AxisEstimates):
         """How well the model fits, in one line."""
         if not self.converged:
             return f"no result: {self.reason}"
-        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
-        if np.isfinite(self.p_value):
-            text += f" (p = {significant(self.p_value, 2)})" if self.p_value > 1e-300 else " (p < 1e-300)"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
@@ -613,7 +595,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
         parts: the parts of the recording that were used, in s from its first sample; empty for all of it.
     """
 
-    CALLED: ClassVar[str] = "the fit"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -715,16 +696,13 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def details(self) -> str:
         """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
-        return details(self._title(), self.results)
+        return details(self._printed()[0], self.results)
 
-    def __str__(self) -> str:
-        return as_text(self._title(), *overview(self))
+    def _tables(self) -> list[list[Column]]:
+        return overview(self)
 
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), *overview(self))
+    def _notes(self) -> Iterator[str]:
+        return remarks(self)
 
     def _title(self) -> str:
-        length = duration(self.curve.n / self.curve.rate)
-        name = f"{self.name}: " if self.name else ""
-        others = self.curve.describe_others()
-        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"
+        return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()

@@ -18,12 +18,12 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration
+from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
+from allanjax.base.wording import duration, plain
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
-from allanjax.estimate.tables import SYMBOLS, Column, Number, as_html, as_text, column, tables_of
+from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
@@ -96,7 +96,7 @@ class Averaged(ByValue):
 
 def percent(probabilities: Sequence[float]) -> str:
     """Range of probabilities, e.g. "19 %" or "19–30 %"."""
-    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
+    ends = dict.fromkeys(plain(100.0 * p, 2) for p in (min(probabilities), max(probabilities)))
     return f"{'–'.join(ends)} %"
 
 
@@ -216,7 +216,7 @@ class TermSet:
         return " + ".join(self.terms)
 
     def __repr__(self) -> str:
-        return f"<TermSet {self}: {100.0 * self.probability:.3g} %, {self.parameters} parameters>"
+        return f"<TermSet {self}: {plain(100.0 * self.probability, 3)} %, {self.parameters} parameters>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -313,7 +313,7 @@ class AxisSelection(ByValue):
         )
 
     def __repr__(self) -> str:
-        chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
+        chosen, best = (f"{s} ({plain(100.0 * s.probability, 3)} %)" for s in (self.chosen, self.best))
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
@@ -357,7 +357,6 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         facts: what the inspection of the recording detected, the gravest first.
     """
 
-    CALLED: ClassVar[str] = "the selection"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -370,7 +369,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         return warnings_of(self.facts)
 
     def _title(self) -> str:
-        return f"{self.name}: noise terms by evidence".lstrip(": ")
+        return "noise terms by evidence"
 
     def _tables(self) -> list[list[Column]]:
         """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
@@ -379,10 +378,10 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
             for s in axis.ranking[: max(3, len(axis.indistinguishable))]:
                 verdict = "chosen" if s == axis.chosen else "undecided" if s in axis.indistinguishable else ""
                 terms = " + ".join(SYMBOLS.get(term, term) for term in s.terms)
-                behind = f"{axis.best.log_evidence - s.log_evidence:11.1f}"
-                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:9.1f} %", behind, verdict))
-        heads = ("axis", "noise terms", "probability", "nats behind", "verdict")
-        tables = [[Column(*pair) for pair in zip(heads, map(list, zip(*rows, strict=True)), strict=True)]]
+                behind = f"{axis.best.log_evidence - s.log_evidence:.1f}"
+                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:.1f}", behind, verdict))
+        heads = ("axis", "noise terms", "probability (%)", "nats behind", "verdict")
+        tables = [columns_from(heads, rows)]
         for sensor in SENSORS:
             drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
             unit = default_coefficient_unit(sensor, 0.0)
@@ -395,18 +394,12 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
             tables += tables_of([Column("axis", list(drifts))], [], columns) if columns else []
         return tables
 
-    def _lines(self) -> list[str]:
+    def _notes(self) -> list[str]:
         terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
         sensor = self.results[0].axis.sensor
         names = [f"{symbol}: {title_of(term, sensor)}" for term, symbol in SYMBOLS.items() if term in terms]
         drift = "σ: Allan deviation averaged over all sets by their probabilities, ± 1σ"
-        return [", ".join(names), drift, *(f"warning: {warning}" for warning in self.warnings)]
-
-    def __str__(self) -> str:
-        return as_text(self._title(), self._tables(), self._lines())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), self._tables(), self._lines())
+        return [", ".join(names), drift]
 
 
 def select_terms(

@@ -20,9 +20,9 @@ from allanjax.base.cache import enable_compilation_cache
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
+from allanjax.base.tables import Column, Tabled
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
-from allanjax.estimate.tables import as_html, as_text
 from allanjax.fleet.files import (
     Groups,
     earlier,
@@ -39,10 +39,11 @@ from allanjax.fleet.table import (
     AxisStructure,
     judged,
     left_out,
-    printed,
+    lines_of,
     rows_of,
     structures,
     table_of,
+    tables,
     why_not_measured,
     write_table,
 )
@@ -70,8 +71,8 @@ _SHORTEST_PIECE = 100_000
 _ROW_BYTES = 40
 
 
-@dataclass(frozen=True, eq=False)
-class FleetResult(ByValue):
+@dataclass(frozen=True, eq=False, repr=False)
+class FleetResult(ByValue, Tabled):
     """The coefficients of a fleet.
 
     Attributes:
@@ -110,15 +111,11 @@ class FleetResult(ByValue):
             f"{self.resumed} from an earlier run"
         )
 
-    def __str__(self) -> str:
-        tables, lines = printed(self.table)
-        return as_text(self._title(), tables, [*lines, *self.notes])
+    def _tables(self) -> list[list[Column]]:
+        return tables(self.table)
 
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        tables, lines = printed(self.table)
-        return as_html(self._title(), tables, [*lines, *self.notes])
+    def _notes(self) -> list[str]:
+        return [*lines_of(self.table), *self.notes]
 
 
 def characterize_fleet(

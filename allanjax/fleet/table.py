@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.base.wording import plain, significant
-from allanjax.estimate.tables import MAIN, SYMBOLS, Column, Number, column, tables_of
+from allanjax.base.tables import Column, Number, column, columns_from, tables_of
+from allanjax.base.wording import format_interval, plain, significant
+from allanjax.estimate.tables import MAIN, SYMBOLS
 from allanjax.fleet.comparison import (
     FALSE_ALARMS,
     FEWEST_UNITS,
@@ -445,35 +446,34 @@ def left_out(files: Sequence[Path], folder: Path) -> str:
     )
 
 
-def printed(table: pd.DataFrame) -> tuple[list[list[Column]], list[str]]:
-    """Tables with one row per axis and group, one per sensor; and a line below them per unit with remarks.
+def tables(table: pd.DataFrame) -> list[list[Column]]:
+    """Tables with one row per axis and group: of the median and of the range of each coefficient, by sensor.
 
-    Median and scatter are those of estimates with an interval, without outlying units; counts are of axes
-    that are a measurement of the sensor.
+    Median, scatter and range are those of estimates with an interval, without outlying units; counts are of
+    axes that are a measurement of the sensor.
     """
-    tables: list[list[Column]] = []
+    printed: list[list[Column]] = []
     for _, of in table.groupby("sensor", sort=False):
         axes = list(dict.fromkeys(of["axis"]))
         rows = sorted(set(zip(of["axis"], of["group"], strict=True)), key=lambda r: (axes.index(r[0]), r[1]))
         parts: dict[Any, pd.DataFrame] = dict(list(of.groupby(list(_PLACE))))
-        labels = sorted(set(of["coefficient"]), key=lambda name: [*SYMBOLS, name].index(name))
-        columns = {}
-        for label in labels:
-            one = of[of["coefficient"] == label].iloc[0]
-            numbers = [_median(parts[(*row, label)]) if (*row, label) in parts else None for row in rows]
-            name = SYMBOLS.get(label, title_of(label, one["sensor"]))
-            columns[label] = column(name, one["unit"], numbers)
-        first = [Column("axis", [axis for axis, _ in rows])]
-        if any(group for _, group in rows):
-            first.append(Column("group", [group for _, group in rows]))
         of_rows = [of[(of["axis"] == axis) & (of["group"] == group)] for axis, group in rows]
-        last = [
-            Column("detected", list(map(_detected, of_rows))),
-            Column("outlying", list(map(_outlying_units, of_rows))),
-        ]
-        main = [c for label, c in columns.items() if label in MAIN]
-        tables += tables_of(first, main, [c for label, c in columns.items() if label not in MAIN], last)
-    return tables, _lines(table)
+        first = columns_from(("axis", "group"), rows)
+        counts = columns_from(
+            ("detected", "outlying"), [(_detected(row), _outlying_units(row)) for row in of_rows]
+        )
+        medians: dict[bool, list[Column]] = {True: [], False: []}
+        ranges: dict[bool, list[Column]] = {True: [], False: []}
+        for label in sorted(set(of["coefficient"]), key=lambda name: [*SYMBOLS, name].index(name)):
+            one = of[of["coefficient"] == label].iloc[0]
+            name = SYMBOLS.get(label, title_of(label, one["sensor"]))
+            usual = [_usual(parts.get((*row, label), of[:0])) for row in rows]
+            medians[label in MAIN].append(column(name, one["unit"], list(map(_median, usual))))
+            ranges[label in MAIN].append(column(f"{name} 5…95 %", one["unit"], list(map(_range, usual))))
+        printed += tables_of(first, medians[True], medians[False], counts)
+        if any(any(c.cells) for columns in ranges.values() for c in columns):
+            printed += tables_of(first, ranges[True], ranges[False])
+    return printed
 
 
 def _found(of: pd.DataFrame) -> pd.DataFrame:
@@ -481,13 +481,24 @@ def _found(of: pd.DataFrame) -> pd.DataFrame:
     return of[of["measured"] & of["detected"] & np.isfinite(of["value"])]
 
 
-def _median(of: pd.DataFrame) -> Number | None:
-    """Median of one coefficient with its scatter among units, of a single unit with its own error."""
+def _usual(of: pd.DataFrame) -> pd.DataFrame:
+    """The same without outlying units."""
     found = _found(of)
-    usual = found[~found["outlying"]]
+    return found[~found["outlying"]]
+
+
+def _median(usual: pd.DataFrame) -> Number | None:
+    """Median of one coefficient with its scatter among units, of a single unit with its own error."""
     if len(usual) < 2:
         return Number(usual["value"].iloc[0], usual["std"].iloc[0]) if len(usual) else None
     return Number(float(usual["value"].median()), float(usual["value"].std()))
+
+
+def _range(usual: pd.DataFrame) -> str:
+    """The 5 % and the 95 % quantile of one coefficient over the units; "" for a single unit."""
+    value = usual["value"]
+    low, high = value.quantile([0.05, 0.95])
+    return format_interval(low, high, value.median(), value.std()) if len(value) > 1 else ""
 
 
 def _detected(of: pd.DataFrame) -> str:
@@ -507,12 +518,12 @@ def _outlying_units(of: pd.DataFrame) -> str:
     return text if len(text) < _SHORT else f"{len(names)} units"
 
 
-def _lines(table: pd.DataFrame) -> list[str]:
+def lines_of(table: pd.DataFrame) -> list[str]:
     """A line per unit: in what it is outlying, and what was corrected, left out or is wrong on its axes."""
     lines: dict[str, list[str]] = {}
     for row in table[table["outlying"]].to_dict("records"):
         same = (table[list(_PLACE)] == [row[name] for name in _PLACE]).all(axis=1)
-        usual = _median(table[same])
+        usual = _median(_usual(table[same]))
         # There is no median if all others have limits.
         size = f" (×{significant(row['value'] / usual.value, 2)} the median)" if usual else ""
         what = f"outlying in {row['axis']} {SYMBOLS.get(row['coefficient'], row['coefficient'])}{size}"

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
@@ -151,8 +151,7 @@ class Inspection(ByValue):
         return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
 
     def __str__(self) -> str:
-        length = duration(self.n / self.rate)
-        head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz ({length})"
+        head = f"{self.name or 'recording'}: {record_size(self.n, self.rate)}"
         lines = self.warnings or ("nothing unusual",)
         return "\n".join(
             [head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)]

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from allanjax.base.wording import plain
 from allanjax.inspection.facts import amount
 from allanjax.record.recording import Axis
 
@@ -399,7 +400,7 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
     tests = [
         (
-            f"changes by {{}} rms between consecutive {time:.2g} s averages",
+            f"changes by {{}} rms between consecutive {plain(time, 2)} s averages",
             np.sqrt(square),
             AT_REST,
             2.0 / min(time, 1.0),

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,8 +19,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import duration, finite_or_none, format_with_error
+from allanjax.base.tables import Cell, Number, PerAxis
+from allanjax.base.wording import duration, finite_or_none, format_with_error, plain
 from allanjax.kalman.recursion import (
     Constant,
     FilterModel,
@@ -37,7 +37,7 @@ from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.record.units import Sensor, default_coefficient_unit, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -149,14 +149,15 @@ class BiasTrack(ByValue):
             "bias_upper_95": high,
         }
 
-    def _last_bias(self) -> str:
-        """The bias in the last sample ± 1σ, in the usual unit."""
+    def _last_bias(self) -> Number:
+        """The bias in the last sample with its standard deviation, in the usual unit."""
         scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.0))
-        return format_with_error(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
+        return Number(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
 
     def __repr__(self) -> str:
-        unit = default_coefficient_unit(self.axis.sensor, 0.0)
-        return f"<{type(self).__name__} {self.axis.name}: bias at the end {self._last_bias()} {unit}>"
+        bias, unit = self._last_bias(), default_coefficient_unit(self.axis.sensor, 0.0)
+        at_end = format_with_error(bias.value, bias.error)
+        return f"<{type(self).__name__} {self.axis.name}: bias at the end {at_end} {unit}>"
 
 
 _T = TypeVar("_T", bound=BiasTrack)
@@ -170,8 +171,6 @@ class BiasTracks(ByValue, PerAxis[_T]):
         name: the recording's name.
         results: one per axis.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "bias at the end ± 1σ")
 
     name: str
     results: tuple[_T, ...]
@@ -188,9 +187,8 @@ class BiasTracks(ByValue, PerAxis[_T]):
         """
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        others = [""] * (len(self.HEADINGS) - 2)
-        return by_sensor(self.results, lambda sensor: [default_coefficient_unit(sensor, 0.0), *others])
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return "axis", f"bias at the end ± 1σ ({default_coefficient_unit(sensor, 0.0)})"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -250,7 +248,7 @@ class FilteredAxis(BiasTrack):
             own |= {name: x, f"{name}_std": std}
         return super()._columns() | own
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
         size, lost = self.nis, int(self.missing.sum())
         tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
@@ -280,13 +278,6 @@ class FilteredAxis(BiasTrack):
 class Filtered(BiasTracks[FilteredAxis]):
     """Results of a Kalman filter for every axis of a recording."""
 
-    CALLED: ClassVar[str] = "the filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *BiasTracks.HEADINGS,
-        *("whiteness p", "NIS/n", "NIS p", "log-likelihood [nats]", "missing samples"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     @property
     def log_likelihood(self) -> float:
         """Log-likelihood [nats] of all axes, taken as independent."""
@@ -297,11 +288,15 @@ class Filtered(BiasTracks[FilteredAxis]):
         axes = [result.to_dict() for result in self.results]
         return {"name": self.name, "rate_hz": self.results[0].rate, "axes": axes}
 
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        tests = ("whiteness p", "NIS/n", "NIS p")
+        return *super()._heads(sensor), *tests, "log-likelihood (nats)", "missing samples"
+
     def _title(self) -> str:
         first = self.results[0]
         length = duration(len(first.samples) / first.rate)
         kind = "smoother" if first.smoothed else "filter"
-        return f"{self.name or 'recording'}: Kalman {kind}, {length} at {first.rate:g} Hz"
+        return f"Kalman {kind}, {length} at {first.rate:g} Hz"
 
     def _notes(self) -> list[str]:
         drifts: dict[str, list[str]] = {}
@@ -512,7 +507,7 @@ class AdaptedAxis(BiasTrack):
             own |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
         return super()._columns() | own
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: bias, most probable model and its weight, number of changes."""
         best = int(np.argmax(self.weights[-1]))
         weight = f"{self.weights[-1, best]:.3f}"
@@ -523,17 +518,13 @@ class AdaptedAxis(BiasTrack):
 class Adapted(BiasTracks[AdaptedAxis]):
     """Results of a bank of filters for every axis of a recording."""
 
-    CALLED: ClassVar[str] = "the adaptive filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *BiasTracks.HEADINGS,
-        *("most probable model", "its weight", "changes"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = (*BiasTracks.HEADINGS[1:], *HEADINGS[3:])
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return *super()._heads(sensor), "most probable model", "its weight", "changes"
 
     def _title(self) -> str:
         first = self.results[0]
-        models = f"{len(first.labels)} models, changes at {first.switching:g} per second"
-        return f"{self.name or 'recording'}: adaptive filter, {models}"
+        models = f"{len(first.labels)} models, changes at {plain(first.switching)} per second"
+        return f"adaptive filter, {models}"
 
     def _notes(self) -> list[str]:
         changes = ((r.axis.name, c) for r in self.results for c in r.changes)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,8 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import duration, finite_or_none, significant
+from allanjax.base.tables import PerAxis
+from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -89,11 +89,11 @@ class AxisAlignment(ByValue):
         if self.wanted is None:
             return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
-        chance = f"{100.0 * self.out_of_reach:.0f} %"
         white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
         if math.isinf(self.needed):
             why = f"takes more than {longest} (the error still falls)" if self.falling else "is out of reach"
-            doubt = f", with probability {chance}" if 0.0 < self.out_of_reach < 1.0 else ""
+            doubtful = 0.0 < self.out_of_reach < 1.0
+            doubt = f", with probability {percent(self.out_of_reach)}" if doubtful else ""
             reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
@@ -101,7 +101,7 @@ class AxisAlignment(ByValue):
             ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {latest})"
             reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
-                reached += f"; it is out of reach with probability {chance}"
+                reached += f"; it is out of reach with probability {percent(self.out_of_reach)}"
         return f"{reached}; {white}" if white else reached
 
     def rows(self) -> list[tuple[str, ...]]:
@@ -110,8 +110,8 @@ class AxisAlignment(ByValue):
             return [(self.axis.name, self.angle, *[""] * 4)]
         cells = [self.axis.name, self.angle]
         for name, scale in (("best", unit_scale(_SHOWN[self.axis.sensor])), ("best_time", 1.0)):
-            low, high = (significant(x / scale) for x in getattr(self, f"{name}_interval"))
-            cells += [significant(getattr(self, name) / scale), "" if low == "nan" else f"{low} … {high}"]
+            ends = (x / scale for x in getattr(self, f"{name}_interval"))
+            cells += [significant(getattr(self, name) / scale), format_range(*ends)]
         return [tuple(cells)]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -146,12 +146,6 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the alignment"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "angle", "least error 1σ", "95 % interval", "averaging time", "95 % interval"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
-
     name: str
     latitude: float
     results: tuple[AxisAlignment, ...]
@@ -162,15 +156,14 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         return {"name": self.name, "latitude_rad": self.latitude, "axes": axes}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         done = {"tilt": "leveling", "azimuth": "gyro-compassing"}
         angles = {result.angle for result in self.results}
         what = " and ".join(what for angle, what in done.items() if angle in angles)
-        return f"{name}{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
+        return f"{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        units = {sensor: ("", unit, unit, "s", "s") for sensor, unit in _SHOWN.items()}
-        return by_sensor(self.results, units.__getitem__)
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        error, time = (f"least error 1σ ({_SHOWN[sensor]})", "averaging time (s)")
+        return "axis", "angle", error, f"95 % interval ({_SHOWN[sensor]})", time, "95 % interval (s)"
 
     def _notes(self) -> list[str]:
         verdicts = {r.axis.name: r.verdict for r in self.results}

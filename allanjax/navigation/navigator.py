@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -16,8 +16,8 @@ from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import Tabled
-from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
 from allanjax.navigation.likely import (
     AxisNoise,
     Drawn,
@@ -133,28 +133,27 @@ class ErrorGrowth(ByValue):
             },
         }
 
-    def rows(self, at: Sequence[int]) -> list[tuple[str, ...]]:
-        """Rows of the printed table, units first, at these indices of the times."""
+    def columns(self, at: Sequence[int]) -> list[Column]:
+        """Columns of the printed table, with rows at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
-        ends = unit if np.isfinite(self.lower).any() else ""
-        cells: list[tuple[str, ...]] = [("", "s", unit, ends, "", "%")]
-        for k, channel in enumerate(self.channels):
+        cells = []
+        numbers = (x / scale for x in (self.error, self.lower, self.upper))
+        for channel, error, lower, upper in zip(self.channels, *numbers, strict=True):
             largest = self.largest(channel)
             for j in at:
-                value = self.error[k, j]
-                share = (self.causes[channel][largest[j]][j] / value) ** 2 if value > 0.0 else 1.0
-                low, high = (significant(float(x[k, j]) / scale) for x in (self.lower, self.upper))
-                cells.append(
-                    (
-                        f"{self.quantity} {channel}",
-                        plain(float(self.time[j]), 4),
-                        significant(float(value) / scale),
-                        f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
-                        largest[j],
-                        f"{100.0 * share:.0f}",
-                    )
-                )
-        return cells
+                cause = self.causes[channel][largest[j]][j] / scale
+                share = (cause / error[j]) ** 2 if error[j] > 0.0 else 1.0
+                texts = (plain(self.time[j], 4), significant(error[j]), format_range(lower[j], upper[j]))
+                cells.append((f"{self.quantity} {channel}", *texts, largest[j], f"{100.0 * share:.0f}"))
+        heads = (
+            "error",
+            "after (s)",
+            f"1σ ({unit})",
+            f"95 % interval ({unit})",
+            "largest cause",
+            "share (%)",
+        )
+        return columns_from(heads, cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -170,11 +169,6 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         growths: growth of attitude, velocity and position errors, as far as there are sensors for them.
         notes: limitations of the result.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("error", "after", "1σ", "95 % interval", "largest cause", "share"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = (*HEADINGS[1:4], "share")
 
     name: str
     rate: float
@@ -227,19 +221,16 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         loop = "with the Schuler loop" if self.schuler else "short-term"
-        return (
-            f"{name}errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
-        )
+        return f"errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
 
-    def _cells(self) -> list[tuple[str, ...]]:
+    def _tables(self) -> list[list[Column]]:
         time = self.growths[0].time
         # The times nearest to powers of ten, and the end.
         decades = np.arange(math.ceil(math.log10(time[0])), math.log10(time[-1]))
         near = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
         at = sorted(near | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
-        return [row for growth in self.growths for row in growth.rows(at)]
+        return [growth.columns(at) for growth in self.growths]
 
     def _notes(self) -> list[str]:
         return [f"note: {note}" for note in self.notes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
@@ -154,12 +154,6 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the sample rates"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "picked at", "level", "aliased", "95 % interval", "from quantization"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     name: str
     picked: tuple[AllanDeviation, ...]
     averaged: tuple[AllanDeviation, ...]
@@ -181,14 +175,12 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         return {"name": self.name, "axes": [result.to_dict() for result in self.results]}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         first, last = self.picked[0].rate, self.picked[-1].rate
-        return f"{name}sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
+        return f"sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(
-            self.results, lambda sensor: ("Hz", default_coefficient_unit(sensor, 0.5), "%", "%", "%")
-        )
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        level = f"level ({default_coefficient_unit(sensor, 0.5)})"
+        return "axis", "picked at (Hz)", level, "aliased (%)", "95 % interval (%)", "from quantization (%)"
 
     def _notes(self) -> list[str]:
         return [f"{result.axis.name}: {result.describe()}" for result in self.results]
@@ -274,7 +266,7 @@ def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
         if round(ratio) > most:
             raise AllanjaxError(
                 f"{rate:g} Hz leaves only {recording.n // round(ratio)} samples: use at least "
-                f"{recording.rate / most:.3g} Hz or a longer recording"
+                f"{plain(recording.rate / most, 3)} Hz or a longer recording"
             )
         factors.add(round(ratio))
     return sorted(factors)

@@ -24,12 +24,12 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
-from allanjax.base.tables import Tabled
-from allanjax.base.wording import significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import percent, plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
@@ -89,9 +89,6 @@ class DataSheet(ByValue, Tabled):
         statements: assumptions, missing coefficients, and differences between figures.
     """
 
-    HEADINGS: ClassVar[tuple[str, ...]] = ("sensor", "N", "B", "K", "Q")
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     name: str
     source: str
     models: Mapping[Sensor, Model]
@@ -137,17 +134,17 @@ class DataSheet(ByValue, Tabled):
         return {f"{sensor}_{letter}": model for sensor, model in self.models.items() for letter in "xyz"}
 
     def _title(self) -> str:
-        return self.name or "data sheet"
+        return "" if self.name else "data sheet"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
+    def _tables(self) -> list[list[Column]]:
+        tables = []
         for sensor in self.models:
-            given = {c.symbol: c.in_unit() for c in self.coefficients(sensor).values()}
-            lacking = dict.fromkeys(USUAL.values(), NOT_GIVEN)
-            values = lacking | {symbol: significant(c.value) for symbol, c in given.items()}
-            rows.append(("", *(given[x].unit if x in given else "" for x in self.HEADINGS[1:])))
-            rows.append((sensor, *(values.get(symbol, "") for symbol in self.HEADINGS[1:])))
-        return rows
+            given = [c.in_unit() for c in self.coefficients(sensor).values()]
+            cells = {"sensor": sensor} | dict.fromkeys(USUAL.values(), NOT_GIVEN)
+            heads = {c.symbol: f"{c.symbol} ({c.unit})" for c in given}
+            cells |= {c.symbol: significant(c.value) for c in given}
+            tables.append(columns_from([heads.get(name, name) for name in cells], [list(cells.values())]))
+        return tables
 
     def _notes(self) -> list[str]:
         source = [f"source: {self.source}"] if self.source else []
@@ -290,7 +287,7 @@ class _Sheet:
         if stepped is not None:
             share = (stepped / N) ** 2
             self.statements.append(
-                f"quantization steps would add {100.0 * share:.2g} % to the power of N; they are not added"
+                f"quantization steps would add {percent(share)} to the power of N; they are not added"
             )
         return N
 
@@ -319,7 +316,9 @@ class _Sheet:
         kind = self._answer("rms_noise", "bandwidth_is")
         width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
         how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)" if kind == "first-order" else ""
-        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz{how}")
+        self.statements.append(
+            f"rms_noise is taken as white in a noise bandwidth of {plain(width, 4)} Hz{how}"
+        )
         return rms / math.sqrt(2.0 * width)
 
     def _flicker(self) -> float | None:

@@ -6,15 +6,14 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
+from allanjax.base.tables import Column, PerAxis, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -200,6 +199,25 @@ class Estimate(ByValue):
         shown = self if unit is None else self.in_unit(unit)
         return shown._sentence(shown._amount())
 
+    def row(self) -> dict[str, Any]:
+        """The estimate in its usual unit, as a row of a data frame."""
+        c = self.in_unit()
+        return {
+            "axis": c.axis.name,
+            "coefficient": c.label,
+            "value": c.value,
+            "median": c.value,
+            "std": c.std,
+            "lower_68": c.interval_68[0],
+            "upper_68": c.interval_68[1],
+            "lower_95": c.interval[0],
+            "upper_95": c.interval[1],
+            "unit": c.unit,
+            "detected": c.detected,
+            "upper_limit_95": c.upper_limit,
+            "measured": c.measured,
+        }
+
     def describe_interval(self) -> str:
         """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
         return format_interval(*self.interval, self.value, self.std if self.is_normal else np.nan)
@@ -359,7 +377,7 @@ class AxisReadings(ByValue):
         rows: list[tuple[str, ...]] = []
         for label, shown in ((k, e.in_unit()) for k, e in self.estimates.items() if e is not None):
             value = format_with_error(shown.value, shown.std)
-            band = "" if shown.band is None else f"{shown.band[0]:.3g} … {shown.band[1]:.3g}"
+            band = " … ".join(plain(f, 3) for f in shown.band or ())
             title = title_of(label, self.axis.sensor)
             rows.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
         return rows
@@ -368,15 +386,11 @@ class AxisReadings(ByValue):
         """Table with one row per quantity, in usual units; numbers are missing where there is none."""
         import pandas as pd
 
-        rows = []
-        for label, estimate in self.estimates.items():
-            row: dict[str, object] = {"axis": self.axis.name, "coefficient": label}
-            if estimate is not None:
-                shown = estimate.in_unit()
-                lower, upper = shown.interval
-                row |= {"value": shown.value, "std": shown.std, "lower_95": lower, "upper_95": upper}
-                row["unit"] = shown.unit
-            rows.append(row | {"reason": self.reasons.get(label, "")})
+        rows = [
+            ({} if estimate is None else estimate.row())
+            | {"axis": self.axis.name, "coefficient": label, "reason": self.reasons.get(label, "")}
+            for label, estimate in self.estimates.items()
+        ]
         columns = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "reason"]
         return pd.DataFrame(rows, columns=columns)
 
@@ -394,20 +408,15 @@ class Readings(ByValue, PerAxis[AxisReadings]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the reading"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "quantity", "value ± 1σ", "95 % interval", "unit", "band [Hz]"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = ("value ± 1σ",)
-
     title: str
     results: tuple[AxisReadings, ...]
 
     def _title(self) -> str:
         return self.title
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return [row for result in self.results for row in result.rows()]
+    def _tables(self) -> list[list[Column]]:
+        heads = ("axis", "quantity", "value ± 1σ", "95 % interval", "unit", "band (Hz)")
+        return [columns_from(heads, [row for result in self.results for row in result.rows()])]
 
     def _notes(self) -> list[str]:
         """The quantities that cannot be read, and why."""

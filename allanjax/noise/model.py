@@ -18,6 +18,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.renamed import renamed
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.process import FilteredProcess, Process
 from allanjax.noise.response import Response
@@ -190,6 +191,8 @@ class Model(eqx.Module):
     def _is_inside(self) -> tuple[bool, ...]:
         """Whether each term passes the response."""
         return self.inside or (False,) * len(self.terms)
+
+    seen = renamed("processes")
 
     @property
     def processes(self) -> tuple[Process, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import Tabled
+from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import significant
 from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 
@@ -232,11 +232,6 @@ class StateSpace(ByValue, Tabled):
         model: the noise model in words.
     """
 
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("state", "unit", "initial std", "noise std per sample", "weight in a sample"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
-
     A: Float[np.ndarray, "n n"]
     H: Float[np.ndarray, "1 n"]
     Q: Float[np.ndarray, "n n"]
@@ -347,11 +342,12 @@ class StateSpace(ByValue, Tabled):
         """Text of a C header: constants `NOISE_STATES` and `NOISE_RATE`, arrays `noise_A` to `noise_P0`."""
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, ...]]:
+    def _tables(self) -> list[list[Column]]:
         start, noise = (np.sqrt(np.diag(x)) for x in (self.P0, self.Q))
         numbers = zip(start, noise, self.H[0], strict=True)
         rows = zip(self.names, self.units, numbers, strict=True)
-        return [(name, unit, *map(significant, map(float, x))) for name, unit, x in rows]
+        heads = ("state", "unit", "initial std", "noise std per sample", "weight in a sample")
+        return [columns_from(heads, [(name, unit, *map(significant, x)) for name, unit, x in rows])]
 
     def _title(self) -> str:
         unit = si_unit(default_coefficient_unit(self.sensor, 0.0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import html
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -17,10 +16,10 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
-from allanjax.base.wording import duration, significant
+from allanjax.base.tables import Column, PerAxis
+from allanjax.base.wording import duration, plain, record_size
 from allanjax.estimate.result import AxisEstimates, Fit
+from allanjax.estimate.tables import all_coefficients
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.posterior.likelihood import Prior
@@ -222,7 +221,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"
         text = (
-            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
+            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {plain(self.tau.max(), 3)}, "
             f"R̂ ≤ {self.r_hat.max():.4f}"
         )
         # Curves and drift are those of the sampled terms, which may not be all.
@@ -351,9 +350,6 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         results: one posterior per axis.
     """
 
-    CALLED: ClassVar[str] = "the posterior"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "median ± 1σ", "95 % interval")
-
     fit: Fit
     results: tuple[AxisPosterior, ...]
 
@@ -383,29 +379,11 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.fit.name}: " if self.fit.name else ""
-        curve = self.fit.curve
-        length = duration(curve.n / curve.rate)
-        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({length})"
+        name, curve = self.fit.name, self.fit.curve
+        return f"{name}{': ' if name else ''}posterior from {record_size(curve.n, curve.rate)}"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        rows = []
-        for result in self.results:
-            for m in result.coefficients.values():
-                shown, text = m.in_unit(), m.in_unit().describe()
-                interval = shown.describe_interval() if m.detected and not m.held else ""
-                if not m.detected and shown.upper_limit is not None:
-                    text = f"< {significant(shown.upper_limit)} {shown.unit}"
-                rows.append((result.axis.name, m.title, text, interval))
-        return rows
+    def _tables(self) -> list[list[Column]]:
+        return all_coefficients(self.results, "median")
 
-    def _below(self) -> list[str]:
-        """Lines below the table: what a limit is, and the convergence of each axis."""
-        convergence = [f"{name}: {axis.verdict}" for name, axis in self.items()]
-        return ["< x: not detected; 95 % upper limit", *convergence]
-
-    def __str__(self) -> str:
-        return "\n".join([super().__str__(), "", *map(printable, self._below())])
-
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + "".join(f"<p>{html.escape(line)}</p>" for line in self._below())
+    def _notes(self) -> list[str]:
+        return [f"{name}: {axis.verdict}" for name, axis in self.items()]

@@ -31,6 +31,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy.special import logsumexp
 
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import percent, plain
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import ModelParameter
@@ -709,8 +710,8 @@ class AxisSampler:
         label = likelihood.parameters[sampled[worst]].label
         return (
             f"{name}: the posterior has not converged in {chains.steps} steps; {label} is worst, with "
-            f"τ = {chains.tau[worst]:.3g} steps, {len(chains.y)} of {length[worst]:.0f} steps after the "
-            f"burn-in, a last change of τ of {100.0 * chains.change[worst]:.2g} % and "
+            f"τ = {plain(chains.tau[worst], 3)} steps, {len(chains.y)} of {length[worst]:.0f} steps after "
+            f"the burn-in, a last change of τ of {percent(chains.change[worst])} and "
             f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
             "or give narrower priors"
         )

@@ -22,7 +22,7 @@ from scipy.fft import dct, idct, rfft
 
 from allanjax.base.arrays import seed_of
 from allanjax.base.errors import RecordingError
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration, percent, plain
 
 
 def without_repeats(
@@ -186,8 +186,9 @@ def completed(
         lost = np.flatnonzero(missing[:, k])
         if len(lost) > MOST_MISSING * n:
             raise RecordingError(
-                f"{len(lost) / n:.0%} of the samples are missing, but at most {MOST_MISSING:.0%} can be "
-                "filled in; read the longest segment without gaps with gaps='segments' (--gaps segments)"
+                f"{percent(len(lost) / n)} of the samples are missing, but at most {percent(MOST_MISSING)} "
+                "can be filled in; read the longest segment without gaps with gaps='segments' "
+                "(--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
         rng = np.random.default_rng(seed_of(x))

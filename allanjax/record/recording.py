@@ -1,6 +1,5 @@
 """Static recordings of gyros and accelerometers."""
 
-import html
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +12,7 @@ from jaxtyping import Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, printable
+from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
 from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_names, recognise, scales_of
 from allanjax.record.completion import (
@@ -293,11 +292,8 @@ class Recording(ByValue):
             for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
         ]
         size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
-        table = html_table(
-            f"{self.name or 'Recording'}: {size}", ("axis", "sensor", "unit", "mean", "std"), rows
-        )
-        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
-        return f"{table}<ul>{notes}</ul>" if notes else table
+        table = columns_from(("axis", "sensor", "unit", "mean", "std"), rows)
+        return as_html(f"{self.name or 'Recording'}: {size}", [table], self.notes)
 
 
 def build(

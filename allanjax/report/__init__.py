@@ -12,7 +12,7 @@ present(
         "AxisPosterior.plot_corner": "allanjax.report.posterior_figure.plot_corner",
         "BiasTracks.plot": "allanjax.report.navigation_figure.plot_bias_tracks",
         "Calibration.plot": "allanjax.report.navigation_figure.plot_calibration",
-        "Critique.__str__": "allanjax.report.critique_story.critique_text",
+        "Critique.__str__": "allanjax.report.critique_story.story",
         "Critique.details": "allanjax.report.critique_story.details",
         "Critique.plot": "allanjax.report.critique_figure.plot_critique",
         "Critique.to_dict": "allanjax.report.critique_json.to_dict",

@@ -17,6 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.tables import wrapped
+from allanjax.base.wording import plain
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
@@ -31,7 +33,6 @@ from allanjax.report.critique_story import (
     sentence,
     significance,
     what,
-    wrap,
 )
 from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
@@ -311,7 +312,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
-    name = f"means of {before.n / len(edges) / before.rate:.2g} s"
+    name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
     panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **draw.dots())
     some = np.arange(before.n)[:: max(before.n // 5000, 1)]
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
@@ -378,4 +379,4 @@ def _description(finding: Finding, axis: Axis) -> list[str]:
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
             lines.append(f"{what(before)} → {format_remainder(before, after)}")
-    return [part for line in lines for part in wrap(line, _COLUMNS).split("\n")]
+    return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-import textwrap
 import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -16,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
+from allanjax.base import tables
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, plain, significant
+from allanjax.base.wording import chi_squared, duration, plain, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.inspection.facts import why_no_measurement
 from allanjax.noise.estimate import Estimate, title_of
@@ -40,8 +39,6 @@ WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 1.2, "linestyle": ":"
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 50
-# Spaces at which no line is broken: in "N = 1.3 ± 0.2 deg/√h", "N 2 → 1", "< 3 arcsec", "95 %" and "over √2".
-_TOGETHER = re.compile(r" (?=[±%=<→√])|(?<=[±=<→]) |(?<=\d) (?=[A-Za-zµσ(×²/°])|(?<=\b[A-Z]) (?=\d)")
 FONT_SIZE = 9.0
 #: Distance between a panel and the strip below it [inches], by which the labels of their ticks are clear.
 APART = 0.1
@@ -128,9 +125,7 @@ class KeyEntry(NamedTuple):
 
     def lines(self) -> list[str]:
         """The text in lines of the key's width, never broken within a word or a formula."""
-        kept = _TOGETHER.sub("\u00a0", self.text)
-        lines = textwrap.wrap(kept, _KEY_COLUMNS, break_long_words=False, break_on_hyphens=False)
-        return [line.replace("\u00a0", " ") for line in lines]
+        return tables.wrapped(self.text, _KEY_COLUMNS, rest="").split("\n")
 
 
 def style() -> AbstractContextManager[None]:
@@ -225,7 +220,7 @@ class Heading(NamedTuple):
         """The title, the lines below it, and columns and lines of the key, on so many inches."""
         most = int(width * 8)
         title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
-        lines = textwrap.wrap(self.subtitle, int(width * 12.5), break_on_hyphens=False) or [""]
+        lines = tables.wrapped(self.subtitle, int(width * 12.5), rest="").split("\n")
         widths = [0.6 + 0.065 * len(str(entry.get_label())) for entry in self.key] or [0.0]
         columns = len(widths) if sum(widths) < width else max(int(width / max(widths)), 1)
         return title, lines, columns, -(-len(self.key) // columns)
@@ -397,9 +392,7 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     """
     if not result.converged:
         return KeyEntry(result.verdict)
-    text = f"χ² = {result.chi2:.1f} for {result.dof} degrees of freedom"
-    if np.isfinite(result.p_value):
-        text += f" (p = {result.p_value:.2g})" if result.p_value > 1e-300 else " (p < 1e-300)"
+    text = chi_squared(result.chi2, result.dof, result.p_value)
     misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
     if own := misfits.get(unit):
         return KeyEntry(f"does not fit: {own}; {text}", WORST if np.isfinite(own.at) else None)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.wording import duration
+from allanjax.base.wording import duration, format_p_value
 from allanjax.calibration.result import Calibration
 from allanjax.kalman.filtering import Adapted, AdaptedAxis, BiasTracks, FilteredAxis
 from allanjax.navigation.navigator import SHOWN, ErrorGrowth, Navigation
@@ -218,7 +218,9 @@ def plot_calibration(
     below = 0.5 + 0.05 * max(map(len, labels))
     sheet = Sheet(2.7, 2.1, gap=0.25, between=below + 0.3, bottom=below)
     with draw.style():
-        checks = [f"{draw.SENSORS[s]}: {f'p = {m.p_value:.2g}' if m.dof else 'no check'}" for s, m, _ in rows]
+        checks = [
+            f"{draw.SENSORS[s]}: {format_p_value(m.p_value) if m.dof else 'no check'}" for s, m, _ in rows
+        ]
         key = [draw.points_entry("measured − fitted mean, ± 1σ of the noise")]
         heading = Heading(f"Calibration from {len(at)} positions", "; ".join(checks), key)
         figure, panels = sheet.draw(heading, [len(kept) for _, _, kept in rows])

@@ -24,8 +24,8 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.tables import Tabled
-from allanjax.base.wording import duration, significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, plain, significant
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, model_of
@@ -142,14 +142,14 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
     def _title(self) -> str:
         return repr(self)
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
+    def _tables(self) -> list[list[Column]]:
+        rows = []
         for k, name in enumerate(self.names):
             unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
             error = float(self.standard_error[0, k]) / scale
             shown = "" if np.isnan(error) else significant(error, 2)
             rows.append((name, significant(float(self.value[0, k]) / scale), shown, unit))
-        return rows
+        return [columns_from(("axis", "at lag 0", "1σ", "unit"), rows)]
 
     def _notes(self) -> list[str]:
         axes: dict[str, list[str]] = {}
@@ -160,7 +160,7 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
         return (
-            f"Autocorrelation({names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"Autocorrelation({names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
             f"lags up to {duration(self.lag[-1])})"
         )
 

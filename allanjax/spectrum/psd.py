@@ -18,6 +18,7 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.chi_squared import chi_squared_factors, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.terms import (
     AngleRandomWalk,
@@ -407,8 +408,9 @@ class PowerSpectrum(ByValue, OfAxes):
         band = flattest(s, s.density[:, 0], s._coloured())
         if band is None:
             raise AllanjaxError(
-                f"{axis}: the power spectral density has no flat octave from {s.frequency[0]:.3g} Hz to "
-                f"{s.frequency[-1]:.3g} Hz; give the band of the white noise, band=(low, high) in Hz"
+                f"{axis}: the power spectral density has no flat octave from "
+                f"{plain(s.frequency[0], 3)} Hz to {plain(s.frequency[-1], 3)} Hz; "
+                "give the band of the white noise, band=(low, high) in Hz"
             )
         return s._ends(band)
 
@@ -434,7 +436,7 @@ class PowerSpectrum(ByValue, OfAxes):
         if not inside.any():
             raise AllanjaxError(
                 f"{axis}: the spectrum has no frequency from {low:g} Hz to {high:g} Hz; give (low, high) "
-                f"between {self.frequency[0]:.3g} Hz and {self.frequency[-1]:.3g} Hz"
+                f"between {plain(self.frequency[0], 3)} Hz and {plain(self.frequency[-1], 3)} Hz"
             )
         count = self.count[inside]
         density = count @ own.density[inside, 0] / count.sum()
@@ -507,8 +509,8 @@ class PowerSpectrum(ByValue, OfAxes):
         segments = f" of {self.segments} segments" if self.segments > 1 else ""
         return (
             f"PowerSpectrum({self.method}{segments}, {self.window}; {names}; "
-            f"{self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.frequency)} frequencies from {first:.4g} Hz to {last:.4g} Hz)"
+            f"{self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.frequency)} frequencies from {plain(first, 4)} Hz to {plain(last, 4)} Hz)"
         )
 
 

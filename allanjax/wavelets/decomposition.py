@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -20,13 +20,14 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, model_of
 from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import Sensor
 from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.wavelets.variance import WaveletFilter, bands, moments, pywavelets
 
@@ -208,7 +209,7 @@ class AxisDenoising(ByValue):
             [significant(float(x[k]) / scale) if 0 <= k < len(x) else "" for x in (self.white, self.drift)]
             for k in (self.level - 1, self.level)
         ]
-        band = f"< {plain(self.cutoff, 3)}" if self.level else "all"
+        band = f"0 … {plain(self.cutoff, 3)}" if self.level else "all"
         return [(self.axis.name, str(self.level), band, *pairs[0], *pairs[1])]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -223,7 +224,7 @@ class AxisDenoising(ByValue):
         )
 
     def __repr__(self) -> str:
-        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {self.cutoff:.3g} Hz>"
+        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {plain(self.cutoff, 3)} Hz>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -236,13 +237,6 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the de-noised recording"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "level", "band left", "white noise\nat level", "drift\nat level"),
-        *("white noise\nat next level", "drift\nat next level"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     recording: Recording
     wavelet: str
     results: tuple[AxisDenoising, ...]
@@ -251,9 +245,11 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
         name = f"{self.recording.name}: " if self.recording.name else ""
         return f"{name}de-noised with {self.wavelet} up to the last level at which white noise prevails"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        units = {r.axis.sensor: square_unit(r.axis)[0] for r in self.results}
-        return by_sensor(self.results, lambda sensor: ("", "Hz", *[units[sensor]] * 4))
+    def _heads(self, sensor: Sensor) -> list[str]:
+        unit = next(square_unit(r.axis)[0] for r in self.results if r.axis.sensor == sensor)
+        places = ("level", "next level")
+        kinds = (f"{kind}\nat {at} ({unit})" for at in places for kind in ("white noise", "drift"))
+        return ["axis", "level", "band left (Hz)", *kinds]
 
 
 def denoise(

@@ -24,6 +24,7 @@ from allanjax.allan.covariance import AllanCovariance, padded_quadrature
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
@@ -346,8 +347,8 @@ class WaveletVariance(ByValue, OfAxes):
         names = ", ".join(self.names) if self.axes else f"{self.variance.shape[1]} axes"
         first, last = self.scale[[0, -1]]
         return (
-            f"WaveletVariance({self.wavelet}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.level)} levels of scales from {first:.4g} s to {last:.4g} s)"
+            f"WaveletVariance({self.wavelet}; {names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.level)} levels of scales from {plain(first, 4)} s to {plain(last, 4)} s)"
         )
 
 

@@ -373,12 +373,14 @@ def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
     values = np.array([[1.0], [1.06], [0.94], [1.03], [0.97], [9.0]])
     limits = np.array([[np.nan], *5 * [[20_000.0]]])
     few = ("gyro", "bias_instability", 12_347.0 * np.ones((6, 1)), 0.05)
-    _, head, _, row, unit = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()[:5]
-    assert all(word in head for word in ("N (deg/√h)", "B (deg/√h)", "detected", "outlying"))
+    lines = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()
+    assert all(word in lines[1] for word in ("N (deg/√h)", "B (deg/√h)", "detected", "outlying"))
     # Their standard deviation is 0.0474, and 9 is nine times the median.
     cells = ("gyro_x", "1.000 ± 0.047", "12,350 ± 620", "N 6, B 1 of 6", "unit_5")
-    assert all(cell in row for cell in cells)
-    assert unit == "unit_5: outlying in gyro_x N (×9.0 the median)"
+    assert all(cell in lines[3] for cell in cells)
+    ranges = [["axis", "N 5…95 % (deg/√h)"], ["gyro_x", "0.946 … 1.054"]]
+    assert [line.split(maxsplit=1) for line in lines[5:8:2]] == ranges
+    assert lines[8] == "unit_5: outlying in gyro_x N (×9.0 the median)"
     # Where the others have limits alone, there is no median.
     *_, row, unit = str(fleet.judged((*few, limits / 1e4))).splitlines()[:5]
     assert (row.split()[-1], unit) == ("unit_0", "unit_0: outlying in gyro_x B")

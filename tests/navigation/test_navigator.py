@@ -168,7 +168,8 @@ def test_tables_tell_decades(result):
 
     def cells(shown):
         rows = [line.replace(",", "") for line in str(shown).splitlines() if line[-1:].isdigit()]
-        return [[float(x) for x in re.findall(r"(?<!\w)[\d.]+", row)][:-1] for row in rows]  # but the share
+        # The last column is the share of the largest cause.
+        return [[float(x) for x in re.findall(r"(?<!\w)[\d.]+", row)[:-1]] for row in rows]
 
     attitude = result["attitude"]
     for row, at in zip(cells(result)[:4], (0, 6, 12, 18), strict=True):

@@ -158,7 +158,7 @@ def test_convert_units_and_sheets(tmp_path):
     walk = json.loads(run("convert", "--sheet", sheet, "--json").stdout)["coefficients"][0]
     assert (walk["sensor"], walk["coefficient"], walk["unit"]) == ("gyro", WALK, "deg/√h")
     assert [walk["value"], walk["si"]] == pytest.approx([0.008 * x / math.sqrt(2.0) for x in (60.0, DEG)])
-    assert re.search(r"deg/√h.*\n *gyro +0\.150 ", run("convert", "--sheet", "stim300").stdout)
+    assert re.search(r"deg/√h.*\n─+\ngyro +0\.150 ", run("convert", "--sheet", "stim300").stdout)
     for words in ((3, "mdps/√Hz", "--to", "µg"), (3, "foo", "--to", "g"), ("--sheet", "BMI88")):
         assert run("convert", *words).exit_code == 1
     for words in ([], [3], [3, "g"], ["--sheet", "a.toml", "--to", "g"], [3, "g", "--to", "mg", "--json"]):

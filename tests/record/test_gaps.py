@@ -87,7 +87,7 @@ def test_empty_cells_are_missing_of_their_axis_alone(written):
     x[100:400] = np.nan
     assert filled(x).missing.sum() == 300
     x[400] = np.nan
-    refused(lambda: filled(x), "30%|--gaps segments")
+    refused(lambda: filled(x), "30 %|--gaps segments")
 
 
 def test_packets_recorded_twice_are_left_out(written):

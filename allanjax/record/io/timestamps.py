@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from allanjax.base.errors import RecordingError, UnitError
-from allanjax.base.wording import plain
+from allanjax.base.wording import percent, plain
 from allanjax.record.columns import Column
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.io.table import as_float, is_numeric
@@ -106,7 +106,7 @@ def uniform_rate(
     note = f"{mean:.9g} Hz, the mean of column {label!r} for evenly spaced samples"
     note = f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given (stamps: {note})"
     if (unsteady := _unsteadiness(times)) > MAX_RATE_DIFFERENCE:
-        note += f"; the rates of its halves differ by {unsteady:.0%}"
+        note += f"; the rates of its halves differ by {percent(unsteady)}"
     return Rate(rate or mean, note, float(np.std(np.diff(times))), np.arange(len(times)), mean)
 
 
@@ -144,8 +144,9 @@ def rate_from_times(
         fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
-            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps (longer than "
-            f"{_GAP} times the median); jitter up to {_MAX_JITTER:.0%} is accepted; {_evenly(times)}"
+            f"{np.std(intervals):.3g} s, and {percent(float(np.mean(long)))} of the intervals are gaps "
+            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; "
+            f"{_evenly(times)}"
             f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; do not resample, which smooths the "
             "noise",
             "jitter",

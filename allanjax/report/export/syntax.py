@@ -7,13 +7,12 @@ import functools
 import itertools
 import json
 import re
-import textwrap
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.tables import ERRORS
+from allanjax.base.tables import ERRORS, wrapped
 from allanjax.record.units import NUMBER
 from allanjax.report.export.targets import Key, Syntax, Target
 
@@ -59,13 +58,7 @@ def _literal(value: Value) -> str:
 def _comments(lines: Sequence[str], begin: str, indent: str = "") -> list[str]:
     """Comments, broken into lines that begin so."""
     first, other = f"{indent}{begin} ", f"{indent}{begin}   "
-    return [
-        part
-        for line in lines
-        for part in textwrap.wrap(
-            line, _WIDTH, initial_indent=first, subsequent_indent=other, break_on_hyphens=False
-        )
-    ]
+    return [part for line in lines for part in wrapped(line, _WIDTH, first, other).split("\n")]
 
 
 def _lines(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
