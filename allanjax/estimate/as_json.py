@@ -27,7 +27,7 @@ from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.recording import Axis, DeadAxis
 
 SCHEMA_VERSION = 1
-#: What stands for an infinite parameter of a model, for which JSON has no number.
+#: Replacement for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
 _Made = TypeVar("_Made", bound=Parametrized)
 
@@ -108,7 +108,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
 
 
 def _extension(result: AxisFit) -> dict[str, Any]:
-    """The axis's own model, what it was corrected for in words, and the fit without that."""
+    """The axis's own model, its correction in words, and the fit without that correction."""
     template, plain = result.own_template, result.plain
     assert template is not None
     assert plain is not None
@@ -135,7 +135,7 @@ def _misfit(misfit: Misfit | None) -> dict[str, Any] | None:
 
 
 def _terms(model: Model) -> dict[str, Any]:
-    """The terms of a model, its response, and the terms that pass that."""
+    """The terms of a model, its response, and the terms that pass through it."""
     terms = [{"term": term.name(), **_parameters(term)} for term in model]
     if (response := model.response) is None:
         return {"model": terms, "response": None}
@@ -323,7 +323,7 @@ def _parametrized(made: type[_Made], of: Mapping[str, Any]) -> _Made:
 
 
 def _loaded_curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:
-    """Allan deviations of the living axes."""
+    """Allan deviations of all axes but the dead ones."""
     curve = document["curve"]
     return AllanDeviation(
         cluster_time=np.array(curve["cluster_time_s"], float),
