@@ -55,8 +55,9 @@ def check_exact(model: Model | None, recording: Recording) -> None:
         )
     for label, term in zip(model.term_labels, model.terms, strict=True):
         if term.deterministic:
-            raise FitError(f"{label} is deterministic, but the exact likelihood takes random terms only;
-            {whittle}")
+            raise FitError(
+                f"{label} is deterministic, but the exact likelihood takes random terms only; {whittle}"
+            )
         if isinstance(term, PowerLaw) and any(term.is_free(p) for p in term.parameters()[1:]):
             raise FitError(
                 f"{label} has no state space with a free exponent; hold the exponent, or {whittle}"

@@ -251,8 +251,7 @@ def _exact(
         for (result, exact), factor in zip(found, by, strict=True)
     )
     names = [result.axis.name for result, exact in found if not exact]
-    note = f"{', '.join(names)}: fitted by Whittle's likelihood instead of the exact one, as the model does
-    not fit"
+    note = f"{', '.join(names)}: fitted by Whittle's likelihood instead, as the model does not fit"
     return results, (note,) if names else ()
 
 
