@@ -579,8 +579,7 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
     """The Allan deviations of all axes."""
     if isinstance(data, AllanDeviation):
         if data.kind != "allan":
-            raise AllanjaxError(f"a fit needs the Allan deviation, not the {data.kind} deviation; leave out
-            kind")
+            raise AllanjaxError(f"a fit needs the Allan deviation, not a {data.kind} one; leave out kind")
         if not (isinstance(cluster_times, str) and cluster_times == "octave"):
             raise AllanjaxError("a curve has its own cluster times; leave out cluster_times")
         return data
