@@ -140,7 +140,7 @@ def actual(
 
     Args:
         model: the true noise.
-        filters: the filters.
+        filters: the filters that are compared.
         steps: how many samples they integrate, in rising order.
         duration: how long the noise has gone on [s], for bias instability and the mean that is known.
         known: variances for the same filters and times of terms that other sets share; new ones are added.
