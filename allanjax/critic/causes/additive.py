@@ -104,7 +104,7 @@ def marginal(
     """Standard deviation of the amplitude and probability of each shape, averaged over plausible noise.
 
     In drifting noise a step is determined by the samples next to it, in white noise by all samples; both
-        count if the record does not determine the noise.
+    count if the record does not determine the noise.
     """
     sets = after.model_evidence.likely(after.allowed, most=SETS)
     variance, likelihood = 0.0, np.zeros(len(bank.shapes))

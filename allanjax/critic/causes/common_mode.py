@@ -127,7 +127,7 @@ def common_mode(
     `white` is the share of white noise in each axis's noise, None if it has none; `alpha` is the probability
     of a false finding.
     """
-    # If an axis has hardly anything but white noise, the two are the same.
+    # If nearly all noise is white, white noise and all noise are the same.
     told = [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white]
     members = [_Member(*one) for one in zip(axes, z, told, strict=True)]
     tops = [len(z[0])]
