@@ -235,7 +235,7 @@ class ModelEvidence:
         return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
-        """Terms, and the subsets with them."""
+        """Each term, with a flag per subset that has it."""
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
