@@ -30,6 +30,7 @@ _TITLES = {
     "markov": "Gauss-Markov process",
     "power_law": "power-law noise",
     "sinusoid": "spectral line",
+    "spectral_shape": "filters and resonances",
     "telegraph": "telegraph noise",
     "temperature": "temperature effect",
     "warm_up": "warm-up",
