@@ -227,7 +227,7 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
         raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
     if recording.n < _SHORTEST:
         raise FitError(
-            f"{label}: {recording.n} samples are too few for a critique; record at least {_SHORTEST}"
+            f"{label}: {recording.n} samples are too few for a critique; record at least {_SHORTEST} samples"
         )
     if given is not None and given.axes != recording.names:
         raise AllanjaxError(

@@ -462,7 +462,7 @@ def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSel
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
-            "record at least 64 samples"
+            "record at least 64 samples, or fit given terms (--terms)"
         )
     if recording.others:
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
