@@ -253,7 +253,9 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
     except FileNotFoundError as error:
         raise AllanjaxError(f"{path}: no such file; check the path") from error
     except (OSError, ValueError) as error:
-        raise AllanjaxError(f"{path}: not a JSON file, or damaged: {error}") from error
+        raise AllanjaxError(
+            f"{path}: not a JSON file, or damaged ({error}); give a NAME.json of allanjax characterize"
+        ) from error
     classes = term_classes() | {term.name(): term for term in terms}
     try:
         if "fits" in document:
@@ -268,7 +270,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
 def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
     """Fit from its JSON document."""
     if "baseline" in document or "schema_version" not in document or "axes" not in document:
-        raise AllanjaxError("not a fit written by allanjax; allanjax characterize writes such files")
+        raise AllanjaxError("not a fit written by allanjax; give a NAME.json of allanjax characterize")
     if document["schema_version"] != SCHEMA_VERSION:
         raise AllanjaxError(
             f"schema version {document['schema_version']}, but this allanjax reads version {SCHEMA_VERSION}; "
