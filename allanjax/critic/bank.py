@@ -2,8 +2,7 @@
 
 In the whitened record an effect a·h in noise of covariance C has the signal-to-noise ratio
 a·√(h'C⁻¹h), and no detector does better than its matched filter. The law of the largest output of a bank is
-simulated, and continued beyond the simulated range as that of N independent filters, where N may grow with
-the level.
+simulated; beyond the simulated range it is that of N independent filters, where N may grow with the level.
 """
 
 from __future__ import annotations

@@ -163,10 +163,7 @@ def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
 
 
 def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Inspection]:
-    """The recording without disturbances at its beginning and end, and the facts about it.
-
-    The critique itself reports disturbances in between.
-    """
+    """The recording without disturbances at its ends (findings are in between), and the facts about it."""
     seen = inspect(recording, vibrating=vibrating, may_move=True)
     facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes")]
     whole = 0.0, recording.duration
@@ -251,8 +248,7 @@ def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None
     fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
     if all(result.converged for result in fit.results):
         return fit
-    # If an effect dwarfs the noise, a fit of the Allan variances may fail; that of the spectrum is more
-    # robust.
+    # If an effect dwarfs the noise, the fit of Allan variances may fail; that of the spectrum is robust.
     return fit_inspected(recording, seen, None, "whittle", plain=True, as_is=True)
 
 

@@ -1,7 +1,7 @@
 """The structure of a spectrum as a factor of the basic terms' spectrum, and records behind steep filters.
 
-The cosine transform continues a record by its mirror image, which has kinks at the ends. In a filter's stop
-band the kinks may dominate.
+The cosine transform continues a record by its mirror image, which has kinks at the ends. In a stop band they
+may dominate.
 """
 
 from __future__ import annotations
@@ -72,11 +72,7 @@ def spectrum_factor(
 def stop_band(
     structure: Structure, family: NoiseFamily, factor: Float[np.ndarray, " n-1"]
 ) -> tuple[Bool[np.ndarray, " n-1"], Float[np.ndarray, " n-1"]] | None:
-    """Frequencies at which the kinks at a record's ends may matter, and the share of the spectrum without
-    them.
-
-    None if they do not matter.
-    """
+    """Where the kinks at a record's ends matter, and the share of the spectrum without them; or None."""
     response = response_of(structure, family.rate)
     if response is None or not (factor < _DEEP).any():
         return None

@@ -289,10 +289,7 @@ def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
 
 
 def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:
-    """Finding without its parts in events; None if hardly anything is left.
-
-    It keeps its evidence and its gain if most of it is left.
-    """
+    """Finding without its parts in events, or None; it keeps evidence and gain if most of it is left."""
     if (k, None) in taken:
         return None
     whole = len(_numbers(f, "times"))
@@ -325,8 +322,7 @@ def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> F
 UNEXPLAINED = "unexplained"
 # Standard deviations within which values count as the same: of a line, a place in time, a shape.
 _LINE, _TIME, _SHAPE = 4.0, 4.0, 3.0
-# Distance in resolved frequencies [1/duration] within which two lines are one that is not steady: a
-# judgement.
+# Resolved frequencies [1/duration] within which two lines are one that is not steady: a judgement.
 _STEADY = 3.0
 # Quality factor above which a resonance is a line; highest order of a harmonic, and the largest share of the
 # fundamental within which it is sought, so that few arise by chance: judgements.

@@ -136,8 +136,7 @@ class ModelEvidence:
     def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
         """Plausible subsets of the `allowed` terms, those with all `required` ones.
 
-        Each term that is not required has the prior probability ½; all values of a free shape are equally
-        probable.
+        Each term that is not required has the prior probability ½; all values of a free shape the same one.
         """
         values, powers, near = self._evidence_of(allowed, required)
         near = near[values[near] > values[near].max() - _FAR_LESS]
@@ -150,10 +149,7 @@ class ModelEvidence:
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
     def _evidence_of(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
-        """Evidence of all subsets, −∞ for impossible ones; only those that may be best are maximized.
-
-        It is cached, as the best subset, the likely ones and all of them are requested in turn.
-        """
+        """Evidence of all subsets, −∞ for impossible ones, kept; only possible best ones are maximized."""
         asked = frozenset(allowed), frozenset(required)
         if asked not in self._known:
             self._known[asked] = self._refine(allowed, required)

@@ -242,8 +242,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
     ) -> tuple[Figure, ...]:
-        """Draw one figure per finding, or for selected ones, and one per axis without; saved in folder
-        `path`.
+        """Draw a figure per finding, or for selected ones, and per axis without; saved in folder `path`.
 
         A finding in several axes is drawn in the most affected one, `Finding.shown`.
 

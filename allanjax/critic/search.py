@@ -122,8 +122,7 @@ def going_on(
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
-        # A waveform may have hidden any effect; other effects hardly hide a waveform. In the end all causes
-        # are tried again.
+        # A waveform may have hidden any effect, others hardly; in the end all causes are tried again.
         if len(steps) < len(known) or step.candidate.has_waveform:
             offered = {}
         else:

@@ -135,8 +135,7 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
 def candidate_structure(view: View) -> tuple[View, float] | None:
     """View with the structure of its spectrum beyond the findings, and its log odds [nats].
 
-    These are odds against all basic terms, also those that the model lacks, as a Markov process may explain
-    much of a filter.
+    The odds are against all basic terms, also missing ones: a Markov process may explain much of a filter.
     """
     if view.structure is not None and not _left(view):
         return None

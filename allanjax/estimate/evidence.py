@@ -52,8 +52,7 @@ class TermSubset(NamedTuple):
     """A subset of the candidate terms, or several, stacked [subsets].
 
     Attributes:
-        terms: which of the terms without a free shape it has, and whether it has the one with a free shape,
-            or two.
+        terms: which terms without a free shape it has, and whether it has one with a free shape, or two.
         column: index of the latter's shape in its grid, 0 without one; an array for two.
         ramp: whether it has a ramp.
     """

@@ -46,8 +46,7 @@ from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
-# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks that are
-# tried.
+# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried.
 _NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
 # Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
 _BLOCK, _MEDIAN = 64, 0.4549

@@ -59,8 +59,7 @@ from allanjax.spectrum.cosine import joint_statistics
 if TYPE_CHECKING:
     import pandas as pd
 
-# Denser cluster times than octaves gain some 5 % in the middle of the curve; more than four per octave gain
-# nothing.
+# Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
 _PER_OCTAVE = 4
 Objective = Literal["allan", "whittle", "wavelet", "exact"]
 # Axes per block: for so many, the data of the compiled programs stay in a core's cache.
@@ -160,8 +159,7 @@ def fit_inspected(
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        # The record is fitted as if complete, except by the exact likelihood; intervals are widened
-        # afterwards.
+        # The record is fitted as if complete (not by the exact likelihood); intervals are widened later.
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)

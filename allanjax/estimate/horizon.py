@@ -617,8 +617,7 @@ def _variances(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
     """Variances that filters predict with N = 1, and draws of the true ones: of detected terms, and of all.
 
-    Undetected terms have limits only. The last result is the true variance for each set, by terms of unit
-    amplitude.
+    Undetected terms have limits only. Last comes the true variance of each set, by terms of unit amplitude.
     """
     shared: dict[str, np.ndarray] = {}
     each = [actual(s.model, filters, steps, record, shared) for s in sets]

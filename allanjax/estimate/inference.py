@@ -189,8 +189,7 @@ class _Axis(NamedTuple):
         D, residual = whitened[:, :-1], whitened[:, -1]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
-        # A zero column (not estimated) gets a unit on the diagonal, and its variance is set to zero
-        # afterwards.
+        # A zero column (not estimated) gets a unit on the diagonal, and its variance is zeroed later.
         normal = (D / size).T @ (D / size) + jnp.diag(1.0 - estimated) + 1e-12 * jnp.eye(len(size))
         normal_inverse = inverse(normal) / (size[:, None] * size)
         return _Linearized(
@@ -401,8 +400,7 @@ def coefficients_of(
 ) -> tuple[Coefficients, ...]:
     """Coefficients of several axes by their labels, from `estimates_of`.
 
-    Shapes that may be anywhere beyond the observable range of n samples at `rate` [Hz] have a limit and no
-    error.
+    Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
     """
     estimates = estimates_of(model, active, solution, inference)
     found: list[dict[str, Estimate]] = [{} for _ in axes]

@@ -548,8 +548,7 @@ class AxisFit(ByValue, AxisEstimates):
         there = [
             c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
         ]
-        # N is the sum of all terms that are white at low frequencies; none of them need be white noise
-        # itself.
+        # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 

@@ -188,8 +188,7 @@ def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
 
     Amplitudes: `ModifiedLogUniform`, with the smallest amplitude that these data distinguish from zero as
     its scale. Times, frequencies and numbers: `LogUniform` in the distance from the parameter's lower bound.
-    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than the data
-        require.
+    Frequencies of lines: `Uniform`. Supports are those of the likelihood, far wider than needed.
     """
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):

@@ -481,8 +481,7 @@ def absent_amplitude(
     p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at c
     = 0; a shape of the term itself is drawn from its prior. The larger c, the farther the posterior of the
     others moves from their draws. The mean is invariant under any translation of the draws if the ratio
-    includes the prior densities before and after; translating them to their weighted mean at c keeps the
-    weights even.
+    includes the prior densities before and after; moving them to their weighted mean keeps the weights even.
     """
     posterior = target.posterior
     prior = posterior.priors[index]

@@ -48,8 +48,7 @@ class BasicTerm(Cause):
 
         def held_out() -> float:
             if term == RAMP:
-                # Its shape is known and nearly all of it is in one coefficient, so parts of the time are held
-                # out.
+                # Its shape is known and nearly all in one coefficient, so parts of the time are held out.
                 shape = Bank(view.family.ramp[None, :SLOW])
                 return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
             with_it = view.cross_validated(

@@ -77,10 +77,7 @@ class BiasStep(Cause):
         )
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
-        """Best pair of steps that hide each other: there and back, or one on top of the other.
-
-        None if they gain no more than `least`.
-        """
+        """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
         gain = least
         for noise in view.noises:
             pair = best_pair(bank, view, noise)
@@ -198,8 +195,7 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
     chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
     covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
-    # If both are located more sharply than the spacing of the coarse pairs, the factor from single searches
-    # is better.
+    # If both are located more sharply than the coarse pairs, the factor from single searches is better.
     among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
     snr = amplitude / np.sqrt(np.diag(covariance))
     return Pair((first, second), amplitude, snr, min(price, float(among)))
@@ -219,10 +215,7 @@ def _gains(
 
 
 def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
-    """Most likely shape given another one of any amplitude, and its log trials factor [nats].
-
-    `p` are the shapes' products with the record.
-    """
+    """Most likely shape given another one, and its log trials factor [nats]; `p`: products with the data."""
     own = matched.lengths**2
     common = matched.products(matched.rows(np.array([other]))[0]) / own[other]
     left = np.maximum(own - common**2 * own[other], 0.0)

@@ -18,8 +18,7 @@ from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"
-# Correlations are searched for in all coefficients, in their lowest quarter, in its lowest quarter, and so
-# on.
+# Correlations are searched for in all coefficients, in their lowest quarter, in its lowest quarter, ….
 _SPLIT = 4
 # Fewest independent coefficients for a correlation: a judgement.
 _LEAST = 64

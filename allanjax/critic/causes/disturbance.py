@@ -24,8 +24,7 @@ _BANDS = 6
 _SMOOTH, _LOUD = judged("disturbance", "smooth"), judged("disturbance", "loud")
 # Excess of its mean square, in standard deviations, above which a block is loud: a judgement.
 _QUIET = 3.0
-# Number of blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at
-# each.
+# Blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at each.
 _FADING, _UNSEEN = 10, 0.1
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16

@@ -113,10 +113,7 @@ def _p_value(largest: float, n: int) -> float:
 
 
 def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
-    """Largest score of each group of neighbours, to which one outlier's prediction errors spread.
-
-    None if a group is longer than that of an outlier.
-    """
+    """Largest score of each group of neighbours; None if a group is longer than that of an outlier."""
     groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
     if max(g[-1] - g[0] for g in groups) > _LONGEST:
         return None
@@ -172,10 +169,7 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
 
 
 def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
-    """Logarithm of the scale of outliers with scores above a threshold, and its deviation; or a limit.
-
-    Only errors above the threshold are detected, so their law is a normal law truncated there.
-    """
+    """Log scale of outliers, whose law is truncated at a threshold, and its deviation; or a limit."""
     log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
     width = np.sqrt(1.0 + np.exp(2.0 * log))
     each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
@@ -212,8 +206,7 @@ def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
 def _held_out(z: Float[np.ndarray, " n"]) -> float:
     """Gain in log-likelihood [nats] on parts of the samples with the mixture from the other parts.
 
-    If the others have no outliers, these are taken to be rare and of any scale, so that a single one can be
-    predicted.
+    If the others have none, outliers are taken to be rare and of any scale: a single one can be predicted.
     """
     gain = 0.0
     for part in folds(len(z), _FOLD_BLOCK):

@@ -26,8 +26,7 @@ _LEAST_JUMPS = judged("telegraph", "jumps")
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
 # The noise of blocks is measured between 1/32 and 1/4 of their frequencies.
 _WHITE = (32, 4)
-# Shortest dwell time [blocks], and number of dwell times compared, up to half of the record, on a logarithmic
-# grid.
+# Shortest dwell time [blocks], and number of those compared, logarithmic up to half of the record.
 _SHORTEST, _DWELLS = 4.0, 12
 
 
@@ -106,10 +105,7 @@ class TwoStateFit:
 
 
 def _noise(means: Float[np.ndarray, " blocks"]) -> float:
-    """Standard deviation of the blocks from white noise.
-
-    It is measured at frequencies above those of a telegraph and below those of quantization noise.
-    """
+    """Standard deviation of blocks from white noise, between telegraph's and quantization's frequencies."""
     first, last = (max(len(means) // part, 1) for part in _WHITE)
     return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
 
@@ -169,10 +165,7 @@ def _chain(
 def _products(
     links: Float[np.ndarray, "2 2 chains blocks"],
 ) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
-    """Products of the first one, two, three, … matrices, scaled, and the logarithms of the scales.
-
-    They are computed by doubling: of two, four, eight, … in a row.
-    """
+    """Products of the first one, two, … matrices by doubling, scaled, and the logarithms of the scales."""
     found = links.copy()
     scale = np.zeros(links.shape[2:])
     reach = 1

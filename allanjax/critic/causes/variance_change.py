@@ -45,8 +45,7 @@ class _Kind:
 
     Attributes:
         share: share of this part in the expected squares of the coefficients.
-        squares: squares, with mean 1, of the record after the filter √share, which is matched to a change of
-            this part.
+        squares: squares, with mean 1, of the record after the filter √share, matched to a change of the part.
         worth: degrees of freedom for each of them, as neighbours are correlated.
         edges: edges of the blocks that form the intervals [samples].
     """
@@ -153,10 +152,7 @@ class VarianceChange(Cause):
 
 
 def _ratio(view: View, excess: float, scatter: float) -> Estimate:
-    """Ratio of the noise's deviations, from the relative growth of its power and the scatter of that growth.
-
-    For noise that has nearly vanished there is only an upper limit.
-    """
+    """Ratio of the noise's deviations, from the growth of its power; an upper limit if it nearly vanished."""
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
         largest = np.sqrt(1.0 + max(excess + ONE_SIDED_95 * scatter, _LEAST))
         return view.estimate("ratio", largest, np.nan, "1", "below")

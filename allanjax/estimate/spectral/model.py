@@ -6,8 +6,8 @@ Powers and shapes are in slots:
 
 A slot is idle if its power is zero. The slots in use, the components inside the response, and the kind of
 response are data, so that one compiled program serves every model. A power p is written as
-p = scale·(e^u − 1): linear below its scale, where the data hardly determine it, logarithmic above, and zero
-at u = 0.
+p = scale·(e^u − 1): linear below its scale, where the data hardly determine it, logarithmic above, 0 at u =
+0.
 The deviance residuals of the levels, r = sign(x − 1)·√(2k(x − 1 − ln x)) with x = level/mean, make the
 log-likelihood a sum of squares, whose Gauss–Newton matrix is nearly Fisher's information. Some parameters are
 known to 10⁻⁴, such as a resonance's frequency, others only to a factor, such as a long correlation time; so
@@ -404,8 +404,7 @@ def power_scales(
 ) -> Float[Array, " components"]:
     """Power of each component that equals one standard deviation in noise of these levels [rate²].
 
-    The shapes of the components are those in `theta`. These are the scales for `Slots`: the data hardly show
-    a power below its scale.
+    The shapes are those in `theta`. They are the scales for `Slots`, below which powers hardly show.
     """
     information = jnp.sum(levels.shape * (units(theta, slots, levels) / noise) ** 2, axis=1)
     return jnp.where(information > 0.0, 1.0 / jnp.sqrt(jnp.maximum(information, 1e-300)), 1.0)

@@ -50,8 +50,7 @@ _WINDOWS = 3
 _LINE = 1.25 * LINE
 # Bandwidths that a response starts from [cycles per sample].
 _BANDWIDTHS = (0.06, 0.25)
-# Kinds of responses, those that are tried first, and the largest bandwidth from which one of another kind
-# starts [radians per sample].
+# Kinds of responses, those tried first, and the largest start bandwidth of another kind [radians/sample].
 _KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
 _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
@@ -304,8 +303,7 @@ def _floor(spectrum: Spectrum) -> float:
 def responses(structure: Structure, floor: float) -> Iterator[Structure]:
     """Structures with a response and white noise after it; all resonances are inside it or after it.
 
-    That noise has the level `floor` if that is not zero. Without it, the depth of the stop band would
-    determine the response.
+    That noise has the level `floor`, if not zero; without it the stop band's depth would decide the response.
     """
     if floor:
         structure = structure.using(OUTSIDE, floor)
@@ -367,10 +365,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit with further Markov processes if these predict better (Akaike 1973).
-
-    The evidence hardly distinguishes slow terms from each other, but they predict different drifts.
-    """
+    """Fit with more Markov processes if these predict better (Akaike 1973), as their drifts differ."""
     for _ in range(2):
         starts = (
             now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in TIMES

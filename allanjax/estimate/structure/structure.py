@@ -298,8 +298,7 @@ class Spectrum:
     def weighing(self, fitted: Fitted, error: float | Float[np.ndarray, " capacity"] = 0.0) -> Spectrum:
         """Spectrum whose levels count less where the resonances of a fit dominate.
 
-        They count even less where several oscillators represent one that drifts. Models must be compared with
-        the same weights.
+        They count even less where several oscillators represent one that drifts. Compare only equal weights.
         `error` is a further relative error of each level.
         """
         near = np.array([fitted.structure.companions(k) for k in range(FULL.oscillators)])
