@@ -1,9 +1,9 @@
-"""Results of a fit: coefficients with their intervals, axis by axis, what was corrected, and the misfit.
+"""Results of a fit: coefficients with their intervals for each axis, corrections, and the misfit.
 
-The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals rightly
-while it is small. Of a model that misses by a factor it says nothing: it is counted in units of the model,
-below which nothing is farther than one. For the misfit the two curves are compared as a ratio, place by
-place.
+The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals correctly
+while it is small. It does not describe a model that is off by a factor, as it is relative to the model and
+data below the model are off by one at most. The misfit therefore compares the ratio of the two curves, place
+by place.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
     from allanjax.estimate.selection import TermSelection
 
 LIMIT, OCTAVE = 0.3, 0.5
-"""Deviations beyond which coefficients are no measurement: root mean square, and over an octave.
+"""Deviations beyond which coefficients are not a measurement: root mean square, and over an octave.
 
-Of 30 % in the deviation, 69 % in the variances, which are what is fitted. Standard deviations propagate the
-model's error to first order, as small and of either sign; of one so large nothing that is linear in it holds.
-A coefficient is read from an octave or two, of which one off by a factor 1.5 leaves none. (Static sensors
+30 % in the deviation is 69 % in the variances, which are fitted. Standard deviations propagate the model's
+error to first order, which does not hold for one so large. A coefficient is determined by one or two octaves,
+and is lost if one of these is off by a factor of 1.5. (Static sensors
 with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 """
 
@@ -54,25 +54,25 @@ with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
-# Parts of an octave that the levels of a spectrum are averaged over.
+# Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
-# Deviations from this ratio on are told as a factor.
+# Deviations above this ratio are reported as a factor.
 _FACTOR = 1.5
-# Root mean square deviations from which on one is mentioned beside another curve's, and where that one has
-# none, so that chance hardly ever does: judgements.
+# Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
+# one; chance hardly ever exceeds them: judgements.
 _NOTABLE, _CLEAR = 0.02, 0.06
-# Scatter that is so large a share of a deviation is told with it.
+# Scatter is reported with a deviation if it is a larger share of it than this.
 _MUCH = 0.3
-# Ratio of a limit of the bandwidth to its value within which the limit is told.
+# Ratio of a limit of the bandwidth to its value within which the limit is reported.
 _NEAR = 3.0
-# Places that are named; of more the strongest.
+# Largest number of places that are named, the strongest ones.
 _NAMED = 3
 #: What to do about a curve that is far off.
 NEXT = (
     "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
     "at rest, --terms selects other terms"
 )
-# Least share of N that is white noise.
+# Least share of N that counts as white noise.
 _LITTLE = 1e-6
 
 
@@ -86,8 +86,8 @@ class Misfit:
         at: that place, a cluster time [s] or a frequency [Hz]; nan if there is none.
         unit: its unit: "s" of an Allan deviation, "Hz" of a root PSD.
         rms: root mean square of ln(measured/model) over all places, less scatter, as a relative deviation.
-        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation is an
-            average over one), in a root PSD over most of one.
+        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation averages
+            over one), in a root PSD over most of an octave.
         scatter: relative deviation that chance may cause at that place.
     """
 
@@ -100,7 +100,7 @@ class Misfit:
 
     @property
     def excessive(self) -> bool:
-        """Whether the curve is so far off that its coefficients are not a measurement."""
+        """Whether the curve is so far off that the coefficients are not a measurement."""
         return self.rms > LIMIT or self.sustained > OCTAVE
 
     def beside(self, other: Misfit | None) -> Misfit | None:
@@ -157,11 +157,10 @@ def misfit_of(
 def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     """Solutions [axes] whose discrepancy is no less than their curves' rms deviation.
 
-    That brings χ² to its degrees of freedom which bends to what it cannot follow; scatter that is said of
-    coefficients must not bend.
+    The discrepancy alone would be too small, as the fit bends towards data that it cannot follow.
     """
     rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
-    # Of powers it is twice that of deviations.
+    # The error of powers is twice that of deviations.
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
 
 
@@ -198,7 +197,7 @@ def spectral_misfit(
 
 
 def deviation(relative: float) -> str:
-    """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
+    """A relative deviation in words: "47 %", or a large one as a factor in either direction, "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
         return percent(abs(relative))
@@ -206,7 +205,7 @@ def deviation(relative: float) -> str:
 
 
 class AxisEstimates:
-    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and in two lines.
+    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and as text.
 
     Attributes:
         axis: the axis.
@@ -215,19 +214,19 @@ class AxisEstimates:
 
     #: Columns of the table, each in the usual unit.
     COLUMNS: ClassVar[tuple[str, ...]] = ()
-    #: What is raised for a coefficient that there is not.
+    #: Error for an unknown coefficient.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     axis: Axis
 
-    if TYPE_CHECKING:  # A property here would be taken for the default of a dataclass's field.
+    if TYPE_CHECKING:  # A property here would be taken as the default of a dataclass field.
 
         @property
         def coefficients(self) -> Mapping[str, Estimate]: ...
 
     @TextProperty
     def verdict(self) -> str:
-        """How far the estimates can be trusted, in one line."""
+        """Whether the estimates can be trusted, in one line."""
         raise NotImplementedError
 
     def __getitem__(self, name: str) -> Estimate:
@@ -287,7 +286,7 @@ def correction_of(
 
 
 def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
-    """The response in words: a limit is no bandwidth, and a value that the data do not determine is none."""
+    """The response in words: its bandwidth, a limit of it, or that the data do not determine it."""
     if found.response is None or estimate is None:
         return []
     if np.isfinite(estimate.std) or estimate.held:
@@ -327,9 +326,9 @@ def fitted_model(
 def extended_model(
     template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
 ) -> Model:
-    """The model of an extension: of white noise it has what wide resonances and short processes leave."""
+    """The model of an extension; its white noise excludes the part of wide resonances and short processes."""
     N, left = coefficients["angle_random_walk"], template.values["angle_random_walk"] or 0.0
-    # The term stays where it is detected.
+    # The term stays if it is detected.
     value = max(float(left), _LITTLE * N.value)
     own = {**coefficients, "angle_random_walk": dataclasses.replace(N, value=value)}
     return fitted_model(template, own, inactive)
@@ -398,12 +397,12 @@ class AxisFit(ByValue, AxisEstimates):
     own_template: Model | None = None
     plain: AxisFit | None = None
     widening: float = 1.0
-    # The fit that it is part of, whose curve its picture has.
+    # The fit of which it is a part; the figure needs its curve.
     _fit: ClassVar[Fit | None] = None
 
     def __post_init__(self) -> None:
         if not self.converged:
-            # The numbers mean nothing, and no file has them.
+            # The numbers are meaningless, and no file contains them.
             nothing = {"_coefficients": {}, "_covariance": np.zeros((0, 0)), "_model": Model(())}
             nothing |= dict.fromkeys(("chi2", "p_value", "discrepancy"), np.nan)
             for name, value in nothing.items():
@@ -415,7 +414,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def measured(self) -> bool:
-        """Whether the coefficients are a measurement of the sensor, by the facts and the misfit."""
+        """Whether the coefficients are a measurement of the sensor, according to the facts and the misfit."""
         return self.converged and not self.not_measured and not self.is_far_off
 
     @property
@@ -430,7 +429,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def doubtful(self) -> bool:
-        """Whether the p-value is below 0.001, which does not suffice to refuse the model."""
+        """Whether the p-value is below 0.001 but not low enough to reject the model."""
         return self.p_value < _DOUBTFUL
 
     @property
@@ -463,7 +462,7 @@ class AxisFit(ByValue, AxisEstimates):
         """A copy with intervals widened for errors of the record.
 
         Args:
-            share: relative error of the Allan deviation, and so of every amplitude.
+            share: relative error of the Allan deviation, and thus of every amplitude.
             foreign: density of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
         """
 
@@ -481,7 +480,8 @@ class AxisFit(ByValue, AxisEstimates):
         return dataclasses.replace(self.with_estimates(found), plain=plain)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
-        """A copy with other estimates of its coefficients, and a covariance of their standard deviations."""
+        """A copy with these estimates of its coefficients, and a covariance rescaled to their standard
+        deviations."""
         pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
         by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
         covariance = self._covariance * by[:, None] * by
@@ -532,7 +532,7 @@ class AxisFit(ByValue, AxisEstimates):
         there = [
             c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
         ]
-        # N is the white noise of all terms at low frequencies, of which none need be white noise itself.
+        # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 

@@ -1,4 +1,4 @@
-"""The choice of noise terms: the evidence of every subset of the candidates, ranked and averaged over.
+"""The choice of noise terms: every subset of the candidates, ranked by its evidence, and their average.
 
 Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
 the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
@@ -45,27 +45,28 @@ from allanjax.spectrum.cosine import (
 if TYPE_CHECKING:
     import pandas as pd
 
-# Draws of sets and powers, and the shortest cluster of the drift, in samples.
+# Number of draws of sets and powers, and the shortest cluster of the drift, in samples.
 _DRAWS = 2000
 _SHORTEST = 10
-# The drift is printed at so many decades of the cluster time from 1 s on.
+# Number of decades of the cluster time, from 1 s on, at which the drift is printed.
 _DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
-# Subsets that are less probable are not drawn from.
+# Probability below which subsets are not drawn.
 _IMPROBABLE = 1e-4
 _QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
-# Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: 20 is "strong").
+# Bayes factor of the best set against another below which they cannot be distinguished (Kass & Raftery 1995:
+# 20 is "strong").
 _ODDS = 20.0
-# A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
+# A fit takes the simplest of the sets against which the best one has a Bayes factor below this.
 _PARSIMONY = 5.0
-# Posterior probability of a chosen term, summed over the sets that have it, from which on it is detected.
+# Posterior probability of a chosen term, summed over its sets, above which it is detected.
 _CERTAIN = 0.95
-# Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
+# Probability below which a further term is not reported as undecided: any term may be there undetected.
 _WORTH_SAYING = 0.1
-# Number of times that the evidence is computed anew with the error of the best set.
+# Number of times that the evidence is recomputed with the model error of the best set.
 _ROUNDS = 2
-# Sets so many nats behind the best one are not tried with a second free time.
+# Sets more nats than this behind the best one are not tried with a second free time.
 _FAR = 7.0
 
 
@@ -161,7 +162,7 @@ def _powers(
     draws: int,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "draws some"]:
-    """Draws of a subset's powers, given what unit powers contribute to the mean, relative to it."""
+    """Draws of a subset's powers, given the contributions of unit powers relative to the mean."""
     there, covariance = _covariance(relative, power, weight)
     found, root = np.zeros((draws, len(power))), np.linalg.cholesky(covariance)
     found[:, there] = power[there] * np.exp(rng.standard_normal((draws, len(root))) @ root.T)
@@ -173,7 +174,7 @@ def _covariance(
 ) -> tuple[Bool[np.ndarray, " some"], Float[np.ndarray, "there there"]]:
     """Which powers of a subset are above zero, and the covariance of their logarithms."""
     there = power > 0.0
-    # A power that few coefficients know is as likely half as large as twice as large.
+    # A power that few coefficients determine is as likely half as large as twice as large.
     scaled = relative[there] * power[there, None]
     information = (scaled * (0.5 * weight)) @ scaled.T
     return there, np.linalg.inv(information + np.diag(np.full(len(information), 1.0 / _WIDEST**2)))
@@ -330,8 +331,8 @@ class AxisSelection(ByValue):
     def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
         """At most three questions that the data leave undecided, the most probable first.
 
-        Each has its words, those for two probabilities, and these: of a term, without it and with it; of
-        "one or another", of the chosen one and of the other.
+        Each has its text, a text for two probabilities, and these probabilities: for a term, of a set without
+        it and one with it; for "one or another", of the chosen set and the other.
         """
         found = []
         for other in self.indistinguishable:
@@ -448,13 +449,13 @@ def select_terms(
 
 
 def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
-    """Ranking of the terms of all of a recording; see `select_terms`."""
+    """Ranking of the terms for a whole recording; see `select_terms`."""
     model = candidates_of(candidates, recording.rate)
     ramps = sorted_terms(model)[2]
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
-            "record at least 64 samples"
+            "record at least 64 samples, or fit given terms (--terms)"
         )
     if recording.others:
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
@@ -501,7 +502,7 @@ def _rows(
     statistics: SpectralStatistics,
     share: Float[np.ndarray, "axes m"],
 ) -> list[list[Row]]:
-    """Some subsets as each axis sees them."""
+    """Some subsets for each axis."""
     found = candidates.evidence(subsets, statistics, share)
     return [candidates.rows(subsets, found, k) for k in range(len(share))]
 
@@ -509,13 +510,13 @@ def _rows(
 def _with_error(
     candidates: Candidates, statistics: SpectralStatistics, rows: list[list[Row]]
 ) -> tuple[list[list[Row]], Float[np.ndarray, "axes m"], Float[np.ndarray, " axes"]]:
-    """The rows, the weights of the bins and the model's error, where no subset follows the spectrum.
+    """The rows, the weights of the bins and the model's error, if no subset fits the spectrum.
 
-    All are given the error that makes the best one follow it, and those with a free time are left out.
+    All are given the error that makes the best one fit, and those with a free time are left out.
     """
     rows, size, per_octave = list(rows), candidates.size, candidates.bins.per_octave()
     subsets = candidates.subsets()
-    # Without other terms there is nothing to prefer to a free time.
+    # Without other terms, those with a free time are kept.
     plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets)) if candidates.fixed else subsets
 
     def error_of(k: int) -> float:
@@ -542,7 +543,7 @@ def _with_error(
 
 
 def _pairs(candidates: Candidates, rows: Sequence[Sequence[Row]]) -> TermSubset:
-    """Subsets with two free times, beside the sets that are not far behind the best one of some axis."""
+    """Subsets with two free times, from the sets that are not far behind the best one of any axis."""
     cut, near = len(candidates.fixed), set()
     for some in rows:
         shaped = [row for row in some if len(row.members) and row.members[-1] >= cut]

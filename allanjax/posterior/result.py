@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Draws whose curves are evaluated at once: terms without a closed form need room.
+# Number of draws whose curves are evaluated at once, as terms without a closed form need memory.
 _AT_ONCE = 16
-# Draws from which curves and derived quantities are computed.
+# Number of draws from which curves and derived quantities are computed.
 _DERIVED_DRAWS = 1000
-# Cluster times at which the minimum of a curve is sought.
+# Number of cluster times at which the minimum of a curve is sought.
 _MINIMUM_POINTS = 200
 _INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
 
@@ -46,7 +46,7 @@ def derived(
 ) -> Estimate:
     """Estimate of a derived quantity from its posterior draws [SI]: median, σ and intervals."""
     low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
-    # Draws that agree to rounding do not scatter.
+    # Draws that agree within rounding do not scatter.
     std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
     return Estimate(
         label=label,
@@ -120,13 +120,14 @@ def lowest_point(
     deviation: Float[np.ndarray, "draws points"],
     deviation_unit: str,
 ) -> BiasMinimum:
-    """Minimum of each draw's curve on this grid, its height and place refined by a parabola in logarithms."""
+    """Minimum of each draw's curve on this grid; its height and place are refined by a parabola in
+    logarithms."""
     x, y = np.log(cluster_time), np.log(deviation)
     lowest = np.argmin(y, axis=1)
     last = len(x) - 1
     k = np.clip(lowest, 1, last - 1)
     row = np.arange(len(y))
-    # Newton's parabola through the lowest point and its neighbours, which need not be equally far.
+    # Newton's parabola through the lowest point and its neighbours, which may be unevenly spaced.
     left, right = x[k - 1] - x[k], x[k + 1] - x[k]
     slope_left, slope_right = (y[row, k - 1] - y[row, k]) / left, (y[row, k + 1] - y[row, k]) / right
     curvature = (slope_right - slope_left) / (right - left)
@@ -224,7 +225,7 @@ class AxisPosterior(ByValue, AxisEstimates):
             f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {plain(self.tau.max(), 3)}, "
             f"R̂ ≤ {self.r_hat.max():.4f}"
         )
-        # Curves and drift are those of the sampled terms, which may not be all.
+        # Curves and drift are those of the sampled terms, which may not be all terms.
         wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
         if wanted:
             text += (
@@ -243,7 +244,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         )
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """An evenly spaced choice of draws; some of them repeatedly if there are fewer."""
+        """An evenly spaced selection of draws; some repeat if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
 
     def models(self, count: int = 100) -> list[Model]:

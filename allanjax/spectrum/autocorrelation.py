@@ -59,8 +59,6 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
     """
 
     PER_AXIS: ClassVar[tuple[str, ...]] = ("value", "standard_error", "remarks")
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "at lag 0", "1σ", "unit")
-    RIGHT: ClassVar[tuple[str, ...]] = ("at lag 0", "1σ")
 
     lag: Float[np.ndarray, " m"]
     value: Float[np.ndarray, "m axes"]

@@ -4,13 +4,14 @@ Powers and shapes are in slots:
 
     μ = R·Σ p_c S_c (what is inside the response R) + Σ p_c S_c (what is after it)
 
-A slot is idle where its power is zero. Which slots are in use, what is inside, and the kind of response are
-data, so that one compiled program serves every model. A power p is written as p = scale·(e^u − 1): linear
-below its scale, where the data hardly show it, logarithmic above, and zero at u = 0.
+A slot is idle if its power is zero. The slots in use, the components inside the response, and the kind of
+response are data, so that one compiled program serves every model. A power p is written as
+p = scale·(e^u − 1): linear below its scale, where the data hardly determine it, logarithmic above, 0 at u =
+0.
 The deviance residuals of the levels, r = sign(x − 1)·√(2k(x − 1 − ln x)) with x = level/mean, make the
-log-likelihood a sum of squares, whose Gauss–Newton matrix is nearly Fisher's information. Parameters are
-known with very different precision, a resonance's frequency to 10⁻⁴ and a long correlation time to a factor;
-so the damping is proportional to the diagonal of that matrix (Marquardt 1963), not to the identity.
+log-likelihood a sum of squares, whose Gauss–Newton matrix is nearly Fisher's information. Some parameters are
+known to 10⁻⁴, such as a resonance's frequency, others only to a factor, such as a long correlation time; so
+the damping is proportional to the diagonal of that matrix (Marquardt 1963), not to the identity.
 """
 
 from __future__ import annotations
@@ -48,13 +49,13 @@ _LONGEST = 2.0
 _TOLERANCE = 1e-5
 # Most steps of a fit.
 _STEPS = 400
-# Smallest ratio of a level to its expectation that counts, and excess over 1 below which a series is used.
+# Lower bound of the ratio of a level to its expectation, and excess over 1 below which a series is used.
 _LEAST_RATIO = 1e-12
 _NEAR = 1e-4
 
 
 class Layout(NamedTuple):
-    """Numbers of slots, and where the parameters of each kind are.
+    """Numbers of slots, and the positions of each kind of parameter.
 
     The parameters are the powers of all components, then the correlation times of Markov processes,
     frequencies and quality factors of oscillators, bandwidth and quality factor of the response, and the
@@ -124,12 +125,12 @@ class Layout(NamedTuple):
         return self.other_shapes + self.shapes
 
 
-#: Slots of the usual models, and of those with resonances or a response.
+#: Slots for the usual models, and for those with resonances or a response.
 PLAIN, FULL = Layout(8, 2, 0), Layout(8, 4, 12)
 
 
 class Others(eqx.Module):
-    """Terms whose free shapes no slot has, evaluated as they are.
+    """Terms whose free shapes fit no slot; they are evaluated directly.
 
     Attributes:
         terms: the terms, with unit amplitude.
@@ -149,7 +150,7 @@ class Others(eqx.Module):
         bins: Bins,
         capacity: int,
     ) -> Others:
-        """Terms as they are seen in these bins; those of a record are padded to the levels' capacity."""
+        """Terms evaluated in these bins; for a record, padded to the capacity of the levels."""
         places = [Place.of(part) for part in bins.parts]
         if len(places) == 1:
             nodes = padded(places[0].frequency, capacity, bins.rate / 4.0)
@@ -168,18 +169,18 @@ class Others(eqx.Module):
 
 
 class Slots(eqx.Module):
-    """What a joint spectral model consists of.
+    """Components and parameters of a joint spectral model.
 
     Attributes:
         layout: numbers of slots.
         scale: scale of each power [rate²] (components).
         inside: whether each component passes through the response.
-        band_limited: whether oscillators have no aliases.
+        band_limited: whether oscillators are free of aliases.
         kind: the kind of response, see `components`.
-        free: which parameters are estimated; the others keep their value.
+        free: which parameters are estimated; the others keep their values.
         lower, upper: bounds of the parameters.
         centre, precision: normal prior of each parameter; a precision of 0 for none.
-        others: terms whose free shapes no slot has.
+        others: terms whose free shapes fit no slot.
     """
 
     layout: Layout = eqx.field(static=True)
@@ -222,7 +223,7 @@ class Slots(eqx.Module):
         return cls(layout, scale, inside, limited, kind_of, free, lower, upper, nothing, nothing, others)
 
     def usual(self) -> Float[np.ndarray, " parameters"]:
-        """Parameters without powers, and with shapes in the middle of what there is."""
+        """Parameters with zero powers, and with shapes in the middle of their ranges."""
         at = self.layout
         theta = np.zeros(at.parameters)
         theta[at.times : at.frequencies] = np.log(100.0)
@@ -242,13 +243,13 @@ _POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE = (
 
 
 class Expected(NamedTuple):
-    """Expected levels, and what each component and each parameter contributes.
+    """Expected levels, and the contribution of each component and each parameter.
 
     Attributes:
         mean: the expected levels [rate²].
         components: the part of each component in them.
         slope: derivatives of their logarithms by the parameters.
-        by_response: derivatives of the levels of each component of unit power by those of the response.
+        by_response: derivatives of the levels of each component, at unit power, by the response's parameters.
     """
 
     mean: Float[Array, " m"]
@@ -259,9 +260,9 @@ class Expected(NamedTuple):
 
 @eqx.filter_jit
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
-    """Expected levels and their derivatives, each slot's along its own parameters only.
+    """Expected levels and their derivatives, those of each slot by its own parameters only.
 
-    Idle slots, without power and not estimated, cost nothing and have no derivatives.
+    Idle slots, which have no power and are not estimated, cost nothing and have no derivatives.
     """
     at, others = slots.layout, slots.others
     u = theta[: at.components]
@@ -297,9 +298,9 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
 
 
 class _Seen(NamedTuple):
-    """A component of unit power in the levels: itself and its derivatives by its shapes, and by the response.
+    """A component of unit power in the levels, with its derivatives by its shapes and by the response.
 
-    Shapes are (1 + shapes, m) and (2, m).
+    The arrays are (1 + shapes, m) and (2, m).
     """
 
     levels: Array
@@ -307,7 +308,7 @@ class _Seen(NamedTuple):
 
 
 def _seen(units: Float[Array, "k 2 m"], inside: Array, passed: tuple[Array, Array]) -> _Seen:
-    """Expected squares at the nodes as they are seen in the levels, after the response if it passes that."""
+    """Expected squares in the levels, after the response if the component passes through it."""
     response, slope = passed
     through = units * jnp.where(inside, response, 1.0)
     moved = jnp.where(inside, units[0] * slope, 0.0)
@@ -321,7 +322,7 @@ def _of_slots(
     inside: Bool[Array, " slots"],
     passed: tuple[Array, Array],
 ) -> _Seen:
-    """Slots with free shapes, one after another: those that are not used are not evaluated."""
+    """Slots with free shapes, one after another; unused ones are not evaluated."""
     count, m = shapes.shape[1], passed[0].shape[-1]
 
     def slot(of: tuple[Array, Array, Array]) -> _Seen:
@@ -336,27 +337,27 @@ def _of_slots(
 
 
 def _derivatives(function: Callable[[Array], Array], shape: Float[Array, " shapes"]) -> list[Array]:
-    """Derivatives by each shape, in arrays of their own: faster than one with the shapes last."""
+    """Derivatives by each shape in separate arrays, which is faster than one array with the shapes last."""
     return [jax.jvp(function, (shape,), (tangent,))[1] for tangent in jnp.eye(len(shape))]
 
 
 def units(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Float[Array, "components m"]:
-    """Expected levels [rate²] of each component of unit power, after the response if it passes that."""
+    """Expected levels [rate²] of each component at unit power, after the response if it passes through it."""
     R = _passed(_of_response(theta, slots.layout), slots, levels)
     return jnp.mean(_units(theta, slots, levels) * jnp.where(slots.inside[:, None, None], R, 1.0), axis=1)
 
 
 def _passed(shape: Float[Array, " 2"], slots: Slots, levels: Levels) -> Float[Array, "2 m"]:
-    """Response of white noise in a record, whose two ends add to it."""
+    """Response for white noise in a record, the contribution of its two ends included."""
     return response(levels, shape, slots.kind) + response_ends(levels, shape, slots.kind)
 
 
 def _passed_and_slope(
     shape: Float[Array, " 2"], slots: Slots, levels: Levels
 ) -> tuple[Float[Array, "2 m"], Float[Array, "2 2 m"]]:
-    """Response as `_passed` has it, and its derivatives.
+    """Response as in `_passed`, and its derivatives.
 
-    In a branch of its own, where it is computed once: else the compiler puts it into all that it multiplies.
+    It is in a branch of its own, to be computed once: otherwise the compiler repeats it in every product.
     """
 
     def filtered(shape: Array) -> tuple[Array, Array]:
@@ -401,10 +402,9 @@ def _units(theta: Array, slots: Slots, levels: Levels) -> Float[Array, "componen
 def power_scales(
     theta: Float[Array, " parameters"], slots: Slots, levels: Levels, noise: Float[Array, " m"]
 ) -> Float[Array, " components"]:
-    """Power of each component that would be one standard deviation in noise of these levels [rate²].
+    """Power of each component that equals one standard deviation in noise of these levels [rate²].
 
-    The shapes of the components are those in `theta`. It is the scale for `Slots`: below it the data hardly
-    show a power.
+    The shapes are those in `theta`. They are the scales for `Slots`, below which powers hardly show.
     """
     information = jnp.sum(levels.shape * (units(theta, slots, levels) / noise) ** 2, axis=1)
     return jnp.where(information > 0.0, 1.0 / jnp.sqrt(jnp.maximum(information, 1e-300)), 1.0)
@@ -415,7 +415,7 @@ _LEAST = 1e-30
 
 
 def loss(mean: Float[Array, " m"], levels: Levels) -> Float[Array, ""]:
-    """Minus the log-likelihood of the levels, up to what the data alone determine: Σ k(ln μ + y/μ)."""
+    """Minus the log-likelihood of the levels, without what depends on the data alone: Σ k(ln μ + y/μ)."""
     return jnp.sum(levels.shape * (jnp.log(mean) + levels.level / mean))
 
 
@@ -427,9 +427,9 @@ class Maximum(NamedTuple):
         loss: minus the log-likelihood, see `model.loss`, prior included.
         information: Fisher's information of the parameters that are estimated and not at a bound, prior
             included; the others have a unit on the diagonal.
-        interior: which parameters these are.
+        interior: which parameters are estimated and not at a bound.
         steps: number of steps taken.
-        converged: whether the iteration ended by itself.
+        converged: whether the iteration converged.
     """
 
     theta: Float[Array, " parameters"]
@@ -441,7 +441,7 @@ class Maximum(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """What the residuals depend on besides the parameters."""
+    """Data on which the residuals depend, besides the parameters."""
 
     slots: Slots
     levels: Levels
@@ -454,7 +454,7 @@ def maximize(
 ) -> Maximum:
     """Maximum of the likelihood from a start, compiled once for all records and models.
 
-    The iteration ends where neither a parameter nor a residual moves by more than the tolerance.
+    The iteration ends when no parameter and no residual moves by more than the tolerance.
     Differentiable in the levels, their columns and the prior, by the implicit function theorem.
     """
     problem = _Problem(slots, levels, jnp.asarray(tolerance))
@@ -521,18 +521,18 @@ def _gradient(theta: Array, slots: Slots, levels: Levels) -> Float[Array, " para
 
 
 def _interior(theta: Array, slots: Slots, levels: Levels) -> Bool[Array, " parameters"]:
-    """Parameters that are estimated and not kept at a bound by the data."""
+    """Parameters that are estimated and that the data do not keep at a bound."""
     return slots.free & _movable(theta, _gradient(theta, slots, levels), slots.lower, slots.upper)
 
 
 def _movable(theta: Array, gradient: Array, lower: Array, upper: Array) -> Bool[Array, " parameters"]:
-    """Parameters that are not at a bound beyond which the likelihood would still rise."""
+    """Parameters that are not at a bound across which the likelihood would still rise."""
     return ~((theta <= lower) & (gradient > 0.0)) & ~((theta >= upper) & (gradient < 0.0))
 
 
 @jax.custom_jvp
 def _residuals(theta: Float[Array, " parameters"], problem: _Problem) -> Float[Array, " rows"]:
-    """Deviance residuals of the levels, and those of the prior."""
+    """Deviance residuals of the levels, and the residuals of the prior."""
     return _residuals_and_slope(theta, problem)[0]
 
 
@@ -554,7 +554,7 @@ def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]
     weight = jnp.where(near, 1.0 + excess / 3.0, jnp.abs(apart) / root)
     k = jnp.sqrt(levels.shape)
     by_data = jnp.where(slots.free[:, None], -(k * weight) * model.slope, 0.0)
-    # A parameter that is not estimated is kept where it is by a prior of its own.
+    # A prior of its own keeps a parameter that is not estimated at its value.
     stiffness = jnp.where(slots.free, jnp.sqrt(slots.precision), 1.0)
     away = jnp.where(slots.free, theta - slots.centre, 0.0)
     return (
@@ -564,7 +564,7 @@ def _residuals_and_slope(theta: Array, problem: _Problem) -> tuple[Array, Array]
 
 
 class _Place(NamedTuple):
-    """A point of the descent: its parameters, the gradient, and the Gauss–Newton matrix."""
+    """A point of the descent: the parameters, the gradient and the Gauss–Newton matrix there."""
 
     theta: Any
     gradient: Any

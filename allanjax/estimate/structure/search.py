@@ -1,9 +1,9 @@
-"""Greedy search for the structure of a spectrum: every step is a joint fit of all that is there.
+"""Greedy search for the structure of a spectrum: every step is a joint fit of all components.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
-spectrum; which of them it is taken for depends on the order in which they are tried. So no resonance may be
-wider than its frequency, a response is tried in every round until there is one, and no correlation time is
-shorter than eight samples.
+spectrum; the order of the trials decides which of them is found. So no resonance may be wider than its
+frequency, a response is tried in every round until there is one, and no correlation time is shorter than
+eight samples.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
-# Narrowest window [coefficients], and the least gain of one [nats].
+# Width of the narrowest window [coefficients], and the least gain of a window [nats].
 _NARROWEST, _WORTH = 8, 4.0
-# Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
-# the expected ones of its two parameters.
+# Log odds that an addition must gain [nats], and the gain in log-likelihood that a slow process must bring;
+# two nats are expected from its two parameters alone.
 _GAIN, _PREDICTS = 2.0, 3.0
 # Windows that are tried for a resonance in a round.
 _WINDOWS = 3
@@ -50,31 +50,30 @@ _WINDOWS = 3
 _LINE = 1.25 * LINE
 # Bandwidths that a response starts from [cycles per sample].
 _BANDWIDTHS = (0.06, 0.25)
-# Kinds of responses, those that are tried first, and the largest bandwidth that one of another kind starts
-# from [radians per sample].
+# Kinds of responses, those tried first, and the largest start bandwidth of another kind [radians/sample].
 _KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
 _FIRST_KINDS = (ONE_POLE, TWO_POLES, BUTTERWORTH_2)
 _HIGHEST = 2.8
 #: Correlation times that a Markov process starts from, in powers of the number of samples.
 TIMES = (0.35, 0.55, 0.75, 0.95)
-# Difference in evidence up to which two fits are the same [nats], and how many different ones are tried.
+# Difference in evidence below which two fits count as the same [nats], and how many different ones are tried.
 _SAME, _TRIED = 0.1, 3
 # Most rounds.
 _ROUNDS = 20
 # Bins in an octave.
 _PER_OCTAVE = 12
-# Quality factor from which on a resonance is narrow, gain [nats] of a window that is sure to be accepted, and
-# share of the bandwidth up to which a response is flat.
+# Quality factor above which a resonance is narrow, gain [nats] above which a window is certainly accepted,
+# and share of the bandwidth up to which a response is flat.
 _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
-# Number of oscillators that stand for one that moves.
+# Number of oscillators that represent one whose frequency drifts.
 _MOVING = 3
-# Share of its median below which a spectrum falls deep.
+# Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
 WIDE = 4.0
-# Relative error of a power beyond which it is tried whether it is needed.
+# Relative error of a power beyond which the fit is tried without it.
 _DOUBTFUL = 0.2
-# Deviations of a smoothed level from its expectation beyond which there is something to look for.
+# Deviation of a smoothed level from its expectation, in standard deviations, beyond which a search begins.
 _CLEAR = 2.5
 
 
@@ -104,7 +103,7 @@ def smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
 
 
 def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
-    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
+    """Non-overlapping windows with the largest excess: middle and width [coefficients] and gain [nats]."""
     total = np.concatenate([[0.0], np.cumsum(ratio)])
     found: list[tuple[float, float, float]] = []
     width = _NARROWEST
@@ -128,7 +127,7 @@ def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, fl
 
 
 class Record(NamedTuple):
-    """One record's spectrum, to be binned as the resonances ask for.
+    """Spectrum of one record, which can be binned as its resonances require.
 
     Attributes:
         squares: squared cosine coefficients [rate²], without lines and ramps.
@@ -158,7 +157,7 @@ class Record(NamedTuple):
 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
+    """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
     spectrum, now = refitted(record, start)
     before = now.structure
     for _ in range(_ROUNDS):
@@ -166,7 +165,7 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         if found is None:
             break
         spectrum, now = found
-    # A start to which only lines were added has had its swaps.
+    # If only lines were added to the start, replacements have been tried already.
     if _outline(now.structure, record.n) == _outline(before, record.n):
         return spectrum, now
     return spectrum, pruned(spectrum, _replaced(spectrum, now))
@@ -178,20 +177,20 @@ def narrow(structure: Structure, n: int) -> list[int]:
 
 
 def _outline(structure: Structure, n: int) -> tuple[int, int, int]:
-    """Kind of the response, and numbers of Markov processes and of resonances that are no lines."""
+    """Kind of the response, number of Markov processes, and number of resonances that are not lines."""
     wide = len(structure.oscillators) - len(narrow(structure, n))
     return structure.kind, len(structure.markovs), wide
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure fitted anew, without what is not needed any more, and the spectrum that it was fitted to."""
+    """Structure fitted anew without superfluous components, and the spectrum to which it was fitted."""
     spectrum = record.binned(start)
     spectrum = spectrum.weighing(spectrum.fit(start))
     return spectrum, pruned(spectrum, spectrum.fit(start))
 
 
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
-    """Final fit, with the slow processes that predict best and without what is idle."""
+    """Final fit with the slow processes that predict best, without idle components."""
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
     structure = now.structure
     for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
@@ -218,7 +217,7 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
 
 
 def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
-    """Fit with the kind of a response that is new, and with what is new inside it or after it."""
+    """Fit with the best kind for a new response, and new components inside it or after it."""
     new = [FULL.first_oscillator + int(k) for k in set(now.structure.oscillators) - set(before.oscillators)]
     if now.structure.kind != before.kind:
         now = _other_kind(spectrum, now)
@@ -232,7 +231,7 @@ def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitte
         return now
     for component in components:
         structure, k = now.structure, component - FULL.first_oscillator
-        # Where the response has fallen by nothing yet there is no difference.
+        # Where the response is still flat, inside and after it are the same.
         if (
             k >= 0
             and structure.frequency(k) < _FLAT * structure.bandwidth[0]
@@ -244,14 +243,14 @@ def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitte
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
-    """The other fit if it is more likely and has not lost the white noise."""
+    """The other fit if it is more likely and still has white noise."""
     return other if other.evidence > now.evidence and _keeps_white(now, other) else now
 
 
 def _keeps_white(now: Fitted, other: Fitted) -> bool:
-    """Whether a fit has white noise, or lacks it for no resonance that is wide and no other response.
+    """Whether a fit has white noise, or lacks it without a wide resonance or another response in its place.
 
-    White noise before a filter, and a response with wide resonances, have the same spectrum.
+    White noise before a filter has the same spectrum as a response with wide resonances.
     """
     structure = other.structure
     narrow = all(structure.quality(int(k)) > WIDE for k in structure.oscillators)
@@ -269,7 +268,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
     ratio = record.squares / at_all(spectrum, now)
     for k in structure.oscillators:
         if structure.companions(int(k)) >= _MOVING:
-            # What is left there is what a resonance that moves has.
+            # The rest there is that of a resonance whose frequency drifts.
             low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
             ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
     together, narrow = structure, 0
@@ -295,17 +294,16 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Stru
 
 
 def _floor(spectrum: Spectrum) -> float:
-    """Lowest level of a spectrum that falls to a small part of itself, else zero."""
+    """Lowest level of a spectrum with a deep stop band, else zero."""
     rough = spectrum.rough[: len(spectrum.bins.size)]
     floor = float(np.min(rough))
     return floor if floor < _DEEP * float(np.median(rough)) else 0.0
 
 
 def responses(structure: Structure, floor: float) -> Iterator[Structure]:
-    """Structures with a response, and white noise after it, all resonances inside it or after it.
+    """Structures with a response and white noise after it; all resonances are inside it or after it.
 
-    Without that noise, of a level of `floor` if that is not zero, the depth of a deep stop band would decide
-    what the response is.
+    That noise has the level `floor`, if not zero; without it the stop band's depth would decide the response.
     """
     if floor:
         structure = structure.using(OUTSIDE, floor)
@@ -331,7 +329,7 @@ def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit after all swaps that gain: another kind of response, components moved into it or out of it."""
+    """Fit after all replacements that gain: another kind of response, components moved inside or after it."""
     for _ in range(3):
         before = now
         components = [FULL.first_oscillator + int(k) for k in now.structure.oscillators]
@@ -343,7 +341,7 @@ def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit without what gains nothing; white noise stays."""
+    """Fit without components that gain nothing; white noise stays."""
     while True:
         structure = now.structure
         idle = [int(k) for k in np.flatnonzero(structure.active & (structure.power <= 0.0)) if k >= OUTSIDE]
@@ -352,7 +350,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
                 structure = structure.without(k)
             now = spectrum.fit(structure)
             continue
-        # Of ln p; what is known better than that is there.
+        # Error of ln p; a component that is known better is needed.
         std = np.sqrt(np.diag(now.covariance)[: FULL.components]) * now.by_power
         shaped = np.arange(FULL.components) >= FULL.first_markov
         doubtful = structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE))
@@ -367,10 +365,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit with further Markov processes if these predict better (Akaike 1973).
-
-    Slow terms are hardly told from each other by the evidence, but differ in the drift that they predict.
-    """
+    """Fit with more Markov processes if these predict better (Akaike 1973), as their drifts differ."""
     for _ in range(2):
         starts = (
             now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in TIMES
