@@ -250,7 +250,7 @@ class Misfit(ByValue):
 
     def __str__(self) -> str:
         if not self.dof:
-            return "as many parameters as means, so the fit cannot be checked: add positions"
+            return "there are as many parameters as means, so that the fit cannot be checked; add positions"
         text = chi_squared(self.chi2, self.dof, self.p_value)
         if not self.suspects:
             return text

@@ -102,7 +102,7 @@ def calibrate(
     given = [p if isinstance(p, Recording) else as_recording(p, *options) for p in positions]
     if not given:
         raise AllanjaxError('give recordings, e.g. {"x up": recording, "x down": other}')
-    turned, world = _orientations(given, orientations), _world(latitude, height, gravity)
+    turned, world = _orientations(given, orientations), world_of(latitude, height, gravity)
     places, recordings, notes = _places(given, turned, starts, as_is)
     axes = _axes(recordings, turned, latitude, notes)
     parts, source = _noise(recordings, axes, model, fit, notes)
@@ -138,7 +138,7 @@ def _places(
         first = 0.0
         if look.longest_part is not None:
             first, last = look.longest_part
-            notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s used")
+            notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s are used")
         kept.append(look.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
     return tuple(places), kept, notes
@@ -183,7 +183,7 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
     return begin - begin.min(), []
 
 
-def _world(latitude: float | None, height: float, gravity: float | None) -> World:
+def world_of(latitude: float | None, height: float, gravity: float | None) -> World:
     """Gravity with its standard deviation, and latitude."""
     if gravity is not None:
         if not 9.0 < gravity < 10.0:

@@ -84,9 +84,10 @@ def calibrate(
     """
     directory = out if as_json else out or RESULTS
     prepare(directory)
-    from allanjax.calibration.static_positions import calibrate
+    from allanjax.calibration.static_positions import calibrate, world_of
 
     with user_errors():
+        world_of(latitude, height, gravity)
         with stage("reading"):
             named = [*((None, file) for file in files or ()), *map(_split, position or ())]
             recordings, orientations = _read(named, reading)

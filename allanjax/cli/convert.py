@@ -55,7 +55,7 @@ def convert(
         print_result(values, as_json)
         return
     if unit is None or to is None or as_json:
-        raise typer.BadParameter("give VALUE UNIT --to UNIT")
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
     with user_errors():
         for line in _converted(float(value or 0.0), unit, to, sided):
             print(line)

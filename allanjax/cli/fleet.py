@@ -65,10 +65,10 @@ def fleet(
 ) -> None:
     """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
     writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each
-    coefficient over the fleet, outlying units marked), errors.csv, notes.txt (read it before the table), and
-    recordings/NAME.json as soon as each recording is fitted. If one file fails, the others are still
-    processed. A later run with the same --out only fits recordings without a result; the table covers only
-    the files given.
+    coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and outlying units;
+    read it first), and recordings/NAME.json as soon as each recording is fitted. If one file fails, the
+    others are still processed. A later run with the same --out only fits recordings without a result; the
+    table covers only the files given.
     """
     prepare(out)
     with stage("loading allanjax"):

@@ -86,7 +86,7 @@ def _read_options(**values: Any) -> ReadOptions:
     try:
         return ReadOptions(**values)
     except AllanjaxError as error:
-        raise typer.BadParameter(str(error), param_hint="--start, --stop, --gaps") from error
+        raise typer.BadParameter(str(error)) from error
 
 
 _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

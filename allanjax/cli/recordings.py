@@ -36,7 +36,7 @@ def check(
 ) -> None:
     """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
     resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
-    line reads fine, look or stop; any 'stop' makes the exit code 1.
+    line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
     """
     from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
 

@@ -124,8 +124,8 @@ def horizon(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Find the white noise N and random walk K to use in a Kalman filter that is corrected at regular
-    intervals: values that predict the errors of the full noise model, and values that bound them. The bias
-    can be a Gauss–Markov process instead of a random walk.
+    intervals: one pair that predicts the errors of the full noise model, and one that bounds them. The
+    bias can be a Gauss–Markov process instead of a random walk.
     """
     prepare()
     from allanjax.estimate.horizon import horizon
@@ -198,8 +198,8 @@ def statespace(
     duration: Annotated[
         float | None,
         typer.Option(
-            help="Time in s that the filter runs, by default the recording's length. Up to this time, bias "
-            "instability is approximated by a sum of Gauss–Markov processes."
+            help="Time in s for which the filter runs, by default the recording's length. Up to this time, "
+            "bias instability is approximated by a sum of Gauss–Markov processes."
         ),
     ] = None,
     form: Annotated[

@@ -356,10 +356,10 @@ def _split_note(split: Split, names: Sequence[str], group: str) -> str:
         units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
         parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units, _NAMED)})")
     apart = " and ".join(significant(ratio, 2) for ratio in split.ratios)
-    what = f"{split.pooled.sensor} {title}{f' of group {group}' if group else ''}"
+    what = f"the units{f' of group {group}' if group else ''} fall into {split.groups} groups"
     return (
-        f"{what} falls into {split.groups} groups, {apart} times apart: {', '.join(parts)}. Units are "
-        "compared within these; pass groups of your own with group= (--group)"
+        f"{what} in {title} ({split.pooled.sensor}), apart by a factor of {apart}: {', '.join(parts)}. Units "
+        "are compared within these; pass groups of your own with group= (--group)"
     )
 
 

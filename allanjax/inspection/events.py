@@ -562,7 +562,7 @@ class Treatment:
             return ""
         events = self.describe(self.cut)
         if self.unclear:
-            return f"{events}; it is unclear which of these parts is the sensor at rest: {_REMEDY}"
+            return f"{events}; it is unclear in which of these parts the sensor is at rest: {_REMEDY}"
         a, b = max(self.quiet, key=lambda part: part[1] - part[0])
         longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
         return (

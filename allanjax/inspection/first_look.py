@@ -141,8 +141,8 @@ class Inspection(ByValue):
             return self
         start, stop = (f"{time:.6g}" for time in self.longest_part)
         refusal = (
-            f"{self.left_out}; accumulated samples cannot be left out: read again the undisturbed part "
-            f"{span(*self.longest_part, grid(self.n / self.rate))} with start={start}, stop={stop} "
+            f"{self.left_out}; accumulated samples cannot be left out: read the undisturbed part "
+            f"{span(*self.longest_part, grid(self.n / self.rate))} again with start={start}, stop={stop} "
             f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
         facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
@@ -352,8 +352,8 @@ def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray,
         return
     share = plain(100.0 * count / len(x), 2)
     text = (
-        f"{count} samples of {axis.name} ({share} %) are outliers of Gaussian noise; they are kept, and the "
-        f"interval of N is widened for the {amount(np.sqrt(variance), axis)} rms of white noise that they add"
+        f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are kept, and "
+        f"the interval of N is widened for the {amount(np.sqrt(variance), axis)} rms that they add"
     )
     yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
 

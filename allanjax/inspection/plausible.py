@@ -353,7 +353,7 @@ def saturated(axes: Sequence[Axis], ends: Ends, steps: Float[np.ndarray, " axes"
 def sampling_facts(recording: Recording) -> Iterator[Fact]:
     """Yield facts about times, missing samples and dead axes."""
     if (jitter := recording.jitter) is not None and jitter * recording.rate > _JITTER:
-        then = "samples count as evenly spaced; if the jitter is real, use the sensor's own time stamps"
+        then = "samples are treated as evenly spaced; if the jitter is real, use the sensor's own time stamps"
         text = f"{describe_jitter(recording)}; {then}"
         yield Fact("jitter", text, recording.names, size=jitter, unit="s")
     if recording.gaps:

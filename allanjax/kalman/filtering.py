@@ -33,6 +33,7 @@ from allanjax.kalman.recursion import (
     run_smoother,
     stacked,
 )
+from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
 from allanjax.noise.notation import Modelling, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -48,7 +49,8 @@ if TYPE_CHECKING:
 _LAGS, _SHARE = 40, 0.2
 _TESTS_EXPLAINED = (
     "whiteness p: Ljung–Box test of the innovations; NIS/n: normalized innovations squared per sample, 1 if "
-    "their size is right. A p below 0.01 means that the model does not fit."
+    "their size is right; outlying and disturbed samples, which are not left out, increase it. A p below "
+    "0.01 means that the model does not fit."
 )
 
 
@@ -252,7 +254,7 @@ class FilteredAxis(BiasTrack):
         """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
         size, lost = self.nis, int(self.missing.sum())
         tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
-        others = (f"{self.log_likelihood:,.2f}", f"{lost:,}" if lost else "")
+        others = (f"{self.log_likelihood:,.0f}", f"{lost:,}" if lost else "")
         return [(self.axis.name, self._last_bias(), *tests, *others)]
 
     def to_dict(self) -> dict[str, Any]:
@@ -301,10 +303,10 @@ class Filtered(BiasTracks[FilteredAxis]):
     def _notes(self) -> list[str]:
         drifts: dict[str, list[str]] = {}
         for result in self.results:
-            terms = " + ".join(["constant", *result.slow]).replace("_", " ")
+            terms = title_of(" + ".join(["constant", *result.slow]), result.axis.sensor)
             drifts.setdefault(terms, []).append(result.axis.name)
         bias = "; ".join(f"{terms} ({', '.join(axes)})" for terms, axes in drifts.items())
-        return [f"bias: {bias}", _TESTS_EXPLAINED]
+        return [f"model of the bias: {bias}", _TESTS_EXPLAINED]
 
 
 def kalman_filter(
@@ -348,8 +350,7 @@ def kalman_filter(
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
         raise AllanjaxError(
-            "constant_std must be finite and not negative, or None if the constant is unknown; got "
-            f"{constant_std}"
+            f"constant_std must be finite and at least 0, or None if it is unknown, not {constant_std}"
         )
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)
@@ -563,7 +564,7 @@ def adaptive_filter(
     if not 0.0 <= switching / recording.rate < 0.5:
         raise AllanjaxError(
             f"switching, the probability of a change per second, must be at least 0 and below half the "
-            f"sample rate, {recording.rate / 2:g}; got {switching}"
+            f"sample rate, {recording.rate / 2:g}, not {switching}"
         )
     lost = missing_of(recording, missing)
     results = (

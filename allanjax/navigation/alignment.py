@@ -205,14 +205,14 @@ def align(
     """
     phi = math.radians(latitude)
     if not abs(phi) <= math.pi / 2.0:
-        raise AllanjaxError(f"the latitude must be from -90 to 90 deg, got {latitude}")
+        raise AllanjaxError(f"latitude= (--latitude) must be from -90 to 90 deg, not {latitude}")
     if abs(phi) > _POLAR:
         raise AllanjaxError(
             f"at {latitude} deg latitude the Earth's rotation has no horizontal part that shows north: "
             "gyro-compassing needs a latitude below 89 deg"
         )
     if not 0.0 < gravity < np.inf:
-        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+        raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
     if wanted == 0.0:
         raise AllanjaxError("the error of an azimuth cannot be zero: give a positive azimuth")

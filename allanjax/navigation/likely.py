@@ -141,12 +141,12 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
     """
     if isinstance(data, Fit | Posterior):
         if rate is not None:
-            raise AllanjaxError("a fit has its own sample rate: leave out rate")
+            raise AllanjaxError("rate= is for models only, as a fit has its own sample rate; leave it out")
         sampled = data if isinstance(data, Posterior) else None
         data = data.fit if isinstance(data, Posterior) else data
         good = [r for r in data.values() if r.measured and (sampled is None or r.axis.name in sampled)]
         if not good:
-            raise FitError("no axis has a measurement; the fit gives the reasons")
+            raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
         rng = np.random.default_rng(seed)
         axes = {
             name: likely_models(data, name, _DRAWS, rng) if sampled is None else _sampled(sampled[name])
@@ -215,7 +215,7 @@ def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None
             raise AllanjaxError(f"{name}: cannot read {value!r}; write a number and a unit, e.g. 0.1 {unit}")
         number, text = quantity
     if not 0.0 <= float(number) < np.inf:
-        raise AllanjaxError(f"{name} must be finite and not negative, got {value}")
+        raise AllanjaxError(f"{name} must be finite and at least 0, not {value}")
     return float(convert(float(number), text, unit, sensor))
 
 

@@ -405,7 +405,7 @@ def navigate(
     biases = {"gyro": in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")}
     biases["accel"] = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
     if not 0.0 < gravity < np.inf:
-        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+        raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
     steps, before = _whole_samples(given, calibration, sensors.rate)
     variances = _variances(sensors, steps, before, biases, float(gravity), schuler)
@@ -466,7 +466,7 @@ def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: flo
         if not (values.size and np.all(np.isfinite(values)) and np.all(values * rate >= 0.5)):
             raise AllanjaxError(f"{name} must be finite and at least one sample interval, {1 / rate:g} s")
     if times.max() * rate > _MOST:
-        raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, got {times.max():g}")
+        raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, not {times.max():g}")
     return np.unique(np.rint(times * rate).astype(int)), round(calibration * rate)
 
 

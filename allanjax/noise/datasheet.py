@@ -217,8 +217,8 @@ def _closest(name: str) -> str:
     known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
     near = [there for plain, there in known.items() if own and plain.startswith(own)]
     near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"{hint}Known are {', '.join(known_sheets())}"
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    return f"known are {', '.join(known_sheets())}{hint}"
 
 
 def _plain(name: str) -> str:
@@ -238,7 +238,7 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
             names = _closest(source)
-            raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file: {names}") from None
+            raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file; {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
         raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error
 
@@ -283,7 +283,7 @@ class _Sheet:
             return stepped
         first, N = next(iter(given.items()))
         for key, value in list(given.items())[1:]:
-            self.statements.append(f"N is from {first}; {key} gives {value / N:.2f} times as much")
+            self.statements.append(f"N is from {first}; {key} would give {value / N:.2f} times as much")
         if stepped is not None:
             share = (stepped / N) ** 2
             self.statements.append(

@@ -279,7 +279,7 @@ class Estimate(ByValue):
             return f"not determined by these data{'; ' if self.remark else ''}{self.remark}"
         if not self.detected:
             if self.upper_limit is None:
-                return "not determined: its term is not detected"
+                return "not determined, as its term is not detected"
             if self.rivals:
                 names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"cannot be distinguished from {names} (< {amount}, 95 %)"

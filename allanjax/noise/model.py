@@ -164,7 +164,9 @@ class Model(eqx.Module):
                 f"cannot add {other!r} to a model; add instances of noise terms, e.g. AngleRandomWalk()"
             )
         if None not in (self.response, other.response) and repr(self.response) != repr(other.response):
-            raise AllanjaxError(f"a model has one response, not {self.response!r} and {other.response!r}")
+            raise AllanjaxError(
+                f"a model has only one response, not {self.response!r} and {other.response!r}"
+            )
         response = other.response if self.response is None else self.response
         inside = () if response is None else self._is_inside + other._is_inside
         return Model(self.terms + other.terms, response, inside, self.rate or other.rate)
@@ -173,10 +175,10 @@ class Model(eqx.Module):
         if not isinstance(other, Response):
             return NotImplemented
         if self.response is not None:
-            raise AllanjaxError(f"the model has already passed {self.response!r}; a model has one response")
+            raise AllanjaxError(f"the model already has the response {self.response!r}; it can have only one")
         for term in self.terms:
             if term.deterministic:
-                raise AllanjaxError(f"{term.name()} is not noise: write it after the filter")
+                raise AllanjaxError(f"{term.name()} is deterministic: write it after the filter of the noise")
         return dataclasses.replace(self, response=other, inside=(True,) * len(self.terms))
 
     def __repr__(self) -> str:
@@ -301,7 +303,7 @@ class Model(eqx.Module):
         self.check_complete()
         for name, value in (("rate", rate), ("duration", duration)):
             if value is not None and not 0.0 < value < math.inf:
-                raise AllanjaxError(f"the {name} of a state space must be positive and finite, got {value}")
+                raise AllanjaxError(f"the {name} of a state space must be positive and finite, not {value}")
         return StateSpace.of(self.state_block(rate, duration), rate, sensor, repr(self))
 
     def state_block(self, rate: float, duration: float | None) -> Block:

@@ -195,7 +195,7 @@ def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
     sensors = SENSORS if sensor is None else (sensor,)
     usual = {s: default_coefficient_unit(s, p.time_exponent) for s in sensors}
     if not unit:
-        raise UnitError(f"{p.name} ({p.symbol}) needs a unit, e.g. {' or '.join(usual.values())}")
+        raise UnitError(f"{p.name} ({p.symbol}) needs a unit, e.g. 0.1 {' or '.join(usual.values())}")
     problem = None
     for s, expected in usual.items():
         try:

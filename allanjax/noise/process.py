@@ -94,7 +94,7 @@ class Process(eqx.Module):
         """Parts of the density of samples at `rate` [Hz], for filtering by a `Response`."""
         name = type(self).__name__
         raise AllanjaxError(
-            f"{name} cannot pass a response: write it after the filter, response * (…) + {name}(…)"
+            f"{name} cannot pass through a response: write it after the filter, response * (…) + {name}(…)"
         )
 
     @property

@@ -251,7 +251,7 @@ class _Bilinear(RecursiveFilter):
         value, half = self.bandwidth, rate / 2.0
         if isinstance(value, int | float | np.floating) and value > half:
             raise AllanjaxError(
-                f"{self.name()}: bandwidth must be below half the sample rate, {half:g} Hz, got {value:g}"
+                f"{self.name()}: bandwidth must be below half the sample rate, {half:g} Hz, not {value:g}"
             )
         return self
 
@@ -332,7 +332,7 @@ class Butterworth(_Bilinear):
 
     def __check_init__(self) -> None:
         if not isinstance(self.order, int) or self.order not in range(1, 5):
-            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, got {self.order!r}")
+            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, not {self.order!r}")
 
     def poles(self, rate: float) -> Poles:
         q = self._analog(self._apart(rate))
@@ -406,7 +406,7 @@ class MovingAverage(Response):
         if isinstance(value, int | float | np.floating) and not (lowest * (1.0 - 1e-9) <= value <= highest):
             raise AllanjaxError(
                 f"moving_average: bandwidth must be from {lowest:.4g} Hz (64 samples) to {highest:.4g} Hz "
-                f"(one sample) at {rate:g} Hz, got {value:g}"
+                f"(one sample) at {rate:g} Hz, not {value:g}"
             )
         return self
 

@@ -291,7 +291,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         """
         t = np.atleast_1d(np.asarray(times, float))
         if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
-            raise AllanjaxError(f"times must be positive and finite, got {times!r}")
+            raise AllanjaxError(f"times must be positive and finite, not {times!r}")
         errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
         unit = _INTEGRAL_UNIT[self.axis.sensor]
         word = "angle" if self.axis.sensor == "gyro" else "velocity"

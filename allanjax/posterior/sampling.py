@@ -311,10 +311,10 @@ class Convergence:
 
     def __post_init__(self) -> None:
         if not self.max_steps >= 10:
-            raise AllanjaxError(f"max_steps must be at least 10, got {self.max_steps!r}")
+            raise AllanjaxError(f"max_steps must be at least 10, not {self.max_steps!r}")
         for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
             if not getattr(self, name) > bound:
-                raise AllanjaxError(f"{name} must be above {bound:g}, got {getattr(self, name)!r}")
+                raise AllanjaxError(f"{name} must be above {bound:g}, not {getattr(self, name)!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -626,9 +626,9 @@ class AxisSampler:
 
     def __post_init__(self) -> None:
         if not self.absent_draws >= 2:
-            raise AllanjaxError(f"absent_draws must be at least 2, got {self.absent_draws!r}")
+            raise AllanjaxError(f"absent_draws must be at least 2, not {self.absent_draws!r}")
         if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
-            raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
+            raise AllanjaxError(f"seed must be an integer of at least 0, not {self.seed!r}")
 
     def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
         """Posteriors of the named axes, with a progress bar if wanted."""
@@ -693,7 +693,7 @@ class AxisSampler:
         if self.walkers % 2 or self.walkers < 2 * max(count, 2):
             raise AllanjaxError(
                 f"walkers must be an even number of at least {2 * max(count, 2)} for {count} parameters, "
-                f"got {self.walkers!r}"
+                f"not {self.walkers!r}"
             )
         return self.walkers
 

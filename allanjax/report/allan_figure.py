@@ -252,7 +252,7 @@ def _plot_several(
         known |= zip(c.curve.names, c.curve.axes or [None] * len(c.curve.names), strict=True)
     of_curves = [axis for axis in known.values() if axis]
     if of_curves and len(of_curves) < len(known):
-        raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
+        raise AllanjaxError("some curves are of arrays without a unit: draw them separately")
     names, of_axes = list(known), [*known.items()]
     facts = _facts_of_several([c.curve for c in curves])
     has_model = any(c.fit is not None for c in curves)
@@ -311,9 +311,9 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} curves: give one for each")
     pairs = [_fit_and_curve(x) for x in data]
-    kinds = {curve.kind for _, curve in pairs}
+    kinds = sorted({curve.kind for _, curve in pairs})
     if len(kinds) > 1:
-        raise AllanjaxError(f"{' and '.join(sorted(kinds))} deviations do not compare: draw them apart")
+        raise AllanjaxError(f"{' and '.join(kinds)} deviations cannot be compared: draw them separately")
     return [
         _Curve(str(label), fit, curve, draw.COLOURS[k % 6], _MARKERS[k % 6], ("-", *draw.DASHES)[k % 6])
         for k, (label, (fit, curve)) in enumerate(zip(labels or _labels(data), pairs, strict=True))

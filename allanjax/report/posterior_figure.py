@@ -63,7 +63,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     count = len(marginals)
     with draw.style():
         lines = "lines: median and 68 % interval, prior (broken); contours: 68 and 95 %"
-        remark = lines if posterior.converged else f"NOT CONVERGED. {lines}"
+        remark = lines if posterior.converged else f"not converged; {lines}"
         heading = Heading(f"{posterior.axis.name}: posterior", remark)
         figure, panels = _CORNER.draw(heading, range(1, count + 1))
         for row, column in [(i, j) for i in range(count) for j in range(i + 1)]:
@@ -195,7 +195,7 @@ def plot_posterior(
         for result, (left, right) in zip(chosen, panels, strict=True):
             _draw_deviation(left, result, measured)
             _draw_density(right, result, spectrum, measured.n)
-            state = "" if result.converged else ", NOT CONVERGED"
+            state = "" if result.converged else ", not converged"
             draw.dress(left, f"{result.axis.name}{state}", log="xy")
             draw.dress(right, log="xy")
         return draw.save_and_close(figure, path)

@@ -127,7 +127,7 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> 
 
 
 def _result(spectrum: PowerSpectrum, fit: Fit, name: str) -> AxisFit:
-    end = "give it the power_spectrum of the recording that was fitted"
+    end = "pass the power_spectrum of the fitted recording"
     if spectrum.axes is None or name not in fit.axes:
         raise AllanjaxError(f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; {end}")
     if not np.isclose(spectrum.rate, fit.curve.rate, rtol=1e-9):

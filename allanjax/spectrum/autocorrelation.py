@@ -213,7 +213,7 @@ def autocorrelation(
     lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1
     if not 2 <= lags <= n - 1:
         raise AllanjaxError(
-            f"longest_lag must be from {1.0 / rate:g} s to {(n - 2) / rate:g} s here; got {longest:g} s"
+            f"longest_lag must be from {1.0 / rate:g} s to {(n - 2) / rate:g} s here, not {longest:g} s"
         )
     pairs = n - np.arange(lags)
     value = np.stack([_sums(x - x.mean(), lags) / pairs for x in values.T], axis=1)

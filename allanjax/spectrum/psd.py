@@ -604,6 +604,6 @@ def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
     if not _SEGMENTS <= segment_time * rate <= n:
         raise AllanjaxError(
             f"segment_time must be from {_SEGMENTS / rate:g} s ({_SEGMENTS} samples) to {n / rate:g} s (the "
-            f"record), got {segment_time:g} s"
+            f"record), not {segment_time:g} s"
         )
     return round(segment_time * rate)

@@ -150,7 +150,7 @@ def test_a_fleet_of_two_grades_is_said_to_be_one(fleet, seed, ratio, sizes):
     value, grade = two_grades(seed, ratio, 0.07, (2.0 if sizes[0] == 3 else 1.0, 3.0), sizes)
     result = fleet.judged(("gyro", ARW, value, 0.03))
     (note,) = result.notes
-    apart = float(note.split("2 groups, ")[1].split(" times")[0])
+    apart = float(note.split("by a factor of ")[1].split(":")[0])
     medians = np.median(np.log(value[grade == 1])), np.median(np.log(value[grade == 0]))
     assert apart == pytest.approx(np.exp(medians[0] - medians[1]), rel=0.15)
     assert f"1 ({sizes[0]} units: unit_0, unit_1" in note

@@ -198,7 +198,7 @@ def test_whatever_is_given_is_filled_as_a_file_is(written):
         np.testing.assert_array_equal(found.curve.deviation, curve.deviation)
     for command in (aj.fit, aj.check, aj.critique):
         refused(command, "gaps=", recording=table, rate=RATE, gaps="drop")
-    refused(lambda: aj.fit(table, "N", rate=RATE), "1 value is")
+    refused(lambda: aj.fit(table, "N", rate=RATE), "has nan")
 
 
 def in_stretches(x, lengths):

@@ -262,7 +262,7 @@ def test_binary(tmp_path, name):
 
 # Changes to the arguments of `from_array`, and what its RecordingError names.
 ARRAYS = [
-    ({"values": BAD}, "'accel_y'|1 value|row 7"),
+    ({"values": BAD}, "'accel_y'|row 7|has"),
     ({"values": np.where(np.isnan(BAD), np.inf, NOISE)}, "'accel_y'|row 7|inf"),
     ({"values": 0.0 * NOISE}, "'gyro_x'|constant"),
     ({"values": NOISE[:15]}, "15 samples|16"),

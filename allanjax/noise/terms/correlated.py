@@ -324,7 +324,7 @@ class LowPass(NoiseTerm):
 
     def __check_init__(self) -> None:
         if self.order not in (1, 2):
-            raise AllanjaxError(f"low_pass: the order must be 1 or 2, got {self.order!r}")
+            raise AllanjaxError(f"low_pass: the order must be 1 or 2, not {self.order!r}")
 
     def _pole(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         """Pole λ and weight c of the autocovariance R(t) = Re[c·e^{λt}]."""

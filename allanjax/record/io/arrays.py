@@ -93,12 +93,12 @@ def open_parquet(path: Path, source: Source) -> Table:
     """Return all columns of a Parquet file."""
     import pyarrow.parquet as pq
 
-    with damage_reported(source, "Parquet", "write the file again"), pq.ParquetFile(path) as file:
+    with damage_reported(source, "Parquet", "write it again"), pq.ParquetFile(path) as file:
         n, labels = file.metadata.num_rows, tuple(file.schema_arrow.names)
         check_claim(n * len(labels), path, source)
 
     def rows(chunk: int) -> Iterator[Columns]:
-        with damage_reported(source, "Parquet", "write the file again"), pq.ParquetFile(path) as file:
+        with damage_reported(source, "Parquet", "write it again"), pq.ParquetFile(path) as file:
             for batch in file.iter_batches(min(chunk, max(n, 1))):
                 yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
 

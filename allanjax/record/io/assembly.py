@@ -1,6 +1,7 @@
 """Assembly of a recording from the columns of a file."""
 
 import dataclasses
+import difflib
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -140,8 +141,10 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             ]
         unknown = [name for name, match in zip(names, matches, strict=True) if not match]
         if len(entries) != count and unknown:
+            near = difflib.get_close_matches(unknown[0], [split_unit(label)[0] for label in table.labels], 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
             raise table.source.error(
-                f"columns= (--columns) asks for {', '.join(unknown)}, but the file has "
+                f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
                 f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
                 "to skip one"
             )
@@ -412,8 +415,7 @@ def check_rows(rows: slice, duration: float, source: Source) -> None:
     """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
     if rows.start == rows.stop:
         raise source.error(
-            f"no sample of its {duration:.6g} s remains; give times within them with start= and stop= "
-            "(--start, --stop)"
+            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give others"
         )
 
 

@@ -87,7 +87,7 @@ class _BoundedFile(io.BufferedReader):
         self._calls -= 1
         if self._calls < 0:
             # An error that pyulog does not catch.
-            raise RuntimeError("damage prevents reading from ending")
+            raise RuntimeError("reading does not end, as the file is damaged")
         return super().read(size)
 
 
@@ -227,7 +227,7 @@ def open_dataflash(path: Path, source: Source, topic: str | None, instance: int 
     notes = [note]
     skipped = len(data) - int(lengths[kinds].sum())
     if skipped:
-        notes.append(f"{skipped} of {len(data)} bytes are incomplete messages and left out")
+        notes.append(f"{skipped} of {len(data)} bytes are incomplete messages, which are left out")
     if batches:
         notes.append("batches of samples with pauses (ISBH, ISBD) are left out")
     return joined(chosen, source).table("time", source, notes)
@@ -338,7 +338,7 @@ def _chosen(
         wanted = {name.strip() for name in topic.split(",")}
         if not wanted <= names or not any(wanted <= {*group} for group in groups):
             raise source.error(
-                f"topic {topic!r} is not a recording in the log; topics are "
+                f"topic {topic!r} is not an IMU topic of this log; topics are "
                 f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
             )
     first = [min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True)]

@@ -51,8 +51,8 @@ class ReadOptions:
     )
     instance: int | None = _option("Number of the sensor if a flight log has several; by default the first.")
     gaps: GapChoice | None = _option(
-        "What to do about missing samples: error (default); segments, use the longest segment without "
-        "gaps; fill, replace them by simulated samples."
+        "What to do about missing samples: error (default); segments, fit the segments between gaps "
+        "jointly; fill, replace them by simulated samples."
     )
 
     def __post_init__(self) -> None:

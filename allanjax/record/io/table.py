@@ -143,7 +143,7 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
     except AllanjaxError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
 
 

@@ -101,7 +101,7 @@ def uniform_rate(
     """Return the mean sample rate of times in s, or the given rate, for samples known to be evenly spaced."""
     span = float(times[-1] - times[0])
     if not span > 0.0:
-        raise source.error(f"column {label!r} does not advance; {_IGNORE}", "jitter")
+        raise source.error(f"the times in column {label!r} do not increase; {_IGNORE}", "jitter")
     mean = (len(times) - 1) / span
     note = f"{mean:.9g} Hz, the mean of column {label!r} for evenly spaced samples"
     note = f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given (stamps: {note})"
@@ -311,7 +311,7 @@ def _unit(
     listed = ", ".join(possible) or "no unit gives a plausible rate"
     if rate is not None and typical > 0.0:
         step = 1.0 / rate / typical
-        note = f"{name} has no unit that fits {rate:g} Hz ({listed})"
+        note = f"{name} has no unit, and none fits {rate:g} Hz ({listed})"
         return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
     raise source.error(
         f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "

@@ -41,7 +41,7 @@ class Number:
     Attributes:
         symbol: "N", "K", "q", "T" or "B".
         value: an estimate, or the 95 % limit of what was not detected.
-        said: value with interval, or limit, and whose it is; in words.
+        text: value with interval, or limit, and whose it is; in words.
         unit: SI unit of the value.
         is_limit: whether it is a limit, or a mean over axes of which one has only a limit.
         axis: name of the axis.
@@ -51,7 +51,7 @@ class Number:
 
     symbol: str
     value: float
-    said: str
+    text: str
     unit: str
     is_limit: bool = False
     axis: str = ""
@@ -84,16 +84,16 @@ def of_sheet(sheet: DataSheet, sensor: Sensor) -> Quantities:
     given: dict[str, Number] = {}
     for c in sheet.coefficients(sensor).values():
         shown, amount = c.in_unit(), f"{significant(c.value, 5)} {c.si_unit}"
-        said = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
-        given[c.symbol] = Number(c.symbol, c.value, said, c.si_unit, axis=sensor, label=c.label)
+        text = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
+        given[c.symbol] = Number(c.symbol, c.value, text, c.si_unit, axis=sensor, label=c.label)
     return completed(given, f"of the {CALLED[sensor]} is {NOT_GIVEN} by the data sheet; {REMEDY}")
 
 
 def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
     """Density q that drives a bias that is a walk, and the correlation time [s] that it is given."""
-    q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
-    said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
-    return q, Number("T", T, said, "s", axis=walk.axis)
+    q = dataclasses.replace(walk, symbol="q", text=f"q = K: {walk.text}")
+    text = f"T = {significant(T, 5)} s stands for a random walk: the bias is one for times much below T"
+    return q, Number("T", T, text, "s", axis=walk.axis)
 
 
 def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], list[str]]:
@@ -136,16 +136,16 @@ def number(symbol: str, c: Estimate) -> Number | str:
         else:
             known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
         amount = f"{significant(c.value, 5)} {c.si_unit}{known}"
-        said = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
-        return Number(symbol, c.value, said, c.si_unit, False, c.axis.name, c.label, interval)
+        text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
+        return Number(symbol, c.value, text, c.si_unit, False, c.axis.name, c.label, interval)
     limit = c.upper_limit
     if limit is None or not (math.isfinite(limit) and limit > 0.0):
         return f"{c.title} of {c.axis.name} is not detected, and there is no limit of it"
-    said = (
-        f"{symbol} NOT DETECTED: this is its 95 % upper limit {significant(limit, 5)} {c.si_unit} "
-        f"({c.in_unit().describe()}), {c.axis.name}"
+    text = (
+        f"{symbol} = {significant(limit, 5)} {c.si_unit} (95 % upper limit), {c.in_unit().describe()}, "
+        f"{c.axis.name}"
     )
-    return Number(symbol, limit, said, c.si_unit, True, c.axis.name, c.label)
+    return Number(symbol, limit, text, c.si_unit, True, c.axis.name, c.label)
 
 
 def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
@@ -167,8 +167,8 @@ def _drive(result: AxisFit, walk: Number | str, duration: float) -> tuple[Number
     for amplitude, time in markov_terms(result)[:1]:
         if isinstance(walk, str) or walk.is_limit or walk.value < amplitude.value:
             q = number("q", amplitude)
-            said = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
-            return q, Number("T", time.value, said, "s", axis=name, label=time.label)
+            text = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
+            return q, Number("T", time.value, text, "s", axis=name, label=time.label)
     if isinstance(walk, str):
         return walk, walk
     return _driven_by(walk, max(duration, LONG))
@@ -196,7 +196,7 @@ def together(
         return _value(formula, worst), tuple(worst.values())
     if how == "worst":
         end = f", the worst of {len(axes)} axes"
-        numbers = [n if s == "T" else dataclasses.replace(n, said=n.said + end) for s, n in worst.items()]
+        numbers = [n if s == "T" else dataclasses.replace(n, text=n.text + end) for s, n in worst.items()]
     else:
         numbers = [n if s == "T" else _mean([axis[s] for axis in axes]) for s, n in worst.items()]
     return _value(formula, worst if how == "worst" else {n.symbol: n for n in numbers}), tuple(numbers)
@@ -210,7 +210,7 @@ def _mean(numbers: Sequence[Number]) -> Number:
     """Arithmetic mean over axes, whose errors are taken as independent."""
     first, value = numbers[0], math.fsum(n.value for n in numbers) / len(numbers)
     limits = [n.axis for n in numbers if n.is_limit]
-    said = f"{first.symbol} = {significant(value, 5)} {first.unit}"
+    text = f"{first.symbol} = {significant(value, 5)} {first.unit}"
     interval = None
     if not limits and all(n.interval is not None for n in numbers):
         # Intervals of an axis need not be symmetric: their halves add up in squares on each side.
@@ -219,11 +219,11 @@ def _mean(numbers: Sequence[Number]) -> Number:
             for side in (0, 1)
         )
         interval = (value - below, value + above)
-        said += f" (95 %: {format_interval(*interval, value, (above + below) / 3.92)})"
-    said += f", the mean of {', '.join(n.axis for n in numbers)}"
+        text += f" (95 %: {format_interval(*interval, value, (above + below) / 3.92)})"
+    text += f", the mean of {', '.join(n.axis for n in numbers)}"
     if limits:
-        said += f"; NOT DETECTED in {', '.join(limits)}, of which the 95 % upper limit is in the mean"
-    return Number(first.symbol, value, said, first.unit, bool(limits), "mean", first.label, interval)
+        text += f"; not detected on {', '.join(limits)}, with 95 % upper limits in the mean"
+    return Number(first.symbol, value, text, first.unit, bool(limits), "mean", first.label, interval)
 
 
 #: What is written of several axes: each where the target holds three, the worst, or the mean.
@@ -248,9 +248,9 @@ class SensorNoise:
 def checked_axes(to: Target, axes: Axes | None) -> None:
     """Raise AllanjaxError if a target can not be given what is asked for several axes."""
     if axes is not None and axes not in get_args(Axes):
-        raise AllanjaxError(f"axes={axes!r}: it is one of {', '.join(get_args(Axes))}")
+        raise AllanjaxError(f"axes= (--axes) must be one of {', '.join(get_args(Axes))}, not {axes!r}")
     if axes == "each" and all(key.of == "one" for key in to.noise_keys):
-        raise AllanjaxError(f"{to.title} holds one value for all axes: take the worst or the mean of them")
+        raise AllanjaxError(f"{to.title} has one value for all axes; pass axes='worst' or 'mean' (--axes)")
 
 
 def checked_rate(rate: float) -> float:
@@ -367,10 +367,10 @@ def _entry(
     if not found:
         raise _LeftOutError("; ".join(dict.fromkeys(lacking)))
     if key.optional and all(n.is_limit for _, of in found for n in of.values()):
-        raise _LeftOutError("; ".join(dict.fromkeys(n.said for _, of in found for n in of.values())))
+        raise _LeftOutError("; ".join(dict.fromkeys(n.text for _, of in found for n in of.values())))
     values, numbers = _values(key, found, axes, rate)
     comments = [f"= {key.formula} [{key.unit}]; source: {to.source.partition(':')[0]}"]
-    comments += dict.fromkeys(n.said for n in numbers if n.symbol in key.formula)
+    comments += dict.fromkeys(n.text for n in numbers if n.symbol in key.formula)
     comments += dict.fromkeys(lacking)
     if key.note:
         comments.append(key.note)
@@ -399,8 +399,8 @@ def _values(
         value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
         values.append(value)
         instead = not own and axes in (None, "each")
-        place = f" (in the place of {letter}, which has no value of its own)" if instead else ""
-        numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
+        place = f" (in place of {letter}, which has no value)" if instead else ""
+        numbers += [dataclasses.replace(n, text=n.text + place) for n in made_of]
     return tuple(values), tuple(numbers)
 
 
@@ -417,7 +417,7 @@ def export(
 
     Every value has its formula, unit, the estimate with its 95 % interval and the source of the formula in a
     comment. What is not detected is exported as its 95 % limit, and says so; what the fit or the target
-    cannot hold is said and left out. The text is ASCII; comments of JSON are in "_comment".
+    cannot hold is noted and left out. The text is ASCII; comments of JSON are in "_comment".
 
     Args:
         fit: the fit of a recording, from `fit` or `load`; or a data sheet, whose K, which data sheets do not
@@ -496,11 +496,13 @@ def _not_held(
                 largest[c.label] = c
     texts = []
     for c in largest.values():
-        walks = "; for less than its correlation time it walks as K = q_c does" if c.symbol == "q_c" else ""
+        walks = "; for times below its correlation time it is a random walk with K = q_c" * (
+            c.symbol == "q_c"
+        )
         amount = c.in_unit().describe()
-        texts.append(f"NOT HELD by {to.title}: {c.title} {c.symbol} = {amount} of {c.axis.name}{walks}")
+        texts.append(f"{to.title} has no {c.title}: {c.symbol} = {amount} of {c.axis.name}{walks}")
     corrected = [f"{r.axis.name}: {r.correction}" for r in results if r.correction]
-    return texts + [f"N is the density at low frequencies; NOT HELD: {text}" for text in corrected]
+    return texts + [f"N is the density at low frequencies; not in the model: {text}" for text in corrected]
 
 
 _UNITS: dict[Sensor, dict[str, str]] = {
@@ -557,7 +559,7 @@ def _rate_of(from_: Target, values: Mapping[str, tuple[float, ...]], rate: float
     found = rate if rate is not None else own[0] if own else None
     if found is None and any("r" in key.names for key in from_.noise_keys if key.sensor):
         raise AllanjaxError(
-            f"values of {from_.title} are per step, and its file does not have the rate: give --rate"
+            f"values of {from_.title} are per step, but its file lacks the rate; pass rate= (--rate)"
         )
     return None if found is None else checked_rate(found)
 
@@ -581,7 +583,7 @@ def _noise(
     if not (common.keys() - {"T"} or letters):
         return SensorNoise()
     of_axes = {letter: common | of for letter, of in letters.items()} or {"": common}
-    no_walk = f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"
+    no_walk = f"the bias of {from_.title} is a Markov process: no random walk beyond its correlation time"
     why = f"is not in a file of {from_.title}"
     return SensorNoise(
         {
@@ -596,12 +598,12 @@ def _number(
 ) -> Number:
     """The quantity that a value of the file is of."""
     if not 0.0 < value < math.inf:
-        raise AllanjaxError(f"{key.called} is {value:g}, which no noise has; give a positive value")
+        raise AllanjaxError(f"{key.called} is {value:g}, but must be positive and finite")
     symbol = "q" if {"q", "T"} <= key.names else next(s for s in "NKqBT" if s in key.names)
     others = {s: n.value for s, n in known.items() if s != symbol}
     if "T" in key.names - {symbol} and "T" not in others:
         raise AllanjaxError(f"{key.called} needs the correlation time, which is not in it")
     unit = _UNITS[sensor][symbol]
     x = key.solved(value, symbol, others, rate if rate is not None else 1.0)
-    said = f"{symbol} = {significant(x, 5)} {unit}, from {key.called} = {value:g} {key.unit} of {from_.title}"
-    return Number(symbol, x, said, unit, axis=sensor, label=symbol)
+    text = f"{symbol} = {significant(x, 5)} {unit}, from {key.called} = {value:g} {key.unit} of {from_.title}"
+    return Number(symbol, x, text, unit, axis=sensor, label=symbol)

@@ -164,9 +164,7 @@ def values_in(target: Target, text: str) -> dict[str, tuple[float, ...]]:
         path = _path(key)
         matching = [numbers for place, numbers in found if place[-len(path) :] == path]
         if len(set(matching)) > 1:
-            raise AllanjaxError(
-                f"{key.called} stands in it {len(matching)} times, with different values: leave one"
-            )
+            raise AllanjaxError(f"{key.called} occurs {len(matching)} times with different values; keep one")
         if matching:
             values[key.name] = matching[0]
     return values
@@ -246,5 +244,6 @@ def by_axis(key: Key, numbers: Sequence[float]) -> dict[str, float]:
     if key.of in ("three", "matrix") and len(numbers) == 3:
         return dict(zip("xyz", numbers, strict=True))
     if len(numbers) != 1 or key.of in ("three", "matrix"):
-        raise AllanjaxError(f"{key.called} has {len(numbers)} numbers, which is not what it takes")
+        most = {"three": "3", "matrix": "3 or 9"}.get(key.of, "1")
+        raise AllanjaxError(f"{key.called} has {len(numbers)} numbers instead of {most}")
     return {key.of if key.of in ("x", "y", "z") else "": numbers[0]}
