@@ -79,9 +79,7 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     model.check_complete()
     for term in model.terms:
         if isinstance(term, Transient):
-            raise AllanjaxError(
-                f"{term.name()} is not noise: leave out that part of the record, and the term"
-            )
+            raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
     return tuple(Part(1.0, process) for process in model.sampled(rate).processes)
 
 

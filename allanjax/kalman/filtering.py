@@ -349,9 +349,7 @@ def kalman_filter(
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
-        raise AllanjaxError(
-            f"constant_std must be finite and at least 0, or None if it is unknown, not {constant_std}"
-        )
+        raise AllanjaxError(f"constant_std must be None, or finite and at least 0, not {constant_std}")
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)
     results = (

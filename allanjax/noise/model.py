@@ -164,9 +164,7 @@ class Model(eqx.Module):
                 f"cannot add {other!r} to a model; add instances of noise terms, e.g. AngleRandomWalk()"
             )
         if None not in (self.response, other.response) and repr(self.response) != repr(other.response):
-            raise AllanjaxError(
-                f"a model has only one response, not {self.response!r} and {other.response!r}"
-            )
+            raise AllanjaxError(f"a model has one response, not {self.response!r} and {other.response!r}")
         response = other.response if self.response is None else self.response
         inside = () if response is None else self._is_inside + other._is_inside
         return Model(self.terms + other.terms, response, inside, self.rate or other.rate)

@@ -141,10 +141,8 @@ def number(symbol: str, c: Estimate) -> Number | str:
     limit = c.upper_limit
     if limit is None or not (math.isfinite(limit) and limit > 0.0):
         return f"{c.title} of {c.axis.name} is not detected, and there is no limit of it"
-    text = (
-        f"{symbol} = {significant(limit, 5)} {c.si_unit} (95 % upper limit), {c.in_unit().describe()}, "
-        f"{c.axis.name}"
-    )
+    amount = f"{significant(limit, 5)} {c.si_unit} (95 % upper limit)"
+    text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
     return Number(symbol, limit, text, c.si_unit, True, c.axis.name, c.label)
 
 
@@ -496,9 +494,7 @@ def _not_held(
                 largest[c.label] = c
     texts = []
     for c in largest.values():
-        walks = "; for times below its correlation time it is a random walk with K = q_c" * (
-            c.symbol == "q_c"
-        )
+        walks = "; for times well below T_c it is a random walk with K = q_c" * (c.symbol == "q_c")
         amount = c.in_unit().describe()
         texts.append(f"{to.title} has no {c.title}: {c.symbol} = {amount} of {c.axis.name}{walks}")
     corrected = [f"{r.axis.name}: {r.correction}" for r in results if r.correction]
