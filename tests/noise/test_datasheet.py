@@ -61,7 +61,11 @@ def test_figures_are_converted_with_assumptions_and_differences_stated():
     told = "\n".join(found.statements)
     # 0.008·60/0.34, and the share of the steps' power in N².
     share = (0.1 / math.sqrt(12 * 2000) * 60 / 0.34) ** 2
-    for words in ("gyro: at 25 °C", f"noise_density gives {0.008 * 60 / 0.34:.2f} ", f"{100 * share:.2g} %"):
+    for words in (
+        "gyro: at 25 °C",
+        f"noise_density would give {0.008 * 60 / 0.34:.2f} ",
+        f"{100 * share:.2g} %",
+    ):
         assert words in told
     rms = aj.datasheet({"gyro": RMS_NOISE | {"bandwidth_is": "first-order"}})
     assert f"{30 * math.pi / 2:.4g} Hz" in rms.statements[0]
@@ -191,7 +195,7 @@ def test_a_sheet_goes_where_a_fit_goes(elsewhere):
     commands = ["export own.toml --to vins-mono --rate 200", "horizon own.toml --horizon 10"]
     commands += ["navigate own.toml --latitude 51", "simulate --sheet BMI088 --duration 1 --out a.csv"]
     assert [run(*words.split()).exit_code for words in commands] == [0, 0, 0, 0]
-    for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1? ")):
+    for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1?")):
         refuses(re.escape(f"did you mean {near}"), aj.datasheet, name)
 
 

@@ -73,7 +73,7 @@ def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
 def test_empty_cells_are_missing_of_their_axis_alone(written):
     table = whole(3000).drop(columns="time [s]")
     table.iloc[[5, 900, 901], 0] = np.nan
-    assert refused(written(table), "3 values|--gaps fill", rate=RATE).about == "gaps"
+    assert refused(written(table), "and 2 more|--gaps fill", rate=RATE).about == "gaps"
     recording = aj.read(written(table), rate=RATE, gaps="fill")
     assert [np.flatnonzero(lost).tolist() for lost in recording.missing.T] == [[5, 900, 901], [], []]
     assert np.array_equal(filled(table.iloc[:, :3].to_numpy()).values, recording.values)
