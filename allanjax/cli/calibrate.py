@@ -87,9 +87,11 @@ def calibrate(
     from allanjax.calibration.static_positions import calibrate, world_of
 
     with user_errors():
+        named = [*((None, file) for file in files or ()), *map(_split, position or ())]
+        if not named:
+            raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
         world_of(latitude, height, gravity)
         with stage("reading"):
-            named = [*((None, file) for file in files or ()), *map(_split, position or ())]
             recordings, orientations = _read(named, reading)
             noise = None if fit is None else saved_fit(fit)
         with stage("calibrating (without --fit the noise is fitted first)"):
@@ -112,8 +114,6 @@ def _read(
     named: Sequence[tuple[str | None, str]], reading: ReadOptions
 ) -> tuple[list["Recording"], list[str] | None]:
     """Recordings, and their orientations if a --position gives one."""
-    if not named:
-        raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
     recordings = [read_recording(Path(file), reading, file) for _, file in named]
     if all(orientation is None for orientation, _ in named):
         return recordings, None

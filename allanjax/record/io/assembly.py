@@ -415,7 +415,8 @@ def check_rows(rows: slice, duration: float, source: Source) -> None:
     """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
     if rows.start == rows.stop:
         raise source.error(
-            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give others"
+            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give times within "
+            "the record"
         )
 
 
