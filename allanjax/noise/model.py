@@ -173,7 +173,7 @@ class Model(eqx.Module):
         if not isinstance(other, Response):
             return NotImplemented
         if self.response is not None:
-            raise AllanjaxError(f"the model already has the response {self.response!r}; it can have only one")
+            raise AllanjaxError(f"the model already has {self.response!r}; a model has one response")
         for term in self.terms:
             if term.deterministic:
                 raise AllanjaxError(f"{term.name()} is deterministic: write it after the filter of the noise")

@@ -56,9 +56,9 @@ def run(
     ratios = np.array([[float(x) for x in row[2:5]] for row in rows])
     yield f"## Growth of errors, {craft} craft of each grade\n\nBy chance ratios scatter by {scatter:.3f}."
     yield table(["sensor", "error", "1 s", "10 s", "100 s", "mostly from, at 100 s"], rows)
+    within = percent(float(np.mean(abs(ratios - 1.0) < 2.0 * scatter)))
     yield (
-        f"Of the {ratios.size} ratios, {percent(float(np.mean(abs(ratios - 1.0) < 2.0 * scatter)))} are "
-        f"within two standard errors; mean {ratios.mean():.4f}, from {ratios.min():.3f} to {ratios.max():.3f}."
+        f"Of the {ratios.size} ratios, {within} are within two standard errors; mean {ratios.mean():.4f}, from {ratios.min():.3f} to {ratios.max():.3f}."
     )
     rows, aligned = [], []
     for label in FITS:
