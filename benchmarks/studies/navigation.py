@@ -58,7 +58,8 @@ def run(
     yield table(["sensor", "error", "1 s", "10 s", "100 s", "mostly from, at 100 s"], rows)
     within = percent(float(np.mean(abs(ratios - 1.0) < 2.0 * scatter)))
     yield (
-        f"Of the {ratios.size} ratios, {within} are within two standard errors; mean {ratios.mean():.4f}, from {ratios.min():.3f} to {ratios.max():.3f}."
+        f"Of the {ratios.size} ratios, {within} are within two standard errors; mean {ratios.mean():.4f}, "
+        f"from {ratios.min():.3f} to {ratios.max():.3f}."
     )
     rows, aligned = [], []
     for label in FITS:
