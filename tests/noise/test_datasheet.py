@@ -61,11 +61,7 @@ def test_figures_are_converted_with_assumptions_and_differences_stated():
     told = "\n".join(found.statements)
     # 0.008·60/0.34, and the share of the steps' power in N².
     share = (0.1 / math.sqrt(12 * 2000) * 60 / 0.34) ** 2
-    for words in (
-        "gyro: at 25 °C",
-        f"noise_density would give {0.008 * 60 / 0.34:.2f} ",
-        f"{100 * share:.2g} %",
-    ):
+    for words in ("gyro: at 25 °C", f"density would give {0.008 * 60 / 0.34:.2f} ", f"{100 * share:.2g} %"):
         assert words in told
     rms = aj.datasheet({"gyro": RMS_NOISE | {"bandwidth_is": "first-order"}})
     assert f"{30 * math.pi / 2:.4g} Hz" in rms.statements[0]

@@ -61,16 +61,8 @@ OF_TEXT = {
     "too large": (cell("1.01e100"), RATE, "gyro_y|line 23 has|1.01e+100"),
     "cell cut off": (line(2, "0.1,0.2,"), RATE, "gyro_z|line 2 has"),
     "no header": (text(cells={(4, 2): "x"}, edit=headless), DEG_S, "gyro_z|line 3 has 'x'"),
-    "after a stretch": (
-        text(cells={(35, 1): "x"}),
-        {**RATE, "start": 0.22, "stop": 0.4},
-        "gyro_y|line 35 has",
-    ),
-    "comments count": (
-        cell("x", edit=lambda x: ["# lab", "", *x[:9], "# stop", *x[9:]]),
-        RATE,
-        "line 26 has",
-    ),
+    "after a stretch": (text(cells={(35, 1): "x"}), {**RATE, "start": 0.22, "stop": 0.4}, "gyro_y|line 35 "),
+    "comments count": (cell("x", edit=lambda x: ["# lab", "", *x[:9], "# stop", *x[9:]]), RATE, "line 26 "),
     "row too long": (line(9, "1,2,3,4"), RATE, "line 9 has 4 columns where 3"),
     "header again": (text(edit=lambda x: [*x[:9], x[0], *x[9:]]), RATE, "line 10|header"),
     # Lengths, rates, stretches.
