@@ -257,7 +257,7 @@ def print_written(paths: Sequence[Path], as_json: bool = False) -> None:
     """Print which files were written, and to which folder: on stderr if stdout has JSON."""
     for folder in dict.fromkeys(path.parent for path in paths):
         names = ", ".join(path.name for path in paths if path.parent == folder)
-        print(f"wrote {names} to {folder}", file=sys.stderr if as_json else sys.stdout)
+        print(f"wrote to {folder}: {names}", file=sys.stderr if as_json else sys.stdout)
 
 
 def print_error(message: str) -> None:
