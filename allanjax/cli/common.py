@@ -254,9 +254,10 @@ def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> No
 
 
 def print_written(paths: Sequence[Path], as_json: bool = False) -> None:
-    """Print which files were written: on stderr if stdout has JSON."""
-    if paths:
-        print(f"wrote {', '.join(map(str, paths))}", file=sys.stderr if as_json else sys.stdout)
+    """Print which files were written, and to which folder: on stderr if stdout has JSON."""
+    for folder in dict.fromkeys(path.parent for path in paths):
+        names = ", ".join(path.name for path in paths if path.parent == folder)
+        print(f"wrote to {folder}: {names}", file=sys.stderr if as_json else sys.stdout)
 
 
 def print_error(message: str) -> None:

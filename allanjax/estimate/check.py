@@ -196,7 +196,7 @@ class NeededLength(ByValue):
         below = f"not detected (< {significant(c.upper_limit or 0.0)} {c.unit}, 95 %)"
         if self.seconds is not None and self.seconds <= self.now:
             return f"{below}, at that limit it would usually be detected by now"
-        return f"{below}, at that limit {needed}"
+        return f"{below}; if it were at that limit, {needed}"
 
 
 def needed_lengths(result: AxisFit, n: int, rate: float) -> tuple[NeededLength, ...]:
@@ -474,7 +474,7 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
     """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
     states: dict[str, list[NeededLength]] = {}
     for x in lengths:
-        state = "not detected" if math.isnan(x.relative_std) else f"above {_TARGET_WORDS}"
+        state = "not detected" if math.isnan(x.relative_std) else f"known to worse than {_TARGET_WORDS}"
         states.setdefault("unknown" if x.reason else state, []).append(x)
     if len(states) > 1:
         # Axes whose fit does not describe the sensor have a line of their own.
@@ -485,9 +485,9 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
         return head
     left = [x for of in states.values() for x in of]
     longest = max(left, key=lambda x: x.seconds or math.inf)
-    at_limit = " at the limit" * (states.keys() == {"not detected"})
+    at_limit = "at the limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
-    return f"{head}: {_TARGET_WORDS}{at_limit} needs {_in_words(longest.seconds)}{where}"
+    return f"{head}; {at_limit}{_in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
 
 
 def _in_words(seconds: float | None) -> str:

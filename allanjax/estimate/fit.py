@@ -436,7 +436,9 @@ def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
     for (question, words), of in found.items():
         names = [name for name, *_ in of]
         probabilities = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
-        notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
+        notes.append(
+            f"undecided: {question} on {', '.join(names)} (probabilities of the best sets: {probabilities})"
+        )
     return tuple(notes)
 
 

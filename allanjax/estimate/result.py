@@ -566,7 +566,7 @@ class AxisFit(ByValue, AxisEstimates):
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
-            return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
+            return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}"
         if not self.incomplete:
             return f"fits: {text}"
         return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))

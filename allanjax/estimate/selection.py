@@ -321,12 +321,12 @@ class AxisSelection(ByValue):
     def ambiguities(self) -> tuple[str, ...]:
         """What the data leave undecided, in words, the most probable first."""
         return tuple(
-            f"{question} (probability {words.format(percent([one]), percent([other]))})"
+            f"{question} (probabilities of the best sets: {words.format(percent([one]), percent([other]))})"
             for question, words, one, other in self.undecided()
         )
 
     def _title(self, term: str) -> str:
-        return title_of(term, self.axis.sensor).replace("markov", "Markov process")
+        return title_of(term, self.axis.sensor)
 
     def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
         """At most three questions that the data leave undecided, the most probable first.

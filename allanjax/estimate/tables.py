@@ -30,7 +30,11 @@ def overview(fit: Fit) -> list[list[Column]]:
     """Tables of a fit, one per sensor, with one row per axis."""
     tables: list[list[Column]] = []
     rows = [(r.axis, r if r.converged else None) for r in fit.results]
-    rows += [(dead.axis, None) for dead in fit.dead]
+    rows = (
+        sorted(rows + [(dead.axis, None) for dead in fit.dead], key=lambda row: row[0].name)
+        if fit.dead
+        else rows
+    )
     for sensor in SENSORS:
         axes, results = [a for a, _ in rows if a.sensor == sensor], [r for a, r in rows if a.sensor == sensor]
         if not axes:
@@ -58,7 +62,7 @@ def _coefficient_columns(results: Sequence[AxisFit | None]) -> dict[str, Column]
     for label in sorted(found, key=lambda name: [*SYMBOLS, name].index(name)):
         of = found[label]
         one = next(iter(of.values()))
-        if label in MAIN or any(c.held or c.detected or not c.measured for c in of.values()):
+        if label in MAIN or any(c.held or (c.detected and c.measured) for c in of.values()):
             numbers = [_number(of[k]) if k in of else None for k in range(len(results))]
             columns[label] = column(SYMBOLS.get(label, one.title), one.unit, numbers)
     return columns

@@ -318,7 +318,7 @@ def title_of(label: str, sensor: Sensor) -> str:
 
     Its K is an acceleration random walk. The text may contain several labels.
     """
-    words = label.replace("_", " ")
+    words = re.sub(r"\bmarkov\b", "Markov process", label.replace("_", " "))
     if sensor == "accel":
         words = words.replace("angle random walk", "velocity random walk")
         words = words.replace("rate random walk", "acceleration random walk")

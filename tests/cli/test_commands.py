@@ -68,7 +68,7 @@ def test_characterize_prints_the_table_and_writes_the_results():
     assert [axis["unit"] for axis in document["axes"]] == ["deg/h"] * 3 + ["mg"]
     assert document["check"]["verdict"] in printed.splitlines()[0]
     assert bench.fit("small")["gyro_x"]["N"].in_unit().describe().removesuffix(" deg/√h") in printed
-    assert all(str(Path("there") / f"odd{end}") in printed for end in endings)
+    assert all(f"odd{end}" in printed.splitlines()[-1] for end in endings)
 
 
 def test_critique_prints_a_summary_and_writes_the_results():
@@ -81,7 +81,7 @@ def test_critique_prints_a_summary_and_writes_the_results():
         assert entry["gain_nats"] == pytest.approx(finding.gain, rel=1e-3)
     written = [path.name for path in Path("there").iterdir()]
     assert [Path(name).suffix for name in written].count(".png") == len(written) - 1 == len(expected.plot())
-    assert all(str(Path("there") / word) in printed for word in written)
+    assert all(word in printed.splitlines()[-1] for word in written)
     assert "bias step" in printed
 
 

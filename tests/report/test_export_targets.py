@@ -130,7 +130,7 @@ def test_what_is_not_there_is_left_out():
     text = aj.export(wandering(), "vins-mono")
     assert set(read_yaml(text)) == {"gyr_n", "acc_n"}
     assert "gyr_w, acc_w left out" in words_of(text)
-    assert "VINS-Mono has no markov amplitude: q_c = " in words_of(text)
+    assert "VINS-Mono has no Markov process amplitude: q_c = " in words_of(text)
     # No limit, for a simulator makes noise of it.
     fit = bench.fit("small")
     text = aj.export(fit, "matlab")
