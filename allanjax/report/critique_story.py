@@ -379,7 +379,7 @@ def _end(critique: Critique, most: int) -> list[str]:
     notes = critique.notes[:_BRIEF] if most == _BRIEF else critique.notes
     remarks += [f"note: {note}" for note in notes]
     if more := len(critique.notes) - len(notes):
-        remarks.append(f"and {more} more note{'s' if more > 1 else ''}: critique.details()")
+        remarks.append(f"and {more} more note{'s' if more > 1 else ''}: see details() or the JSON file")
     return [*map(wrapped, lines), *([""] if remarks else []), *map(wrapped, remarks)]
 
 
