@@ -41,7 +41,7 @@ from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
 from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSelection, percent, ranked
+from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
@@ -233,7 +233,7 @@ def _fitted(
         results, selection = _extended(recording, results, curve, selection)
     if selection is not None:
         results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
-    notes = (*recording.notes, *notes, *ambiguities(selection))
+    notes = (*recording.notes, *notes, *(selection.ambiguities() if selection else ()))
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
 
@@ -424,22 +424,6 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
             rivals = doubtful[c.term] if c.is_amplitude else ()
             found[label] = dataclasses.replace(c, detected=False, rivals=rivals)
     return result.with_estimates(found)
-
-
-def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
-    """Notes on terms that the data leave undecided: one note per term, with its axes and probabilities."""
-    found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
-    for axis in selection.values() if selection else ():
-        for question, words, one, other in axis.undecided():
-            found.setdefault((question, words), []).append((axis.axis.name, one, other))
-    notes = []
-    for (question, words), of in found.items():
-        names = [name for name, *_ in of]
-        probabilities = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
-        notes.append(
-            f"undecided: {question} on {', '.join(names)} (probabilities of the best sets: {probabilities})"
-        )
-    return tuple(notes)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

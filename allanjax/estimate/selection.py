@@ -369,6 +369,23 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         """Warnings about the ranking, the gravest first."""
         return warnings_of(self.facts)
 
+    def undecided(self) -> dict[tuple[str, str], list[tuple[str, float, float]]]:
+        """Questions that the data leave undecided, as for an axis, and for which axes, with probabilities."""
+        found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
+        for axis in self.results:
+            for question, words, one, other in axis.undecided():
+                found.setdefault((question, words), []).append((axis.axis.name, one, other))
+        return found
+
+    def ambiguities(self) -> tuple[str, ...]:
+        """Notes on what the data leave undecided: one per question, with its axes and probabilities."""
+        notes = []
+        for (question, words), of in self.undecided().items():
+            names = ", ".join(name for name, *_ in of)
+            odds = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
+            notes.append(f"undecided: {question} on {names} (probabilities of the best sets: {odds})")
+        return tuple(notes)
+
     def _title(self) -> str:
         return "noise terms by evidence"
 

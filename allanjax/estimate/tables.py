@@ -109,13 +109,24 @@ def remarks(fit: Fit) -> Iterator[str]:
     for name, reason in fit.without_result.items():
         if not any(reason in warning for warning in warnings):
             yield f"{name}: no result, {reason}"
-    yield from (f"note: {note}" for note in fit.notes)
+    undecided = {} if fit.selection is None else fit.selection.undecided()
+    longer = fit.selection.ambiguities() if undecided else ()
+    yield from (f"note: {note}" for note in fit.notes if note not in longer)
+    if undecided:
+        questions = (
+            f"{question} ({_few([name for name, *_ in of])})" for (question, _), of in undecided.items()
+        )
+        yield f"undecided (probabilities with details()): {'; '.join(questions)}"
 
 
-def details(title: str, results: Sequence[AxisFit]) -> str:
-    """Table of all coefficients of these axes with intervals and limits, and a line below per axis."""
+def _few(names: Sequence[str]) -> str:
+    return ", ".join(names) if len(names) < 3 else f"{len(names)} axes"
+
+
+def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:
+    """Table of all coefficients with intervals and limits, a line below per axis, and these notes."""
     lines = [f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, r.correction, r.level)))}" for r in results]
-    return as_text(title, all_coefficients([r for r in results if r.converged]), lines)
+    return as_text(title, all_coefficients([r for r in results if r.converged]), [*lines, *notes])
 
 
 def all_coefficients(results: Sequence[Any], estimate: str = "estimate") -> list[list[Column]]:

@@ -21,7 +21,6 @@ from allanjax.base.errors import AllanjaxError, FitError, RecordingError
 from allanjax.estimate.axis_fits import fit_allan, with_curve
 from allanjax.estimate.fit import (
     Objective,
-    ambiguities,
     check_length,
     terms_to_fit,
     with_what_was_seen,
@@ -256,7 +255,7 @@ class AllanAccumulator:
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template)
         check_length(curve, template, self.name)
-        notes = ambiguities(selection)
+        notes = selection.ambiguities() if selection else ()
         if inspection.refusal:
             return without_coefficients(inspection, curve, template, objective, notes, dead)
         if objective == "allan":

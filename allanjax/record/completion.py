@@ -75,10 +75,11 @@ class Segments(NamedTuple):
         """Return a note on which of n samples were read; none if all were."""
         if len(self.every) < 2:
             return ()
-        others = f"; {len(self.others)} others are kept for Allan deviations and fits" if self.others else ""
+        used = 1 + len(self.others)
+        others = f" ({used} of them are used in fits and Allan deviations)" if used > 1 else ""
         return (
-            f"samples {self.longest.start} to {self.longest.stop - 1} of {n} read, the longest of "
-            f"{len(self.every)} segments without gaps{others}; gaps='fill' (--gaps fill) uses all",
+            f"samples {self.longest.start:,} to {self.longest.stop - 1:,} of {n:,} read, the longest of "
+            f"{len(self.every)} segments without gaps{others}; gaps='fill' (--gaps fill) makes one of all",
         )
 
 

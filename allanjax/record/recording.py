@@ -258,7 +258,7 @@ class Recording(ByValue):
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
         check_length(rows.stop - rows.start, source)
-        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} read"
+        note = f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"
         values = self.values[rows]
         values, axes, dead, left_out = _living(
             values, self.axes, values[0] / self.own_scales, self.names, source

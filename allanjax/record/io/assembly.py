@@ -317,7 +317,7 @@ def _read(
     source = source.after(rows.start)
     check_length(rows.stop - rows.start, source)
     if rows != slice(0, samples):
-        notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} read")
+        notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {samples:,} read")
     gaps = options.allows_gaps
     values = np.column_stack([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes])
     auxiliary = {}
@@ -600,7 +600,7 @@ def open_chunks(
     elif n is not None:
         rows = rows_between(n, rate, start, stop)
         if rows != slice(0, n):
-            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} read")
+            notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
         check_rows(rows, n / rate, source)
         n = rows.stop - rows.start
         check_length(n, source)
