@@ -116,7 +116,7 @@ def remarks(fit: Fit) -> Iterator[str]:
         questions = (
             f"{question} ({_few([name for name, *_ in of])})" for (question, _), of in undecided.items()
         )
-        yield f"undecided (probabilities with details()): {'; '.join(questions)}"
+        yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
 
 
 def _few(names: Sequence[str]) -> str:

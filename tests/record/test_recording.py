@@ -75,7 +75,7 @@ def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
     part = recording.between(500 / recording.rate, 1500 / recording.rate)
     np.testing.assert_array_equal(part.values, recording.values[500:1500])
     np.testing.assert_array_equal(part.auxiliary["count"], np.arange(500, 1500))
-    assert "500 to 1499 of 2000" in part.notes[-1]
+    assert "500 to 1,499 of 2,000" in part.notes[-1]
     between = recording.between(500.4 / recording.rate, 1500.4 / recording.rate)
     np.testing.assert_array_equal(between.auxiliary["count"], np.arange(501, 1501))
     assert recording.between(stop=8.0).n == np.ceil(8.0 * 123.4567)
