@@ -54,7 +54,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
         "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
-        "stretch_s": None if fit.stretch is None else list(fit.stretch),
+        "stretch_s": None if fit.longest_part is None else list(fit.longest_part),
         "parts_s": [list(part) for part in fit.parts],
         "notes": list(fit.notes),
     }

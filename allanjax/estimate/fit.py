@@ -87,8 +87,8 @@ def fit(
     """Estimate the coefficients of a noise model from every axis of a recording.
 
     The recording is inspected first (see `inspect`). Parts in which it was handled are left out on all axes;
-    `warnings` and `stretch` of the fit report them. If too little remains, there is no result. With a step, a
-    warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
+    `warnings` and `longest_part` of the fit report them. If too little remains, there is no result. With a
+    step, a warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
 
     `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
     per octave, weighted with their full covariance under the fitted model (see `gls`).

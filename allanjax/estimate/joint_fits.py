@@ -115,9 +115,9 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     if not recording.others or as_is:
         return quiet
     others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]
-    stretches = [Recording(x, quiet.rate, quiet.axes) for x in others]
-    looks = [inspect(stretch, vibrating=True) for stretch in stretches]
-    calm = [x for look, stretch in zip(looks, stretches, strict=True) for x in _calm(look, stretch)]
+    segments = [Recording(x, quiet.rate, quiet.axes) for x in others]
+    looks = [inspect(segment, vibrating=True) for segment in segments]
+    calm = [x for look, segment in zip(looks, segments, strict=True) for x in _calm(look, segment)]
     notes = quiet.notes
     if touched := sum(bool(look.parts or look.refusal) for look in looks):
         note = "parts in which the sensor was touched are left out"
@@ -125,10 +125,10 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
 
 
-def _calm(look: Inspection, stretch: Recording) -> list[Float[np.ndarray, "n axes"]]:
+def _calm(look: Inspection, segment: Recording) -> list[Float[np.ndarray, "n axes"]]:
     """The parts of a segment that its inspection leaves for the estimation; there may be none."""
-    quiet = stretch if look.refusal else look.quiet(stretch)
-    return [] if look.refusal or quiet.names != stretch.names else [quiet.values, *quiet.others]
+    quiet = segment if look.refusal else look.quiet(segment)
+    return [] if look.refusal or quiet.names != segment.names else [quiet.values, *quiet.others]
 
 
 def joined(

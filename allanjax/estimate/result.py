@@ -22,6 +22,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
+from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
 from allanjax.estimate.tables import details, overview, remarks
@@ -616,9 +617,11 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
-    def stretch(self) -> tuple[float, float] | None:
+    def longest_part(self) -> tuple[float, float] | None:
         """The longest part of the recording that was used, in s from its first sample; None: all of it."""
         return max(self.parts, key=lambda part: part[1] - part[0], default=None)
+
+    stretch = renamed("longest_part")
 
     @property
     def not_measured(self) -> dict[str, str]:
