@@ -39,10 +39,10 @@ from allanjax.inspection import Inspection as Inspection
 from allanjax.inspection import inspect as inspect
 from allanjax.kalman.filtering import Adapted as Adapted
 from allanjax.kalman.filtering import AdaptedAxis as AdaptedAxis
+from allanjax.kalman.filtering import Filtered as Filtered
+from allanjax.kalman.filtering import FilteredAxis as FilteredAxis
 from allanjax.kalman.filtering import adaptive_filter as adaptive_filter
 from allanjax.kalman.filtering import kalman_filter as kalman_filter
-from allanjax.kalman.result import Filtered as Filtered
-from allanjax.kalman.result import FilteredAxis as FilteredAxis
 from allanjax.navigation.alignment import Alignment as Alignment
 from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
 from allanjax.navigation.alignment import align as align
@@ -65,8 +65,8 @@ from allanjax.noise.response import LowPass1 as LowPass1
 from allanjax.noise.response import LowPass2 as LowPass2
 from allanjax.noise.response import MovingAverage as MovingAverage
 from allanjax.noise.response import Response as Response
-from allanjax.noise.sensors import SENSORS as SENSORS
-from allanjax.noise.sensors import SensorPreset as SensorPreset
+from allanjax.noise.simulate import SENSORS as SENSORS
+from allanjax.noise.simulate import SensorPreset as SensorPreset
 from allanjax.noise.simulate import simulate as simulate
 from allanjax.noise.simulate import simulate_recording as simulate_recording
 from allanjax.noise.state_space import StateSpace as StateSpace

@@ -15,21 +15,21 @@ from benchmarks.common.study import UnavailableError, WrongError, names, perform
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit code: 1 where a study failed or found what must not be."""
+    """Return 1 if a study failed or contradicts a claim, 2 if none was named, else 0."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks",
-        description="Studies of what allanjax claims. What one tells is written to "
+        description="Studies that check the claims of allanjax. Each writes its answer to "
         "benchmarks/results/NAME.md, with the commit, the machine and the versions.",
         epilog="`python -m benchmarks NAME --help` has the options of a study.",
         add_help=False,
         allow_abbrev=False,
     )
     parser.add_argument("name", nargs="?", choices=names(), metavar="NAME", help="a study")
-    parser.add_argument("--list", action="store_true", help="all studies and what they ask")
+    parser.add_argument("--list", action="store_true", help="list all studies with their questions")
     parser.add_argument("--all", action="store_true", help="run all of them")
-    parser.add_argument("--quick", action="store_true", help="small numbers, to see that it runs")
-    parser.add_argument("--workers", type=int, help="processes; 2, or none beside this one where it is quick")
-    parser.add_argument("--keep", type=Path, help="folder of finished tasks, from which a later run goes on")
+    parser.add_argument("--quick", action="store_true", help="small numbers, to check that the studies run")
+    parser.add_argument("--workers", type=int, help="number of processes, by default 2, or 1 with --quick")
+    parser.add_argument("--keep", type=Path, help="folder for finished tasks; a later run resumes from it")
     parser.add_argument("--results", type=Path, help="file of the results")
     options, own = parser.parse_known_args(arguments)
     settings.workers = options.workers or (1 if options.quick else 2)

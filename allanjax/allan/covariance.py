@@ -45,10 +45,10 @@ from allanjax.noise.terms import AngleRandomWalk
 _ORDER = 8
 # Longer sums than this are approximated by an integral where more than twice as many nodes are asked for.
 _LONG_SUM = 256
-# Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail, summed
-# in stretches that end at these multiples of m_i + m_j, ever coarser; the rest is left out.
+# Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail. It is
+# summed over ever longer intervals that end at these multiples of m_i + m_j; the rest is left out.
 _TAIL = (2, 5, 20, 80, 320)
-# Pairs of cluster sizes that are computed together: what they need stays in a core's cache.
+# Pairs of cluster sizes that are computed together: few enough to stay in a core's cache.
 _FEW_PAIRS = 256
 
 
@@ -111,19 +111,45 @@ def _pairs_at_lag(
     return np.clip(Mj - steps, 0.0, Mj)
 
 
-class AllanCovariance(eqx.Module):
-    """Quadrature for the covariance of Allan variance estimates: all of it that no model enters.
+def padded_quadrature(
+    n: int,
+    rate: float,
+    sizes: Int[np.ndarray, " m"],
+    capacity: int,
+    lags: Float[np.ndarray, "lags pairs"],
+    weights: Float[np.ndarray, "lags pairs"],
+) -> dict[str, Any]:
+    """Fields of an `AllanCovariance` with these sizes, lags and weights, padded to a capacity of sizes."""
+    i, j = np.triu_indices(len(sizes))
+    size = max(capacity, len(sizes))
+    place = np.full((size, size), len(i))
+    place[i, j] = place[j, i] = np.arange(len(i))
+    more = ((0, 0), (0, size * (size + 1) // 2 - len(i)))
+    return {
+        "sample_interval": np.asarray(1.0 / rate),
+        "duration": np.asarray(n / rate),
+        "count": np.asarray(len(sizes)),
+        "sizes": np.pad(sizes.astype(float), (0, size - len(sizes)), constant_values=1.0),
+        "pairs": np.pad(np.stack([i, j]), more),
+        "place": place,
+        "lags": np.pad(lags, more),
+        "weights": np.pad(weights, more),
+    }
 
-    All of it is data: what is compiled for one record serves every record of as many cluster sizes, or of
-    any number of them up to `capacity`, to which the arrays are padded.
+
+class AllanCovariance(eqx.Module):
+    """Quadrature for the covariance of Allan variance estimates: its part that is common to all models.
+
+    All fields are data: a program compiled for one record serves every record with as many cluster sizes, or
+    with any number up to `capacity`, to which the arrays are padded.
 
     Attributes:
         sample_interval: t0 [s].
         duration: length of the record [s].
-        count: number of cluster sizes; what pads the arrays comes after these.
+        count: number of cluster sizes; the rest of the arrays is padding.
         sizes: cluster sizes in samples, increasing.
         pairs: row and column of each pair with i ≤ j.
-        place: index of the pair of each two estimates.
+        place: index of the pair for each two estimates.
         lags: distances u of the quadrature nodes, in samples.
         weights: weights of the nodes, which include w_ij and the factors before the sum.
     """
@@ -153,9 +179,9 @@ class AllanCovariance(eqx.Module):
             n, rate, sizes: number of samples, sample rate [Hz], cluster sizes in samples.
             order: nodes between two neighbouring kinks.
             strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
-                of the strides after it, and an eighth of the size at least where these are larger; 1 for
-                overlapping estimates, if there are none.
-            capacity: number of cluster sizes that arrays are padded to, if there are fewer.
+                of the strides after it, and at least an eighth of the size where these are larger; by default
+                1, for overlapping estimates.
+            capacity: least number of cluster sizes that arrays are padded to.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
@@ -170,19 +196,7 @@ class AllanCovariance(eqx.Module):
         sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
         factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
         weights = factor[:, None] * w * sum(sides) / 2.0
-        place = np.full((max(capacity, len(sizes)),) * 2, len(i))
-        place[i, j] = place[j, i] = np.arange(len(i))
-        more, pairs = len(place) - len(sizes), len(place) * (len(place) + 1) // 2 - len(i)
-        return cls(
-            np.asarray(1.0 / rate),
-            np.asarray(n / rate),
-            np.asarray(len(sizes)),
-            np.pad(sizes.astype(float), (0, more), constant_values=1.0),
-            np.pad(np.stack([i, j]), ((0, 0), (0, pairs))),
-            place,
-            np.pad(u.T, ((0, 0), (0, pairs))),
-            np.pad(weights.T, ((0, 0), (0, pairs))),
-        )
+        return cls(**padded_quadrature(n, rate, sizes, capacity, u.T, weights.T))
 
     @property
     def cluster_time(self) -> Float[np.ndarray, " m"]:
@@ -190,15 +204,15 @@ class AllanCovariance(eqx.Module):
         return self.sizes * self.sample_interval
 
     def known(self, values: Float[ArrayLike, " m"], otherwise: float) -> Float[Array, " m"]:
-        """Values of the estimates, and another where there is none."""
+        """Values of the estimates, and another value in the padding."""
         return jnp.where(jnp.arange(len(self.place)) < self.count, values, otherwise)
 
     def over_pairs(self, function: Callable[..., Any], *more: Float[Array, "... pairs"]) -> Any:
-        """What a function makes of the pairs, [..., pairs], a few of them at a time, as many as there are.
+        """Result of a function for all pairs, [..., pairs], computed for a few of them at a time.
 
         Args:
-            function: takes the quadrature for a few pairs, and of each array its part for these.
-            more: arrays that are divided among the pairs, too.
+            function: takes the quadrature for a few pairs, and the part of each array for these.
+            more: further arrays by pairs.
         """
         total = self.lags.shape[-1]
         few = min(_FEW_PAIRS, total)
@@ -209,11 +223,11 @@ class AllanCovariance(eqx.Module):
             part = eqx.tree_at(lambda of: (of.pairs, of.lags, of.weights), self, tuple(some[:3]))
             return function(part, *some[3:])
 
-        def add(k: Array, found: Any) -> Any:
+        def add(k: Array, results: Any) -> Any:
             # The last part begins earlier where it would not be whole.
             return jax.tree.map(
                 lambda x, part: jax.lax.dynamic_update_slice_in_dim(x, part, k * few, x.ndim - 1),
-                found,
+                results,
                 of_part(k * few),
             )
 
@@ -254,7 +268,7 @@ class AllanCovariance(eqx.Module):
 
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
 _FILTERS = {"allan": (6.0, -4.0, 1.0), "modified": (6.0, -4.0, 1.0), "hadamard": (20.0, -15.0, 6.0, -1.0)}
-# Samples a cluster beyond which a record is thinned for the degrees of freedom of the modified variance.
+# Samples per cluster beyond which a record is thinned for the degrees of freedom of the modified variance.
 _FINEST_MODIFIED = 64
 
 
@@ -274,11 +288,11 @@ def equivalent_degrees_of_freedom(
         sizes: cluster sizes in samples.
         kind: "allan", "modified" or "hadamard".
         overlapping: False for clusters that do not overlap.
-        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; if there
-            are none, 1 or, where clusters do not overlap, their size.
+        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; by
+            default 1, or the size if clusters do not overlap.
 
-    The lag sum is that of this module's covariance. A modified variance at more than 64 samples a cluster is
-    computed for a record thinned to 64 (exact for self-similar noise, close for others).
+    The lag sum is that of this module's covariance. For a modified variance with more than 64 samples per
+    cluster, the record is thinned to 64 (exact for self-similar noise, close for others).
     """
     if strides is None:
         strides = np.ones_like(sizes) if overlapping else sizes

@@ -12,13 +12,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.allan.clusters import Kind, Spacing, check_member, cluster_sizes, difference_count, too_few
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
-from allanjax.allan.estimators import DataType, allan_variance_estimates
+from allanjax.allan.estimators import (
+    DataType,
+    Kind,
+    Spacing,
+    allan_variance_estimates,
+    check_member,
+    cluster_sizes,
+    difference_count,
+    too_few,
+)
 from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.renamed import renamed
+from allanjax.base.wording import plain
 from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, samples_of
@@ -98,6 +108,8 @@ class AllanDeviation(ByValue, OfAxes):
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
 
+    others_told = renamed("describe_others")
+
     def describe_others(self) -> str:
         """The other segments in words, to append to a text about the longest; "" if there are none."""
         if not self.others:
@@ -141,7 +153,7 @@ class AllanDeviation(ByValue, OfAxes):
 
         It counts the differences of clusters that do not overlap as independent. Neighbours share a cluster:
         for white noise the error is √1.5 times that. Eqs. (4.5) and (4.9) average overlapping clusters, for
-        which it is an overstatement but at the shortest times. `standard_error` is right for both.
+        which it is too large except at the shortest times. `standard_error` is right for both.
         """
         return 1 / np.sqrt(2 * (self.n / self.cluster_size - 1))
 
@@ -178,8 +190,8 @@ class AllanDeviation(ByValue, OfAxes):
         names = ", ".join(self.names) if self.axes else f"{self.deviation.shape[1]} axes"
         first, last = self.cluster_time[[0, -1]]
         return (
-            f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.cluster_time)} cluster times from {first:.4g} s to {last:.4g} s)"
+            f"AllanDeviation({self.kind}, {overlap}; {names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.cluster_time)} cluster times from {plain(first, 4)} s to {plain(last, 4)} s)"
         )
 
 
@@ -245,7 +257,7 @@ def allan_deviation(
                 'data_type, overlapping and cluster_times, or use estimator="exact"'
             )
         found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
-        return _of_all_stretches(replace(found, edf=found.edf / _lost(data)), data)
+        return _of_all_segments(replace(found, edf=found.edf / _lost(data)), data)
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
     options: dict[str, Any] = {"kind": kind, "overlapping": overlapping, "data_type": data_type}
@@ -267,10 +279,10 @@ def allan_deviation(
         overlapping=overlapping,
         axes=axes,
     )
-    return _of_all_stretches(found, data)
+    return _of_all_segments(found, data)
 
 
-def _of_all_stretches(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
+def _of_all_segments(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
     """Curve of a recording's longest segment with the differences of its other segments."""
     if not isinstance(data, Recording) or not data.others:
         return curve

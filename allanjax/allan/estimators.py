@@ -1,15 +1,15 @@
-"""Estimators of the Allan, modified and Hadamard variances at any cluster sizes, compiled.
+"""Estimators of the Allan, modified and Hadamard variances, compiled; the cluster sizes that a record allows.
 
 All are sums of squared differences of the phase. They are taken in chunks that a core's cache holds, for all
-cluster sizes on one block of chunks before the next, so that a record is read from memory a few times only.
+cluster sizes on one block of chunks before the next, so that a record is read from memory only a few times.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import product
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
@@ -17,36 +17,140 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from allanjax.allan.clusters import WEIGHTS, Kind, difference_count
+from allanjax.base.errors import AllanjaxError
 
-# JAX reads a NumPy array where it lies if it begins at a multiple of so many bytes, and copies every other.
+#: Kinds of variances.
+Kind = Literal["allan", "modified", "hadamard"]
+#: Spacings of cluster sizes, explained at `cluster_sizes`.
+Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.ndarray, " m"]
+
+_Sizes = TypeVar("_Sizes", np.ndarray, Array)
+
+WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
+"""Weights of the phases one cluster time apart in the difference whose mean square is the variance.
+
+For the modified variance they are those of the third differences that update sums of second differences.
+"""
+
+# Largest distance of a cluster time from a whole number of samples, in samples, to allow for rounding.
+_CLUSTER_SIZE_TOLERANCE = 1e-3
+
+
+def difference_count(n: Any, sizes: _Sizes, kind: Kind = "allan", overlapping: bool = True) -> _Sizes:
+    """Number of differences that `n` rate samples (n + 1 phases) allow at each cluster size m.
+
+    Overlapping: n + 1 - 2m (Allan), n + 1 - 3m (Hadamard), n + 2 - 3m (modified). Non-overlapping: one less
+    (Allan) or two less (Hadamard) than the whole clusters. Hou (2004) eq. (4.5) has N - 2n for the first: it
+    leaves out the last difference. Same shape as `sizes`; not positive where there is none.
+    """
+    if kind == "modified":
+        return n + 2 - 3 * sizes
+    spans = len(WEIGHTS[kind]) - 1
+    return n + 1 - spans * sizes if overlapping else n // sizes - (spans - 1)
+
+
+def cluster_sizes(
+    n: int, rate: float, spacing: Spacing = "octave", kind: Kind = "allan"
+) -> Int[np.ndarray, " m"]:
+    """Cluster sizes in samples, [m], increasing and distinct, that leave at least one difference.
+
+    Args:
+        n: number of rate samples.
+        rate: sample rate [Hz]; used with cluster times only.
+        spacing: "octave" (1, 2, 4, ...), "decade" (1, 2, 4, 10, 20, 40, ...), "all", a number of sizes per
+            octave, or the cluster times themselves [s], each a multiple of the sample interval to within a
+            thousandth of it.
+        kind: the variance, which sets the largest size.
+
+    Raises:
+        AllanjaxError: `n` too small, an unknown spacing or kind, a cluster time between samples or too long.
+    """
+    check_member(kind, Kind, "kind")
+    largest = {"allan": n // 2, "modified": (n + 1) // 3, "hadamard": n // 3}[kind]
+    if largest < 1:
+        raise AllanjaxError(too_few(n, kind))
+    if isinstance(spacing, str):
+        decades = 10 ** np.arange(len(str(largest)))
+        sizes = {
+            "octave": 2 ** np.arange(largest.bit_length()),
+            "decade": np.outer(decades, [1, 2, 4]).ravel(),
+            "all": np.arange(1, largest + 1),
+        }.get(spacing)
+        if sizes is None:
+            raise AllanjaxError(
+                f"unknown spacing {spacing!r}: expected 'octave', 'decade', 'all', "
+                "a number per octave or cluster times in seconds"
+            )
+    elif isinstance(spacing, int | np.integer):
+        if spacing < 1:
+            raise AllanjaxError(f"the number of cluster sizes per octave must be at least 1, not {spacing}")
+        steps = np.arange(spacing * largest.bit_length())
+        sizes = np.rint(2.0 ** (steps / spacing)).astype(int)
+    else:
+        return _sizes_of_times(np.asarray(spacing, dtype=float), rate, largest)
+    return np.unique(sizes[sizes <= largest])
+
+
+def _sizes_of_times(times: Float[np.ndarray, " times"], rate: float, largest: int) -> Int[np.ndarray, " m"]:
+    """Cluster sizes in samples of the given cluster times [s]."""
+    if times.ndim != 1 or times.size == 0:
+        raise AllanjaxError("cluster times must be a non-empty sequence of seconds")
+    for time in times:
+        if not time * rate <= largest + _CLUSTER_SIZE_TOLERANCE:
+            raise AllanjaxError(
+                f"cluster time {time:.9g} s is too long: "
+                f"the longest the recording allows is {largest / rate:.9g} s"
+            )
+        nearest = max(round(time * rate), 1)
+        if abs(time * rate - nearest) > _CLUSTER_SIZE_TOLERANCE:
+            raise AllanjaxError(
+                f"cluster time {time:.9g} s is not a multiple of the sample interval {1 / rate:.9g} s: "
+                f"the nearest is {nearest / rate:.9g} s"
+            )
+    return np.unique(np.rint(times * rate).astype(int))
+
+
+def too_few(n: int, kind: Kind) -> str:
+    """Error message for a record too short for a single difference."""
+    shortest = 3 if kind == "hadamard" else 2
+    return f"{n} samples are too few for the {kind} variance: it needs at least {shortest}"
+
+
+def check_member(value: str, literal: object, name: str) -> None:
+    """Raise AllanjaxError if an option is not one of the values of a Literal type."""
+    known = get_args(literal)
+    if value not in known:
+        raise AllanjaxError(f"unknown {name} {value!r}: expected one of {', '.join(map(repr, known))}")
+
+
+# JAX uses a NumPy array in place if it begins at a multiple of so many bytes, and copies any other.
 _ALIGNMENT = 64
-# Values that a stretch may have before its first row, so that it begins at such a multiple.
+# Values that may precede the first row, so that the array begins at such a multiple.
 _SPARE = _ALIGNMENT // 8
 
 
 def aligned(*shape: int) -> Float[np.ndarray, "..."]:
-    """Array of this shape, of values not yet set, that JAX reads where it lies."""
+    """Array of this shape, with values not yet set, that JAX uses in place."""
     size = int(np.prod(shape))
     memory = np.empty(size + _SPARE)
     first = -memory.ctypes.data % _ALIGNMENT // 8
     return memory[first : first + size].reshape(shape)
 
 
-def stretch(
+def flat_rows(
     table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"], read: int | None = None
 ) -> tuple[Float[np.ndarray, " values"], int]:
-    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX reads where it lies.
+    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
 
     Args:
-        table: the samples; a copy is made of what is not float64 in C order, and of a stretch at its ends.
+        table: the samples; copied if they are not float64 in C order, or if the rows are at its ends.
         begin: index of the first row, which may be negative.
         rows: number of rows, which may go beyond the table.
-        fill: what stands in rows that the table does not have.
-        read: how many of the rows are read, if not all.
+        fill: value of rows that the table does not have.
+        read: how many of the rows are used, if not all.
 
     Returns:
-        So many rows and eight values more, and the index of the first row's first value among them.
+        The rows with up to eight values more, and the index of the first row's first value among them.
     """
     axes = table.shape[1]
     size = rows * axes + _SPARE
@@ -103,12 +207,12 @@ def allan_variance_estimates(
 
     Args:
         values: rates, or phases (one more than the rate samples) in the rate's unit times seconds.
-        sizes: cluster sizes in samples; unchecked: each must leave a difference, see `cluster_sizes`.
+        sizes: cluster sizes in samples; each must leave a difference (`cluster_sizes`), which is not checked.
         rate: sample rate [Hz]; used with phases only.
         kind, overlapping, data_type: as in `allan_deviation`.
 
-    The cores share out long records, which are read where they lie, all axes at once; beside them there is
-    memory for their phases only.
+    Long records are shared out among the cores and read in place, all axes at once; besides them only their
+    phases take memory.
     """
     n = len(values) - (data_type == "phase")
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
@@ -170,16 +274,16 @@ def _sums_of_long_record(
 
 def _long_phases(
     table: Float[np.ndarray, "samples axes"], n: int, data_type: DataType, pool: ThreadPoolExecutor
-) -> Float[np.ndarray, "axes room"]:
-    """Phases of every axis as `_phases` gives them, and after them values of no meaning up to a power of two.
+) -> Float[np.ndarray, "axes capacity"]:
+    """Phases of every axis from `_phases`, with meaningless values after them up to a power of two.
 
     Memory that is never written costs nothing, and one program serves all lengths of an octave.
     """
     axes = table.shape[1]
-    room = 1 << n.bit_length()
-    rows = max(min(room // 8, _PIECE >> (axes - 1).bit_length()), _CHUNK)
+    capacity = 1 << n.bit_length()
+    rows = max(min(capacity // 8, _PIECE >> (axes - 1).bit_length()), _CHUNK)
     starts = range(0, len(table), rows)
-    phases = aligned(axes, room + _CHUNK)
+    phases = aligned(axes, capacity + _CHUNK)
     first = int(data_type == "rate")
     if first:
         slope, begun = _means(table, n, starts, pool)
@@ -190,7 +294,7 @@ def _long_phases(
 
     def integrate(k: int) -> None:
         start, end = starts[k], min(starts[k] + rows, len(table))
-        piece = stretch(table, start, rows, 0.0)
+        piece = flat_rows(table, start, rows, 0.0)
         found = np.asarray(_phases(*piece, start, slope, begun[k], data_type=data_type))
         phases[:, first + start : first + end] = found[:, : end - start]
 
@@ -206,7 +310,7 @@ def _means(
     centre = table[:: n // 1024].mean(axis=0, dtype=float)
 
     def total(start: int) -> Float[np.ndarray, " axes"]:
-        return np.asarray(_total(*stretch(table, start, starts.step, centre), centre))
+        return np.asarray(_total(*flat_rows(table, start, starts.step, centre), centre))
 
     totals = np.stack(list(pool.map(total, starts)))
     mean = centre + totals.sum(axis=0) / n
@@ -220,7 +324,7 @@ def _means(
 def _total(
     flat: Float[Array, " values"], offset: int | Int[Array, ""], centre: Float[Array, " axes"]
 ) -> Float[Array, " axes"]:
-    """Sums over a stretch (see `stretch`) of every axis's samples less a number of its own."""
+    """Sums over rows (see `flat_rows`) of every axis's samples, each less a number of its axis."""
     size = _CHUNK * len(centre)
     centres = jnp.tile(centre, _CHUNK)
 
@@ -230,13 +334,13 @@ def _total(
     return lax.fori_loop(0, len(flat) // size, add, jnp.zeros(size)).reshape(_CHUNK, -1).sum(axis=0)
 
 
-def _chunk(room: int, most: int = _CHUNK) -> int:
-    """Samples or differences taken at a time in a record for which there is so much room."""
-    return max(min(most, 1 << room.bit_length() - 1), _ROW**2)
+def _chunk(capacity: int, most: int = _CHUNK) -> int:
+    """Samples or differences taken at a time in a record padded to this capacity."""
+    return max(min(most, 1 << capacity.bit_length() - 1), _ROW**2)
 
 
 def _step(rows: int, axes: int) -> int:
-    """Rows of so many in all that are integrated at a time."""
+    """Number of rows that are integrated at a time."""
     return _chunk(rows, _STEP >> (axes - 1).bit_length())
 
 
@@ -250,9 +354,9 @@ def _phases(
     *,
     data_type: DataType,
 ) -> Float[Array, "axes rows"]:
-    """Phases after every row of a stretch (see `stretch`) that begins with row `start` of the record.
+    """Phases after every row (see `flat_rows`), the first of which is row `start` of the record.
 
-    A straight line is subtracted, best one through the record's ends: no estimator sees it, and the
+    A straight line is subtracted, best one through the record's ends: it changes no variance, and the
     differences keep more digits without it. It is `slope` times the sample's number; `begun` is the phase
     without it after the row before (of rates) or the first one of the record (of phases).
     """
@@ -286,7 +390,7 @@ def _square_sums(
 ) -> Float[Array, " m"]:
     """Sums of squared differences of every `shares`-th block from number `share` on.
 
-    If modified, of every so manieth size: its running sums go through the record in one piece.
+    For the modified variance, of every `shares`-th size: its running sums go through the entire record.
     """
     x, weights, chunk = phases, WEIGHTS[kind], _chunk(len(phases) - 1 - _CHUNK)
     lane = jnp.arange(chunk)

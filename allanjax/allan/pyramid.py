@@ -4,8 +4,7 @@ Level k of the pyramid holds the means of blocks of 2^k samples; block b is samp
 the recording. Clusters of m = 1, 2 and 4 samples are windows of so many blocks of level 0, those of m = 8·2^k
 samples are windows of 8 blocks of level k. Every block starts a window: every sample up to m = 8, every
 m/8-th beyond. The variance is the mean of ½(difference of two adjacent windows)², eq. (4.5) of Hou (2004),
-over these starts; for all noise but strong quantization that costs less than 1 % of the precision of every
-start.
+over these starts. Except for strong quantization it is less than 1 % less precise than with every start.
 
 Block means keep their digits however long the recording is, which a running sum of its rates would not.
 """
@@ -25,14 +24,14 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from allanjax.allan.estimators import stretch
+from allanjax.allan.estimators import flat_rows
 from allanjax.base.errors import AllanjaxError
 
 # A pass up the pyramid of block means: four levels at once, compiled.
 #
-# The pass goes in chunks that stay in a core's cache. A chunk sees a little of the next one, so that chunks
-# do not depend on each other. Where there are no blocks there is NaN, and differences that meet it do not
-# count: one program, of one shape, serves sequences of any length and alignment.
+# The pass goes in chunks that stay in a core's cache. A chunk includes a little of the next one, so that
+# chunks do not depend on each other. Missing blocks are NaN, and differences with them do not count: one
+# program, of one shape, serves sequences of any length and alignment.
 
 LEVELS = 4
 """Levels of the pyramid that one pass computes."""
@@ -54,13 +53,14 @@ def climb(
     """Sums of squared differences of window means at four levels, and the blocks of the level above them.
 
     Args:
-        table: consecutive blocks of the lowest level; read where they lie, or copied piece by piece.
+        table: consecutive blocks of the lowest level, read in place or copied piece by piece.
         first: index of the first of them.
         pool: the threads that compute pieces at the same time.
 
     Returns:
         Sums for windows of 1, 2, 4 and 8 blocks of the lowest level and of 8 of each of the others, and the
-        whole blocks of the fifth level, from index ⌈first / 16⌉ on, which stay on a device that is no CPU.
+        complete blocks of the fifth level, from index ⌈first / 16⌉ on; on a device other than a CPU they stay
+        there.
     """
     n, axes = table.shape
     chunk, piece = _shape(axes)
@@ -69,7 +69,7 @@ def climb(
 
     def run(begin: int) -> tuple[Any, Any]:
         chunks = -(-min(n - begin, piece) // chunk)
-        blocks = _stretch(table, begin, piece + _REACH, chunks * chunk + _REACH)
+        blocks = _flat_rows(table, begin, piece + _REACH, chunks * chunk + _REACH)
         sums, above = _climb_piece(*blocks, chunks, axes=axes, chunk=chunk)
         return np.asarray(sums), np.asarray(above) if _on_cpu() else above
 
@@ -90,14 +90,14 @@ def _shape(axes: int) -> tuple[int, int]:
     return (_LANES, max(_PIECE >> (axes - 1).bit_length(), _LANES)) if _on_cpu() else (1 << 24, 1 << 24)
 
 
-def _stretch(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
-    """Rows of a table as `stretch` gives them, on a device too; NaN where there are none."""
+def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
+    """Rows of a table as `flat_rows` returns them, also on a device; NaN where there are none."""
     if isinstance(table, jax.Array) and not _on_cpu():
-        found = table[max(begin, 0) : begin + rows].astype(float)
+        values = table[max(begin, 0) : begin + rows].astype(float)
         before = max(-begin, 0)
-        outside = ((before, rows - before - len(found)), (0, 0))
-        return jnp.pad(found, outside, constant_values=np.nan).reshape(-1), 0
-    return stretch(np.asarray(table), begin, rows, np.nan, read)
+        outside = ((before, rows - before - len(values)), (0, 0))
+        return jnp.pad(values, outside, constant_values=np.nan).reshape(-1), 0
+    return flat_rows(np.asarray(table), begin, rows, np.nan, read)
 
 
 @partial(jax.jit, static_argnames=("axes", "chunk"))
@@ -370,5 +370,5 @@ def check_finite(values: Any, origin: int = 0) -> None:
         row, axis = np.argwhere(bad)[0]
         raise AllanjaxError(
             f"{bad.sum()} values are not finite, the first at sample {origin + row}, axis {axis}: "
-            "the cluster averages need every sample"
+            "use samples without gaps, or one segment"
         )

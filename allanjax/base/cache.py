@@ -29,7 +29,7 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
     problem = _problem(path) if path is not None else ""
     if path is None or problem:
         if chosen:
-            advice = "so every run compiles again; set ALLANJAX_CACHE to another directory or to off"
+            advice = "so that every run compiles anew; set ALLANJAX_CACHE to another directory or to off"
             warnings.warn(f"{path}: {problem}, {advice}", AllanjaxWarning, stacklevel=2)
         return None
     import jax

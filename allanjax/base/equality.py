@@ -29,7 +29,9 @@ def equal(a: Any, b: Any) -> bool:
     if a is b:
         return True
     if hasattr(a, "__array__") and not hasattr(a, "columns"):
-        return hasattr(b, "__array__") and _same_array(np.asarray(a), np.asarray(b))
+        one, other = np.asarray(a), np.asarray(b)
+        floats = one.dtype.kind in "fc" and other.dtype.kind in "fc"
+        return hasattr(b, "__array__") and np.array_equal(one, other, equal_nan=floats)
     if isinstance(a, Mapping):
         return isinstance(b, Mapping) and a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
     if type(a) is not type(b) and not (isinstance(a, float) and isinstance(b, float)):
@@ -41,11 +43,6 @@ def equal(a: Any, b: Any) -> bool:
     if hasattr(a, "equals"):  # pandas
         return bool(a.equals(b))
     return bool(a == b) or (a != a and b != b)
-
-
-def _same_array(a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether two arrays are equal; NaN equals NaN."""
-    return np.array_equal(a, b, equal_nan=a.dtype.kind in "fc" and b.dtype.kind in "fc")
 
 
 def _same_fields(a: Any, b: Any) -> bool:

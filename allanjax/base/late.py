@@ -90,7 +90,7 @@ class _Text(str):
     """Text of a property that used to be a method: a call warns and returns the text."""
 
     def __call__(self) -> str:
-        warnings.warn("this text is a property now: leave out the ()", DeprecationWarning, stacklevel=2)
+        warnings.warn("this is a property now: write it without ()", DeprecationWarning, stacklevel=2)
         return str(self)
 
 

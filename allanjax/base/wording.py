@@ -1,32 +1,28 @@
 """Numbers as text in one style: values with errors, intervals, limits, durations.
 
 An error has two significant digits; its value and interval have as many decimals. Commas separate thousands.
-Only numbers below 1e-4 or from 1e7 on have an exponent.
+Only numbers below 0.001 or from 1e7 on have a power of ten, e.g. "1.20×10⁻⁶".
 """
 
 import math
+from collections.abc import Sequence
 
-# Numbers from _SMALL up to _LARGE are written without an exponent.
-_SMALL, _LARGE = 1e-4, 1e7
+# Numbers from _SMALL up to _LARGE are written without a power of ten.
+_SMALL, _LARGE = 1e-3, 1e7
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def format_with_error(value: float, std: float) -> str:
-    """Value and standard deviation, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)e-05".
+    """Value and standard deviation, e.g. "0.5121 ± 0.0068" or "(1.680 ± 0.013)×10⁻⁵".
 
     Without an error it is the value alone, to six digits.
     """
-    if not _known(value, std):
-        return plain(value, 6)
-    power = _power(max(abs(value), std))
-    return _with_power(f"{_fixed(value, std, power)} ± {_fixed(std, std, power)}", power)
+    return _joined(" ± ", (value, std), value, std) if _known(value, std) else plain(value, 6)
 
 
 def without_error(value: float, std: float) -> str:
-    """Value with the decimals that its standard deviation warrants, e.g. "0.5121" or "1.680e-05"."""
-    if not _known(value, std):
-        return plain(value, 4)
-    power = _power(max(abs(value), std))
-    return _fixed(value, std, power) + (f"e{power:+03d}" if power else "")
+    """Value with the decimals that its standard deviation warrants, e.g. "0.5121" or "1.680×10⁻⁵"."""
+    return _joined("", (value,), value, std) if _known(value, std) else plain(value, 4)
 
 
 def format_interval(lower: float, upper: float, value: float, std: float) -> str:
@@ -38,25 +34,31 @@ def format_interval(lower: float, upper: float, value: float, std: float) -> str
         std = (upper - lower) / 4.0
     if not (_known(value, std) and math.isfinite(lower) and math.isfinite(upper)):
         return f"{plain(lower, 6)} … {plain(upper, 6)}"
-    power = _power(max(abs(value), std))
-    return _with_power(f"{_fixed(lower, std, power)} … {_fixed(upper, std, power)}", power)
+    return _joined(" … ", (lower, upper), value, std)
+
+
+def format_range(lower: float, upper: float) -> str:
+    """Ends of an interval with three digits each, e.g. "9.72 … 12.9"; "" if there is none."""
+    return "" if math.isnan(lower) else f"{significant(lower)} … {significant(upper)}"
 
 
 def significant(x: float, digits: int = 3) -> str:
-    """Number with `digits` significant digits, including zeros, e.g. "3,470", "0.500" or "1.20e-06"."""
+    """Number with `digits` significant digits, including zeros, e.g. "3,470", "0.500" or "1.20×10⁻⁶"."""
     if not math.isfinite(x) or x == 0.0:
         return f"{x:g}"
-    place = 10.0 ** (_exponent(x, digits) - digits + 2)
-    power = _power(float(f"{x:.{digits - 1}e}"))
-    text = _fixed(x, place, power)
-    return f"{text}e{power:+03d}" if power else text
+    power = power_of(float(f"{x:.{digits - 1}e}"))
+    return fixed(x / 10.0**power, power + digits - 1 - exponent(x, digits)) + times_ten(power)
 
 
 def plain(x: float, digits: int = 6) -> str:
     """Number with at most `digits` digits and no trailing zeros, e.g. "0.5" or "1,234.5"."""
-    text, _, power = significant(x, digits).partition("e")
-    text = text.rstrip("0").rstrip(".") if "." in text else text
-    return f"{text}e{power}" if power else text
+    text, times, power = significant(x, digits).partition("×")
+    return (text.rstrip("0").rstrip(".") if "." in text else text) + times + power
+
+
+def percent(share: float, digits: int = 2) -> str:
+    """Share in per cent with at most `digits` digits, e.g. "95 %" or "0.5 %"."""
+    return f"{plain(100.0 * share, digits)} %"
 
 
 def duration(seconds: float) -> str:
@@ -66,9 +68,46 @@ def duration(seconds: float) -> str:
     return f"{plain(seconds / 60.0, 3)} min" if seconds < 7200.0 else f"{plain(seconds / 3600.0, 3)} h"
 
 
+def record_size(n: int, rate: float) -> str:
+    """Length and rate of a record, e.g. "150,000 samples at 100 Hz (25 min)"."""
+    return f"{n:,} samples at {rate:g} Hz ({duration(n / rate)})"
+
+
+def format_p_value(p: float, digits: int = 2) -> str:
+    """p-value in words, e.g. "p = 0.66"."""
+    return f"p = {plain(p, digits)}" if p > 1e-300 else "p < 10⁻³⁰⁰"
+
+
+def chi_squared(chi2: float, dof: int, p_value: float) -> str:
+    """Test of a fit in words, e.g. "χ² = 119.9 for 127 degrees of freedom (p = 0.66)"."""
+    text = f"χ² = {chi2:,.1f} for {dof} degrees of freedom"
+    return text if math.isnan(p_value) else f"{text} ({format_p_value(p_value)})"
+
+
 def finite_or_none(x: float) -> float | None:
     """A finite number, or None: JSON has neither NaN nor infinity, and their CSV cells are empty."""
     return float(x) if math.isfinite(x) else None
+
+
+def exponent(x: float, digits: int = 2) -> int:
+    """Exponent of ten of x, rounded to `digits` significant digits."""
+    return int(f"{x:.{digits - 1}e}".partition("e")[2])
+
+
+def power_of(largest: float) -> int:
+    """Exponent of ten to write after a number; 0 if the number is easy to read without one."""
+    return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else exponent(largest, 16)
+
+
+def times_ten(power: int) -> str:
+    """Power of ten as it stands after a number, e.g. "×10⁻⁵"; "" for the power 0."""
+    return f"×10{str(power).translate(_SUPERSCRIPT)}" if power else ""
+
+
+def fixed(x: float, decimals: int) -> str:
+    """Number rounded to so many decimals, or to tens, hundreds, … if these are negative."""
+    # Adding zero turns minus zero into zero.
+    return f"{round(x, decimals) + 0.0:,.{max(decimals, 0)}f}"
 
 
 def _known(value: float, std: float) -> bool:
@@ -76,24 +115,8 @@ def _known(value: float, std: float) -> bool:
     return math.isfinite(value) and math.isfinite(std) and std > 0.0
 
 
-def _exponent(x: float, digits: int) -> int:
-    """Exponent of ten of x, rounded to `digits` significant digits."""
-    return int(f"{x:.{digits - 1}e}".partition("e")[2])
-
-
-def _power(largest: float) -> int:
-    """Exponent of ten to write after a number; 0 if the number is easy to read without one."""
-    return 0 if _SMALL <= abs(largest) < _LARGE or largest == 0.0 else _exponent(largest, 16)
-
-
-def _fixed(x: float, error: float, power: int) -> str:
-    """Number x/10^power with decimals down to the second digit of its error."""
-    decimals = power + 1 - _exponent(error, 2)
-    # Adding zero turns minus zero into zero.
-    rounded = round(x / 10.0**power, decimals) + 0.0
-    return f"{rounded:,.{max(decimals, 0)}f}"
-
-
-def _with_power(text: str, power: int) -> str:
-    """Text, in brackets with its power of ten if there is one."""
-    return f"({text})e{power:+03d}" if power else text
+def _joined(sign: str, numbers: Sequence[float], value: float, error: float) -> str:
+    """Numbers with decimals down to the second digit of an error and one power of ten, joined by a sign."""
+    power = power_of(max(abs(value), error))
+    text = sign.join(fixed(x / 10.0**power, power + 1 - exponent(error)) for x in numbers)
+    return (f"({text})" if power and len(numbers) > 1 else text) + times_ten(power)

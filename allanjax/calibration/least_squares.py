@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.errors import FitError
 
-# Least singular value, relative to the largest, of a direction that the positions determine: of given
-# orientations, beyond rounding; of estimated ones, beyond what errors of scale and alignment feign.
+# Least singular value, relative to the largest, of a direction that the positions determine: for known
+# orientations, beyond rounding; for estimated ones, beyond what errors of scale and alignment may simulate.
 KNOWN, FREE = 1e-6, 2e-2
-# Parts of a parameter in undetermined directions from which on it is undetermined itself.
+# Part of a parameter in undetermined directions above which it counts as undetermined itself.
 _PART = 1e-6
 _ITERATIONS = 50
 
@@ -56,7 +56,7 @@ def determined_directions(X: Float[np.ndarray, "m p"], tolerance: float) -> Floa
 
 
 def is_determined(directions: Float[np.ndarray, "r p"]) -> Bool[np.ndarray, " p"]:
-    """Which parameters lie in these directions altogether."""
+    """Which parameters lie entirely in these directions."""
     return 1.0 - (directions**2).sum(axis=0) < _PART
 
 
@@ -75,11 +75,11 @@ def least_squares(
         y: observations.
         C: their covariance; may be singular along the columns of biases.
         unit: size of each column of X, by which it is divided.
-        bias: which parameters are biases: their columns may be added to C without a change of the estimate.
+        bias: which parameters are biases: adding their columns to C does not change the estimate.
         tolerance: see `determined_directions`.
 
     Raises:
-        FitError: C is not positive definite beside the biases: the model has too little noise.
+        FitError: C is singular in other directions than those of biases: the model has too little noise.
     """
     V = determined_directions(X / unit, tolerance)
     Z = X / unit @ V.T
@@ -145,7 +145,7 @@ def by_norm(
         unit: see `least_squares`; the parameters of each axis: bias, row of M − 1, and, perhaps, q.
 
     Raises:
-        FitError: it does not converge: the readings are not those of a triad at rest.
+        FitError: no convergence, because the readings are not those of a triad at rest.
     """
     p = unit.shape[1]
     free = np.array([[True, *(j <= i for j in range(3)), *(True for _ in range(p - 4))] for i in range(3)])
@@ -163,9 +163,9 @@ def by_norm(
         if p > 4:
             rows = np.concatenate([rows, (n * f**2)[:, :, None]], axis=2)
         C = np.einsum("ki,li,ikl->kl", n, n, noise)
-        found = least_squares(rows[:, free], size - g, C, unit[free], bias[free], FREE)
-        values[free] += found.values
-        if np.all(np.abs(found.values * unit[free]) < 1e-9 * g):
+        solution = least_squares(rows[:, free], size - g, C, unit[free], bias[free], FREE)
+        values[free] += solution.values
+        if np.all(np.abs(solution.values * unit[free]) < 1e-9 * g):
             break
         if not np.all(np.abs(values * unit) < g):
             values[:] = np.nan
@@ -178,12 +178,12 @@ def by_norm(
             "at rest, or give the orientations"
         )
     covariance, determined = np.zeros((3 * p, 3 * p)), np.ones(3 * p, bool)
-    covariance[np.ix_(free.ravel(), free.ravel())] = found.covariance
-    determined[free.ravel()] = found.determined
-    return found._replace(values=values.ravel(), covariance=covariance, determined=determined)
+    covariance[np.ix_(free.ravel(), free.ravel())] = solution.covariance
+    determined[free.ravel()] = solution.determined
+    return solution._replace(values=values.ravel(), covariance=covariance, determined=determined)
 
 
 def as_triad(values: Float[np.ndarray, "3 p"]) -> Triad:
-    """The errors by axis as matrices; what is not determined must be zero."""
+    """The errors by axis as matrices; undetermined ones must be zero."""
     q = values[:, 4] if values.shape[1] > 4 else np.zeros(3)
     return Triad(np.eye(3) + values[:, 1:4], values[:, 0], q)

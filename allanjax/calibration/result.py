@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -15,8 +15,8 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import finite_or_none, format_with_error, significant
+from allanjax.base.tables import Cell, Number, PerAxis
+from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
@@ -59,9 +59,9 @@ def as_orientation(given: OrientationLike) -> Orientation:
     """Orientation from a name, a direction or a matrix.
 
     Args:
-        given: a name, "x up", "z down", "+x" or "x-" (the axis that points up or down), perhaps with a
-            heading, "x up, y north"; the direction that points up, three components along the sensor's
-            axes; or the matrix [3, 3] that turns such components into those along east, north and up.
+        given: a name, "x up", "z down", "+x" or "x-" (the axis that points up or down), optionally with a
+            heading, "x up, y north"; the upward direction, three components along the sensor's axes; or the
+            matrix [3, 3] that turns such components into those along east, north and up.
 
     Raises:
         AllanjaxError: `given` is none of these.
@@ -69,7 +69,10 @@ def as_orientation(given: OrientationLike) -> Orientation:
     if isinstance(given, Orientation):
         return given
     if isinstance(given, str):
-        named = orientation_in(given) or _signed(given)
+        signed = _SIGNED.fullmatch(given.strip().lower())
+        if signed is not None:
+            given = f"{signed[2] or signed[3]} {'up' if '+' in given else 'down'}"
+        named = orientation_in(given)
         if named is None:
             raise AllanjaxError(
                 f"{given!r} is not an orientation: write 'x up', 'z down', '+x' or, with a heading, "
@@ -98,13 +101,12 @@ def orientation_in(text: str) -> Orientation | None:
         AllanjaxError: an axis points in two directions.
     """
     words = text.lower()
-    found = _UP.search(words)
-    if found is None:
+    vertical, heading = _UP.search(words), _NORTH.search(words)
+    if vertical is None:
         return None
-    letter, way = found[1] or "z", found[2]
+    letter, way = vertical[1] or "z", vertical[2]
     up = _unit(letter) if way == "up" else 0.0 - _unit(letter)
     name, north = f"{letter} {way}", None
-    heading = _NORTH.search(words)
     if heading is not None:
         if heading[1] == letter:
             raise AllanjaxError(f"{text!r}: {letter} cannot point {way} and {heading[2]}")
@@ -124,14 +126,6 @@ def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
     return tuple(as_orientation(f"{a} {way}, {b} {where}") for (a, b), way, where in every)
 
 
-def _signed(text: str) -> Orientation | None:
-    found = _SIGNED.fullmatch(text.strip().lower())
-    if found is None:
-        return None
-    sign, letter = found[1] or found[4], found[2] or found[3]
-    return as_orientation(f"{letter} {'up' if sign == '+' else 'down'}")
-
-
 def _is_rotation(C: Float[np.ndarray, "3 3"]) -> bool:
     return np.abs(C @ C.T - np.eye(3)).max() < _TOLERANCE and np.linalg.det(C) > 0.0
 
@@ -141,7 +135,7 @@ def _unit(letter: str) -> Float[np.ndarray, 3]:
 
 
 def _written(vector: Float[np.ndarray, 3]) -> str:
-    return "(" + ", ".join(f"{x + 0.0:.3g}" for x in vector) + ")"
+    return "(" + ", ".join(f"{plain(x + 0.0, 3)}" for x in vector) + ")"
 
 
 SCHEMA_VERSION = 1
@@ -152,8 +146,8 @@ UNITS: dict[Sensor, dict[str, str]] = {
     "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
     "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
 }
-#: Scale factors and misalignments with a larger standard deviation are not used: uncalibrated sensors are
-#: better than that.
+#: Scale factors and misalignments with a larger standard deviation are not used, as uncalibrated sensors are
+#: more accurate than that.
 USEFUL = 0.01
 
 
@@ -200,7 +194,7 @@ class AxisCalibration(ByValue, AxisEstimates):
             response to inputs along another axis [µrad, for gyros mrad], and, if requested, "second_order"
             [µg/g²]. A value that the positions do not determine is nan; its remark names the positions that
             would determine it.
-        widening: standard deviation of each over the one for white noise alone; nan without white noise.
+        widening: ratio of each standard deviation to that for white noise alone; nan without white noise.
     """
 
     axis: Axis
@@ -213,31 +207,22 @@ class AxisCalibration(ByValue, AxisEstimates):
         wider = significant(max((x for x in self.widening.values() if np.isfinite(x)), default=1.0))
         return "" if wider == "1.00" else f"intervals up to {wider} times as wide as for white noise alone"
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: the parameters of the axis ± 1σ."""
         shown = {label: c.in_unit() for label, c in self.coefficients.items()}
-        cells = {k: "–" if c.remark else format_with_error(c.value, c.std) for k, c in shown.items()}
-        return [(self.axis.name, *(cells.get(label, "") for label in PARAMETERS))]
+        cells = {k: "–" if c.remark else Number(c.value, c.std) for k, c in shown.items()}
+        return [(self.axis.name, *map(cells.get, PARAMETERS))]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per parameter, in its usual unit."""
         import pandas as pd
 
         rows = [
-            {
-                "axis": self.axis.name,
-                "parameter": label,
-                "value": c.value,
-                "std": c.std,
-                "lower_95": c.interval[0],
-                "upper_95": c.interval[1],
-                "unit": c.unit,
-                "over_white_noise": self.widening[label],
-                "remark": c.remark,
-            }
-            for label, c in ((label, e.in_unit()) for label, e in self.coefficients.items())
+            c.row() | {"parameter": label, "over_white_noise": self.widening[label], "remark": c.remark}
+            for label, c in self.coefficients.items()
         ]
-        return pd.DataFrame(rows)
+        numbers = ("value", "std", "lower_95", "upper_95", "unit")
+        return pd.DataFrame(rows, columns=["axis", "parameter", *numbers, "over_white_noise", "remark"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,13 +250,13 @@ class Misfit(ByValue):
 
     def __str__(self) -> str:
         if not self.dof:
-            return "as many parameters as means, so the fit cannot be checked: add positions"
-        text = f"χ² = {significant(self.chi2)} for {self.dof} degrees of freedom (p = {self.p_value:.2g})"
+            return "there are as many parameters as means, so that the fit cannot be checked; add positions"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if not self.suspects:
             return text
         return (
             f"{text}: the means do not fit, worst at {' or '.join(self.suspects)}. Its orientation may be "
-            "wrong by more than the noise (see orientation error), or the noise model may lack a drift"
+            "wrong by more than the noise (see orientation_error), or the noise model may lack a drift"
         )
 
 
@@ -289,12 +274,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         notes: what was assumed, and what could not be done.
     """
 
-    CALLED: ClassVar[str] = "the calibration"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "bias", "scale\nfactor", *(f"misalignment\n{x}" for x in _AXES), "second\norder"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     results: tuple[AxisCalibration, ...]
     positions: tuple[Position, ...]
     misfit: Mapping[Sensor, Misfit]
@@ -307,7 +286,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def errors(self, sensor: Sensor) -> Triad:
         """Matrix M, biases b and second-order coefficients q, SI, of I = M·f + b + q·f², for `apply`.
 
-        Parameters that are not determined, or not known to 1 %, are those of a perfect sensor.
+        Parameters that are not determined, or not to 1 %, have the values of a perfect sensor.
         """
         M, b, q = np.eye(3), np.zeros(3), np.zeros(3)
         for result in self.results:
@@ -321,7 +300,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                 elif label == "second_order":
                     q[i] = value
                 elif c.std < USEFUL:
-                    M[i, i if label == "scale_factor" else "xyz".index(label[-1])] += value
+                    M[i, i if label == "scale_factor" else _AXES.index(label[-1])] += value
         return Triad(M, b, q)
 
     def apply(self, recording: Recording) -> Recording:
@@ -390,24 +369,21 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         """Draw the residuals of each position with their scatter under the noise model."""
         raise NotImplementedError
 
-    def _remedies(self) -> dict[str, list[str]]:
-        """The positions that would determine the missing parameters, and the axes that lack them."""
+    def _title(self) -> str:
+        return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
+
+    def _heads(self, sensor: Sensor) -> list[str]:
+        return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]
+
+    def _notes(self) -> list[str]:
+        # The positions that would determine the missing parameters, and the axes that lack them.
         lacking: dict[str, list[str]] = {}
         for result in self.results:
             for remark in dict.fromkeys(c.remark for c in result.coefficients.values() if c.remark):
                 lacking.setdefault(remark, []).append(result.axis.name)
-        return lacking
-
-    def _title(self) -> str:
-        return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
-
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(self.results, lambda sensor: [unit_of(sensor, label) for label in PARAMETERS])
-
-    def _notes(self) -> list[str]:
         lines = [f"{sensor}: {misfit}" for sensor, misfit in self.misfit.items()]
         lines += [f"{r.axis.name}: {r.verdict}" for r in self.results if r.verdict]
-        lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in self._remedies().items()]
+        lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in lacking.items()]
         return [*lines, f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
 
 

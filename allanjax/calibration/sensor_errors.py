@@ -37,7 +37,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor, si_unit
 
@@ -46,13 +46,13 @@ from allanjax.record.units import Sensor, si_unit
 # The mean over a segment is the difference of the phase at its ends, over its length. So the covariance of
 # two means is a second difference of G, however far apart they are.
 #
-# Stationary noise has the mean zero: a bias is the level about which it scatters. Other noise (flicker noise,
-# random walks, ramps) moves the bias: then the bias is the level averaged over the entire calibration, and
-# the deviations of the means from that average count.
+# Stationary noise has mean zero: the bias is the level about which it scatters. Other noise (flicker noise,
+# random walks, ramps) moves the bias: then the bias is the average over the entire calibration, and the
+# deviations of the means from that average count.
 
 _DRAWS = 400
-# Of a stationary process the PSD is level at low frequencies, but grows fourfold in two octaves for flicker
-# noise.
+# The PSD of a stationary process is level at low frequencies; that of flicker noise grows fourfold in two
+# octaves.
 _GROWTH = 2.0
 # Lag, in lengths of the record, at which G of a stationary process has no part that grows with its square.
 _FAR = 1e6
@@ -66,7 +66,7 @@ class Part(NamedTuple):
 
     @property
     def white(self) -> bool:
-        """Whether it is white noise, be it behind a filter."""
+        """Whether it is white noise, perhaps filtered."""
         return isinstance(getattr(self.process, "process", self.process), AngleRandomWalk)
 
 
@@ -79,7 +79,7 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     model.check_complete()
     for term in model.terms:
         if isinstance(term, Transient):
-            raise AllanjaxError(f"{term.name()} is not noise: cut it off, and leave it out of the model")
+            raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
     return tuple(Part(1.0, process) for process in model.sampled(rate).processes)
 
 
@@ -91,13 +91,13 @@ def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
         FitError: the axis has no result.
     """
     sets = likely_models(fit, axis, _DRAWS, np.random.default_rng(seed))
-    found = []
+    averaged = []
     for likely in sets:
         parts = parts_of_model(likely.model, fit.curve.rate)
         known = len(parts) - likely.limited
         power = likely.power.sum(axis=0) / sum(len(s.power) for s in sets)
-        found += [Part(float(p), part.process) for p, part in zip(power[:known], parts, strict=False)]
-    return tuple(found)
+        averaged += [Part(float(p), part.process) for p, part in zip(power[:known], parts, strict=False)]
+    return tuple(averaged)
 
 
 def covariance_of_means(
@@ -183,7 +183,7 @@ class Setting(NamedTuple):
         world: inputs of the sensor.
         second_order: whether readings have a part proportional to the square of the input.
         orientation_error: standard deviation of the orientations about each perpendicular axis [rad].
-        lacks_drift: whether the record of the noise model is too short to show the drift between positions.
+        lacks_drift: whether the noise model's record is too short to contain the drift between positions.
     """
 
     axes: tuple[Axis, ...]
@@ -212,7 +212,7 @@ class Setting(NamedTuple):
     def design(self, axis: Axis, orientations: Sequence[Orientation]) -> Float[np.ndarray, "k p"]:
         """Design of an axis: ones, inputs along x, y and z and, perhaps, the square of its own.
 
-        Inputs that depend on an unknown heading are zero; rows in which the axis's own input does are nan.
+        Inputs that depend on an unknown heading are zero; if the axis's own input does, its row is nan.
         """
         f = np.stack([self.world.input(self.sensor, o) for o in orientations])
         own = f[:, [place_of(axis)]]
@@ -220,7 +220,7 @@ class Setting(NamedTuple):
         return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
 
     def fitted_design(self, axis: Axis) -> Float[np.ndarray, "k p"]:
-        """Design of an axis in the positions; of a gyro as if aligned if only that determines its errors.
+        """Design of an axis in the positions; for a gyro, as if aligned if only that determines its errors.
 
         A constant part of the Earth's rate along another axis cannot be distinguished from the bias.
         """
@@ -238,14 +238,14 @@ class Setting(NamedTuple):
 
 
 class Covariances(NamedTuple):
-    """Covariance of each axis's means of the positions: of all its noise, and of its white noise."""
+    """Covariance of the means of the positions, by axis: of all noise, and of white noise alone."""
 
     full: Float[np.ndarray, "axes k k"]
     white: Float[np.ndarray, "axes k k"]
 
     @classmethod
     def of(cls, positions: Sequence[Position], noise: Sequence[Sequence[Part]]) -> Covariances:
-        """Those of means over these positions, from the terms of each axis."""
+        """Covariances of means over these positions, from the terms of each axis."""
         start, length = (np.array([getattr(p, name) for p in positions]) for name in ("start", "duration"))
         return cls(
             np.stack([covariance_of_means(parts, start, length) for parts in noise]),
@@ -270,17 +270,17 @@ def errors_of(
     if setting.known:
         X = np.stack([setting.fitted_design(axis) for axis in axes], axis=1)
         rows = np.isfinite(X[:, :, 0])
-        found = _linear(setting, X, means, full, setting.orientation_error)
+        solution = _linear(setting, X, means, full, setting.orientation_error)
         if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
             alone = _linear(setting, X, means, white, 0.0)
     else:
         names, rows = ("norm of the three axes",), rows[:, :1]
         scale = np.tile(setting.units, (3, 1))
-        found = by_norm(means, full, setting.world.gravity, scale)
+        solution = by_norm(means, full, setting.world.gravity, scale)
         if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
             alone = by_norm(means, white, setting.world.gravity, scale)
     size = (len(axes), len(setting.units))
-    determined = found.determined.reshape(size)
+    determined = solution.determined.reshape(size)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
         given = "; ".join(position.label for position in positions)
         besides = " together with its second order" if setting.second_order else ""
@@ -288,13 +288,13 @@ def errors_of(
             f"the positions ({given}) do not determine bias and scale factor of any "
             f"{setting.sensor} axis{besides}: {_remedy(setting, axes[0])}"
         )
-    wider, quantiles = _by_scatter(found) if setting.lacks_drift else (1.0, _QUANTILES)
-    variance = wider**2 * found.covariance.diagonal().reshape(size)
+    wider, quantiles = _by_scatter(solution) if setting.lacks_drift else (1.0, _QUANTILES)
+    variance = wider**2 * solution.covariance.diagonal().reshape(size)
     over_white = np.full(size, np.nan)
     if alone is not None:
         over_white = np.sqrt(variance / np.maximum(alone.covariance.diagonal().reshape(size), 1e-300))
     results = []
-    for k, (axis, values) in enumerate(zip(axes, found.values.reshape(size), strict=True)):
+    for k, (axis, values) in enumerate(zip(axes, solution.values.reshape(size), strict=True)):
         labels = _labels(axis, setting.second_order)
         remark = "" if determined[k].all() else _remedy(setting, axis)
         estimates, widening = {}, {}
@@ -309,7 +309,7 @@ def errors_of(
             widening[label] = float(over_white[k, j]) if known else np.nan
         _check_direction(estimates["scale_factor"])
         results.append(AxisCalibration(axis, estimates, widening))
-    return tuple(results), _misfit(found, rows, names, positions, wider)
+    return tuple(results), _misfit(solution, rows, names, positions, wider)
 
 
 def _linear(
@@ -350,15 +350,15 @@ def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
     return {"bias": 0, "scale_factor": 1 + own, **others, **({"second_order": 4} if second_order else {})}
 
 
-def _by_scatter(found: Solution) -> tuple[float, tuple[float, float]]:
+def _by_scatter(solution: Solution) -> tuple[float, tuple[float, float]]:
     """Factor by which errors are wider if the means scatter more than under the noise model, and quantiles.
 
     The ratio of Birge (1932, Phys. Rev. 40:207) and Student's law of its degrees of freedom.
     """
-    if found.dof == 0 or found.chi2 <= found.dof:
+    if solution.dof == 0 or solution.chi2 <= solution.dof:
         return 1.0, _QUANTILES
-    outer, inner = stdtrit(found.dof, [0.975, 0.84])
-    return math.sqrt(found.chi2 / found.dof), (float(outer), float(inner))
+    outer, inner = stdtrit(solution.dof, [0.975, 0.84])
+    return math.sqrt(solution.chi2 / solution.dof), (float(outer), float(inner))
 
 
 def _estimate(
@@ -377,14 +377,14 @@ def _estimate(
         unit=si_unit(unit),
         usual_unit=unit,
         source="calibration",
-        # By convention or by what defines the axes.
+        # Zero by convention, or by the definition of the axes.
         held=std == 0.0,
         remark=remark if math.isnan(value) else "",
     )
 
 
 def _check_direction(scale: Estimate) -> None:
-    """Raise an error where up and down are exchanged."""
+    """Raise RecordingError if up and down are exchanged."""
     if scale.axis.sensor == "accel" and scale.value < -0.5:
         raise RecordingError(
             f"{scale.axis.name} reads {1.0 + scale.value:.3g} times the expected value (an axis that points "
@@ -411,7 +411,7 @@ def _remedy(setting: Setting, axis: Axis) -> str:
 
 
 def _misfit(
-    found: Solution,
+    solution: Solution,
     used: Bool[np.ndarray, "k n"],
     names: tuple[str, ...],
     positions: Sequence[Position],
@@ -419,14 +419,14 @@ def _misfit(
 ) -> Misfit:
     """How well the means fit, and which positions fit worst."""
     residuals, scatter = np.full(used.shape, np.nan), np.full(used.shape, np.nan)
-    residuals[used] = found.residuals
-    scatter[used] = np.sqrt(np.maximum(found.residual_covariance.diagonal(), 0.0))
-    p = float(upper_tail(found.chi2, found.dof)) if found.dof else math.nan
+    residuals[used] = solution.residuals
+    scatter[used] = np.sqrt(np.maximum(solution.residual_covariance.diagonal(), 0.0))
+    p = float(upper_tail(solution.chi2, solution.dof)) if solution.dof else math.nan
     suspects: tuple[str, ...] = ()
     if p < _DOUBT:
         of = np.broadcast_to(np.arange(len(positions))[:, None], used.shape)[used]
-        gain = np.array([found.gain_without(of == k) for k in range(len(positions))])
+        gain = np.array([solution.gain_without(of == k) for k in range(len(positions))])
         suspects = tuple(
             p.label for p, g in zip(positions, gain, strict=True) if g >= (1.0 - _TIE) * gain.max()
         )
-    return Misfit(names, residuals, scatter, found.chi2, found.dof, p, suspects, wider)
+    return Misfit(names, residuals, scatter, solution.chi2, solution.dof, p, suspects, wider)

@@ -34,7 +34,7 @@ from allanjax.calibration.sensor_errors import (
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SENSORS, Sensor, convert
@@ -83,10 +83,10 @@ def calibrate(
         fit: fit of a long recording of the same sensor, which describes its drift best. Without model and
             fit, the longest of the positions is fitted, and the intervals are widened if the means scatter
             more than under that model.
-        starts: start of each recording [s]; by default each follows the previous one at once.
+        starts: start of each recording [s]; by default each follows the previous one immediately.
         second_order: whether accelerometers also have a part S2·f² (in (2.23) the square is missing).
         orientation_error: standard deviation [rad] of the given orientations, about each horizontal axis.
-        as_is: whether to use all of a recording, even if it was handled.
+        as_is: whether to use entire recordings, even if they were handled.
         rate, gyro_unit, accel_unit, names: rate, units and names of arrays and files, as for `fit`.
 
     Raises:
@@ -102,7 +102,7 @@ def calibrate(
     given = [p if isinstance(p, Recording) else as_recording(p, *options) for p in positions]
     if not given:
         raise AllanjaxError('give recordings, e.g. {"x up": recording, "x down": other}')
-    turned, world = _orientations(given, orientations), _world(latitude, height, gravity)
+    turned, world = _orientations(given, orientations), world_of(latitude, height, gravity)
     places, recordings, notes = _places(given, turned, starts, as_is)
     axes = _axes(recordings, turned, latitude, notes)
     parts, source = _noise(recordings, axes, model, fit, notes)
@@ -117,8 +117,7 @@ def calibrate(
             noise = Covariances.of(places, [parts[axis.name] for axis in own])
             own_results, misfit[sensor] = errors_of(setting, means, noise)
             results += own_results
-            notes += _scatter(sensor, misfit[sensor])
-    notes += _remarks(results, world)
+    notes += _remarks(results, misfit, world)
     return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))
 
 
@@ -137,9 +136,9 @@ def _places(
         if look.refusal:
             raise RecordingError(f"{name}: {look.refusal}")
         first = 0.0
-        if look.stretch is not None:
-            first, last = look.stretch
-            notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s used")
+        if look.longest_part is not None:
+            first, last = look.longest_part
+            notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s are used")
         kept.append(look.quiet(recording))
         places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
     return tuple(places), kept, notes
@@ -169,7 +168,7 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
     """Start of each recording [s], and what was assumed."""
     length = np.array([r.duration for r in recordings])
     if starts is None:
-        note = "positions are assumed to follow each other at once, as given (else pass starts=, --starts)"
+        note = "positions are assumed to follow each other at once (otherwise pass starts=, --starts)"
         return np.concatenate([[0.0], np.cumsum(length)[:-1]]), [note] if len(length) > 1 else []
     begin = np.array(starts, dtype=float)
     if begin.shape != length.shape or not np.isfinite(begin).all():
@@ -184,7 +183,7 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
     return begin - begin.min(), []
 
 
-def _world(latitude: float | None, height: float, gravity: float | None) -> World:
+def world_of(latitude: float | None, height: float, gravity: float | None) -> World:
     """Gravity with its standard deviation, and latitude."""
     if gravity is not None:
         if not 9.0 < gravity < 10.0:
@@ -241,9 +240,8 @@ def _noise(
     if model is not None and fit is not None:
         raise AllanjaxError("give a model or a fit, not both")
     if model is not None:
-        chosen = {a.name: _model_of(model, a) for a in axes}
-        parts = {a.name: parts_of_model(as_model(chosen[a.name], [a]), recordings[0].rate) for a in axes}
-        return parts, "given"
+        rate = recordings[0].rate
+        return {a.name: parts_of_model(model_of(model, a), rate) for a in axes}, "given"
     source = f"the fit of {fit.name or 'a recording'}" if fit is not None else ""
     if fit is None:
         longest = max(recordings, key=lambda r: r.duration)
@@ -258,30 +256,14 @@ def _noise(
     return {a.name: parts_of_fit(fit, a.name) for a in axes}, source
 
 
-def _model_of(model: ModelLike | Mapping[str, ModelLike], axis: Axis) -> ModelLike:
-    if not isinstance(model, Mapping):
-        return model
-    own = model.get(axis.name, model.get(axis.sensor))
-    if own is None:
-        raise AllanjaxError(
-            f"no noise model for {axis.name}: add it to model= as {axis.name!r} or {axis.sensor!r}"
-        )
-    return own
-
-
-def _scatter(sensor: Sensor, misfit: Misfit) -> list[str]:
-    """Note on means that scatter more than under a noise model that may lack drift."""
-    if misfit.wider == 1.0:
-        return []
-    return [
-        f"{sensor}: the means scatter {significant(misfit.wider)} times as much as under this noise model; "
+def _remarks(results: Sequence[AxisCalibration], misfit: Mapping[Sensor, Misfit], world: World) -> list[str]:
+    """Notes on excessive scatter, on gravity, and on what the Earth's rate does not determine."""
+    notes = [
+        f"{sensor}: the means scatter {significant(of.wider)} times as much as under this noise model; "
         "the intervals are widened accordingly, with Student's law"
+        for sensor, of in misfit.items()
+        if of.wider != 1.0
     ]
-
-
-def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
-    """Notes on gravity, and on errors of gyros that the Earth's rate does not determine."""
-    notes = []
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
         notes.append("normal gravity; its anomaly, 35 mGal (1σ), is part of the scale factors' intervals")
     gyros = [r for r in results if r.axis.sensor == "gyro"]
@@ -289,7 +271,8 @@ def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
         return notes
     rate = convert(EARTH_RATE, "rad/s", "deg/h")
     notes.append("gyros: sensitivity to gravity would appear as scale factor and misalignment")
-    aligned = [r.axis.name for r in gyros if _as_if_aligned(r)]
+    known = {r.axis.name: {x for x, c in r.coefficients.items() if math.isfinite(c.value)} for r in gyros}
+    aligned = [name for name, labels in known.items() if labels - {"bias"} == {"scale_factor"}]
     if aligned:
         notes.append(
             f"{', '.join(aligned)}: taken as aligned, since the positions do not determine misalignments; "
@@ -304,9 +287,3 @@ def _remarks(results: Sequence[AxisCalibration], world: World) -> list[str]:
             "values need a rate table"
         )
     return notes
-
-
-def _as_if_aligned(result: AxisCalibration) -> bool:
-    """Whether an axis has a scale factor and none of its misalignments is determined."""
-    known = {label for label, c in result.coefficients.items() if math.isfinite(c.value)}
-    return known - {"bias"} == {"scale_factor"}

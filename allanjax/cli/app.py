@@ -5,15 +5,15 @@ import os
 import re
 import sys
 import warnings
-from importlib import import_module
 from typing import Annotated
 
 import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli.common import epilog
+from allanjax.cli import calibrate, convert, fleet, recordings, results, simulate  # noqa: F401
 from allanjax.cli.interrupt import end_on_interrupt
+from allanjax.cli.options import COMMANDS, epilog
 
 app = typer.Typer(
     name="allanjax",
@@ -66,10 +66,13 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
         print(f"warning: {message}", file=sys.stderr)
 
 
-# In the order of `allanjax --help`. The module of each command has its help, examples and function.
-_COMMANDS = "check characterize critique fleet export horizon navigate statespace kalman calibrate"
-for _name in f"{_COMMANDS} simulate convert schema demo".split():
-    _module = import_module(f"allanjax.cli.{_name}")
+# In the order of `allanjax --help`.
+_ORDER = (
+    "check characterize critique fleet export horizon navigate statespace kalman calibrate simulate convert"
+)
+for _name in f"{_ORDER} schema demo".split():
+    _command, _epilog = COMMANDS[_name]
+    _help = " ".join((_command.__doc__ or "").split())
     # In the list of commands: the first sentence, without its enumeration.
-    _short = re.split("[.:] ", _module.HELP)[0].removesuffix(".")
-    app.command(_name, help=_module.HELP, short_help=_short, epilog=_module.EPILOG)(_module.command)
+    _short = re.split("[.:] ", _help)[0].removesuffix(".")
+    app.command(_name, help=_help, short_help=_short, epilog=_epilog)(_command)

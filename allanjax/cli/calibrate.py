@@ -1,6 +1,5 @@
 """The command `allanjax calibrate`."""
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,26 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, epilog, prepare, print_result, saved_fit, stage, user_errors
-from allanjax.cli.options import with_options
+from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
+from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
     from allanjax.calibration.result import Calibration
     from allanjax.record.recording import Recording
-
-HELP = (
-    "Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a "
-    "six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow "
-    "from the noise model and include drift between the positions. Writes calibration.json and "
-    "calibration.png."
-)
-EPILOG = epilog(
-    "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
-    "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
-    "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
-)
-
 
 Recordings = Annotated[
     list[str] | None,
@@ -60,8 +46,12 @@ FittedNoise = Annotated[
 ]
 
 
-@with_options
-def command(
+@command(
+    "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
+    "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
+    "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
+)
+def calibrate(
     reading: ReadOptions,
     files: Recordings = None,
     position: Positions = None,
@@ -84,15 +74,24 @@ def command(
         bool, typer.Option("--as-is", help="Use the whole recordings, including disturbed parts.")
     ] = False,
     out: Out = None,
+    figure_format: FigureFormat = "png",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
 ) -> None:
+    """Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a
+    six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow
+    from the noise model and include drift between the positions. Writes calibration.json and
+    calibration.png.
+    """
     directory = out if as_json else out or RESULTS
     prepare(directory)
-    from allanjax.calibration.static_positions import calibrate
+    from allanjax.calibration.static_positions import calibrate, world_of
 
     with user_errors():
+        named = [*((None, file) for file in files or ()), *map(_split, position or ())]
+        if not named:
+            raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
+        world_of(latitude, height, gravity)
         with stage("reading"):
-            named = [*((None, file) for file in files or ()), *map(_split, position or ())]
             recordings, orientations = _read(named, reading)
             noise = None if fit is None else saved_fit(fit)
         with stage("calibrating (without --fit the noise is fitted first)"):
@@ -108,27 +107,26 @@ def command(
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
             )
-        print_result(result, as_json, () if directory is None else _write(result, directory))
+        print_result(result, as_json, () if directory is None else _write(result, directory, figure_format))
 
 
 def _read(
     named: Sequence[tuple[str | None, str]], reading: ReadOptions
 ) -> tuple[list["Recording"], list[str] | None]:
     """Recordings, and their orientations if a --position gives one."""
-    if not named:
-        raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
     recordings = [read_recording(Path(file), reading, file) for _, file in named]
     if all(orientation is None for orientation, _ in named):
         return recordings, None
     return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
 
 
-def _write(result: "Calibration", directory: Path) -> list[Path]:
-    """Write calibration.json and calibration.png, and return their paths."""
+def _write(result: "Calibration", directory: Path, figure_format: str) -> list[Path]:
+    """Write calibration.json and the figure beside it, and return their paths."""
+    from allanjax.report.files import write_document
+
     directory.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(result.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
-    paths = [directory / f"calibration.{kind}" for kind in ("json", "png")]
-    paths[0].write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+    paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
+    write_document(result.to_dict(), paths[0])
     result.plot(path=paths[1])
     return paths
 

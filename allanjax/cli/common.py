@@ -20,7 +20,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
-from allanjax.cli.interrupt import INTERRUPTED, TEMPORARY
+from allanjax.cli.interrupt import TEMPORARY
 from allanjax.record.io import ReadOptions, read_recording
 
 if TYPE_CHECKING:
@@ -49,15 +49,6 @@ Vibrating = Annotated[
     bool,
     typer.Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
 ]
-
-
-def epilog(*examples: str) -> str:
-    """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
-    codes = (
-        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
-        f"{INTERRUPTED} interrupted."
-    )
-    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 class Input(NamedTuple):
@@ -263,9 +254,10 @@ def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> No
 
 
 def print_written(paths: Sequence[Path], as_json: bool = False) -> None:
-    """Print which files were written: on stderr if stdout has JSON."""
-    if paths:
-        print(f"wrote {', '.join(map(str, paths))}", file=sys.stderr if as_json else sys.stdout)
+    """Print which files were written, and to which folder: on stderr if stdout has JSON."""
+    for folder in dict.fromkeys(path.parent for path in paths):
+        names = ", ".join(path.name for path in paths if path.parent == folder)
+        print(f"wrote to {folder}: {names}", file=sys.stderr if as_json else sys.stdout)
 
 
 def print_error(message: str) -> None:
@@ -291,9 +283,11 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
 
 def result_names(files: Sequence[Path]) -> list[str]:
     """Names for the results of each file: the file's without suffix, numbered if several files share it."""
+    from allanjax.record.io.formats import name_of
+
     names: list[str] = []
     for file in files:
-        stem = file.name.removesuffix(".gz").rsplit(".", 1)[0] or file.name
+        stem = name_of(file)
         # Some file systems ignore case.
         taken = {name.casefold() for name in names}
         numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))

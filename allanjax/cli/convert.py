@@ -5,23 +5,18 @@ from typing import Annotated, Literal
 
 import typer
 
-from allanjax.cli.common import epilog, print_result, user_errors
+from allanjax.cli.common import print_result, user_errors
+from allanjax.cli.options import command
 
-HELP = (
-    "Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write "
-    "roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results "
-    "are printed."
-)
-EPILOG = epilog(
+
+@command(
     "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
     "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
     "allanjax convert --sheet BMI088",
     "allanjax convert --sheet my-sensor.toml",
     "allanjax convert --list",
 )
-
-
-def command(
+def convert(
     value: Annotated[float | None, typer.Argument(help="The number.", metavar="VALUE")] = None,
     unit: Annotated[str | None, typer.Argument(help="Its unit.", metavar="UNIT")] = None,
     to: Annotated[str | None, typer.Option(help="Unit to convert to.")] = None,
@@ -40,6 +35,10 @@ def command(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; needs --sheet.")] = False,
 ) -> None:
+    """Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write
+    roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results
+    are printed.
+    """
     if show_list:
         from allanjax.noise.datasheet import known_sheets
 
@@ -56,7 +55,7 @@ def command(
         print_result(values, as_json)
         return
     if unit is None or to is None or as_json:
-        raise typer.BadParameter("give VALUE UNIT --to UNIT")
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
     with user_errors():
         for line in _converted(float(value or 0.0), unit, to, sided):
             print(line)

@@ -10,7 +10,6 @@ import typer
 
 from allanjax.cli.common import (
     RESULTS,
-    epilog,
     exit_if_failed,
     prepare,
     print_error,
@@ -18,32 +17,22 @@ from allanjax.cli.common import (
     stage,
     user_errors,
 )
-from allanjax.cli.options import with_options
+from allanjax.cli.options import FigureFormat, command
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
     from allanjax.fleet.fleet import Progress
 
-HELP = (
-    "Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and "
-    "writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each "
-    "coefficient over the fleet, outlying units marked), errors.csv, notes.txt (read it before the table), "
-    "and recordings/NAME.json as soon as each recording is fitted. If one file fails, the others are still "
-    "processed. A later run with the same --out only fits recordings without a result; the table covers only "
-    "the files given."
-)
-EPILOG = epilog(
+_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
+
+
+@command(
     "allanjax fleet 'logs/*.parquet' --out results",
     r"allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'",
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
-
-_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
-
-
-@with_options
-def command(
+def fleet(
     patterns: Annotated[
         list[str],
         typer.Argument(
@@ -62,6 +51,7 @@ def command(
     out: Annotated[
         Path, typer.Option(help="Folder for the results; a later run continues from it.")
     ] = RESULTS,
+    figure_format: FigureFormat = "png",
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
@@ -73,6 +63,13 @@ def command(
         typer.Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
     ] = None,
 ) -> None:
+    """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
+    writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each
+    coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and outlying units;
+    read it first), and recordings/NAME.json as soon as each recording is fitted. If one file fails, the
+    others are still processed. A later run with the same --out only fits recordings without a result; the
+    table covers only the files given.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
@@ -85,9 +82,11 @@ def command(
             scheduler=scheduler,
             piece=piece,
             progress=progress,
+            figure_format=figure_format,
             **options.arguments(),
         )
-    print_result(result, as_json=False, written=[out / name for name in _WRITTEN])
+    written = ("fleet.parquet", f"fleet.{figure_format}", "errors.csv", "notes.txt")
+    print_result(result, as_json=False, written=[out / name for name in written])
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

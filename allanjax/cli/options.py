@@ -1,6 +1,6 @@
-"""Options shared by commands, each declared once, so that no command can forget to pass one on.
+"""Commands and the options that they share, each declared once, so that no command can forget to pass one on.
 
-`@with_options` replaces a command's parameter `reading` by the options of `ReadOptions`, and its parameter
+`@command` replaces a command's parameter `reading` by the options of `ReadOptions`, and its parameter
 `options` by those of `FitOptions`, which include the former.
 """
 
@@ -14,6 +14,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Vibrating
+from allanjax.cli.interrupt import INTERRUPTED
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io.options import ReadOptions
 
@@ -21,21 +22,44 @@ if TYPE_CHECKING:
     from allanjax.noise.model import Model
     from allanjax.record.units import Sensor
 
+#: Format of the figures that a command writes into a folder.
+FigureFormat = Annotated[
+    Literal["png", "svg", "pdf"], typer.Option("--format", help="Format and suffix of the figures.")
+]
+
 # Types of the reading options that are numbers; the others are text.
 _NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 
 
-def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Decorator of a command that replaces its parameters `reading` and `options` by options."""
-    expanded = list(_expanded(command))
+#: Functions of the commands and the ends of their help, by name.
+COMMANDS: dict[str, tuple[Callable[..., None], str | None]] = {}
 
-    @functools.wraps(command)
-    def called(**values: Any) -> None:
-        _call(command, values)
 
-    called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
-    called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}
-    return called
+def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that makes a function a command of its name, with its docstring and examples as help."""
+
+    def registered(function: Callable[..., None]) -> Callable[..., None]:
+        expanded = list(_expanded(function))
+
+        @functools.wraps(function)
+        def called(**values: Any) -> None:
+            _call(function, values)
+
+        called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
+        called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}
+        COMMANDS[function.__name__] = called, epilog(*examples) if examples else None
+        return function
+
+    return registered
+
+
+def epilog(*examples: str) -> str:
+    """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
+    codes = (
+        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
+        f"{INTERRUPTED} interrupted."
+    )
+    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
@@ -62,7 +86,7 @@ def _read_options(**values: Any) -> ReadOptions:
     try:
         return ReadOptions(**values)
     except AllanjaxError as error:
-        raise typer.BadParameter(str(error), param_hint="--start, --stop, --gaps") from error
+        raise typer.BadParameter(str(error)) from error
 
 
 _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -1,16 +1,35 @@
-"""The command `allanjax simulate`."""
+"""The commands `allanjax simulate` and `demo`."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from allanjax.cli.common import Sheet, epilog, prepare, stage, user_errors
-from allanjax.cli.options import parsed_model
+from allanjax.cli.common import Input, Sheet, prepare, print_written, stage, user_errors
+from allanjax.cli.options import command, parsed_model
+from allanjax.cli.recordings import read_and_fit
+from allanjax.fleet.options import FitOptions
 
-HELP = "Simulate a static recording of a known sensor or of given noise terms, and write it to a file."
-EPILOG = epilog(
+if TYPE_CHECKING:
+    from allanjax.estimate.result import Fit
+    from allanjax.noise.model import Model
+
+_SEED = 952
+# Terms of the order of a good MEMS unit, each visible in 25 minutes, so that a fit can find it.
+_TRUTH = {
+    "gyro_x": "Q=0.6 arcsec + N=0.20 deg/√h + B=6 deg/h",
+    "gyro_y": "Q=0.5 arcsec + N=0.25 deg/√h + B=8 deg/h",
+    "gyro_z": "Q=0.7 arcsec + N=0.15 deg/√h + B=5 deg/h",
+    "accel_x": "N=0.05 m/s/√h + K=40 m/s/h/√h",
+    "accel_y": "N=0.06 m/s/√h + K=50 m/s/h/√h",
+    "accel_z": "N=0.08 m/s/√h + K=60 m/s/h/√h",
+}
+
+
+@command(
     "allanjax simulate --list",
     "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
     "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
@@ -18,9 +37,7 @@ EPILOG = epilog(
     "allanjax simulate --sensor accel --out a.npz "
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
-
-
-def command(
+def simulate(
     preset: Annotated[str | None, typer.Argument(help="Sensor listed by --list.", metavar="SENSOR")] = None,
     terms: Annotated[
         str | None,
@@ -42,7 +59,8 @@ def command(
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
 ) -> None:
-    from allanjax.noise.sensors import SENSORS
+    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file."""
+    from allanjax.noise.simulate import SENSORS
 
     if show_list:
         for known in SENSORS.values():
@@ -79,3 +97,63 @@ def command(
             write(recording, path)
             size = f"{recording.n:,} samples at {recording.rate:g} Hz"
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
+
+
+@command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
+        "allanjax-demo"
+    ),
+) -> None:
+    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."""
+    prepare(out)
+    with stage("loading allanjax"):
+        from allanjax.base.earth import STANDARD_GRAVITY
+        from allanjax.noise.notation import parse_model
+        from allanjax.noise.simulate import simulate_recording
+        from allanjax.record.io import write
+        from allanjax.report.files import write_results
+    with user_errors():
+        out.mkdir(parents=True, exist_ok=True)
+        file = out / "demo.csv"
+        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+            models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
+            gravity = {"accel_z": STANDARD_GRAVITY}
+            recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
+            write(recording, file)
+        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+        check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+        with stage("writing results"):
+            paths = write_results(fit, spectrum.result(), out, file.stem, check)
+    table, inside, count = _compare(fit, models)
+    print(table)
+    print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
+    print_written(paths)
+    print("\nFor your own recording:\n    allanjax characterize imu.csv")
+    print("If it has no time stamps and no units in its header:")
+    print("    allanjax characterize imu.csv --rate 100 --gyro-unit deg/s --accel-unit m/s^2")
+
+
+def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
+    """Comparison of the coefficients of a fit with those of the true models.
+
+    Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or upper
+    limits of terms that are not detected, contain the true value; and how many there are.
+    """
+    from allanjax.base.tables import as_text, columns_from
+    from allanjax.base.wording import plain
+
+    rows, inside = [], 0
+    for result in fit.results:
+        for c in result.coefficients.values() if result.converged else ():
+            truth = models[result.axis.name].values.get(c.label) or 0.0
+            limit = None if c.detected else c.upper_limit
+            lower, upper = c.interval if limit is None else (0.0, limit)
+            holds = lower <= truth <= upper
+            inside += holds
+            shown = c.in_unit()
+            value = replace(c, value=truth).in_unit().value
+            true = f"{plain(value, 4)} {shown.unit}" if truth else "none"
+            rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
+    headings = ("axis", "coefficient", "estimate", "true", "95 %")
+    return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)

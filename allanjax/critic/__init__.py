@@ -13,12 +13,12 @@ from typing import Any
 
 from allanjax.base.late import LateNames
 
-# What is public, and where it comes from, is listed in `__init__.pyi`.
+# `__init__.pyi` lists the public names and where they come from.
 _PUBLIC = LateNames(__name__, Path(__file__).with_suffix(".pyi"))
 
 
 def __getattr__(name: str) -> Any:
-    """What has this public name, loaded when it is asked for."""
+    """The object with this public name, loaded on first use."""
     return _PUBLIC.load(name)
 
 

@@ -1,9 +1,8 @@
 """Banks of shapes for matched filters, and the trials factor of searching through them.
 
 In the whitened record an effect a·h in noise of covariance C has the signal-to-noise ratio
-a·√(h'C⁻¹h), and no detector does better than its matched filter. The largest output of a bank of filters has
-a law of its own: it is simulated, and continued beyond the simulated range as that of N independent
-filters with an N that may grow with the level.
+a·√(h'C⁻¹h), and no detector does better than its matched filter. The law of the largest output of a bank is
+simulated; beyond the simulated range it is that of N independent filters, where N may grow with the level.
 """
 
 from __future__ import annotations
@@ -41,7 +40,8 @@ FINEST = 8 * SLOW
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """Outputs of a bank's matched filters: of each shape snr with its sign, amplitude and its std."""
+    """Outputs of a bank's matched filters: for each shape the signed snr, the amplitude and its standard
+    deviation."""
 
     snr: Float[np.ndarray, " shapes"]
     amplitude: Float[np.ndarray, " shapes"]
@@ -68,7 +68,7 @@ def log_occam_factor(snr: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:
 class Matched:
     """Whitened shapes and record, after projecting out the nuisance directions (ramp, other accepted shapes).
 
-    No copy of all shapes is made: that would cost more than the sums over them.
+    The shapes are not copied, which would cost more than the sums over them.
 
     Attributes:
         shapes: cosine coefficients, one row per shape.
@@ -90,10 +90,10 @@ class Matched:
         return self.shapes @ (z / self.root) - self.common @ (z @ self.nuisances)
 
     def rows(self, some: slice | Int[np.ndarray, " some"] = slice(None)) -> Float[np.ndarray, "some slow"]:
-        """Some of the shapes, whitened and projected."""
+        """Selected shapes, whitened and projected."""
         rows = self.shapes[some] / self.root
         for k, q in enumerate(self.nuisances.T):
-            # In place: another array of this size would cost more than the product.
+            # In place, as another array of this size would cost more than the product.
             rows = dger(-1.0, q, self.common[some, k], a=rows.T, overwrite_a=True).T
         return rows
 
@@ -110,7 +110,7 @@ class Bank:
         return self.shapes**2
 
     def matched(self, view: View, noise: Noise) -> Matched:
-        """Matched filters in this noise; its ramp and the shapes in `view.nuisances` are projected out."""
+        """Matched filters in this noise, whose ramp and the shapes in `view.nuisances` are projected out."""
         J = self.shapes.shape[1]
         v = view.lowest(noise, J)
         root = np.sqrt(v)
@@ -131,7 +131,7 @@ class Bank:
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
-        """Gain in log-likelihood on held-out data by the effect that `after` lacks [nats].
+        """Gain in log-likelihood on held-out data by the effect that is missing in `after` [nats].
 
         The whole bank is searched without the held-out part, in the noise of the view or of `after`.
         """
@@ -151,12 +151,12 @@ class Bank:
         return view.held_out_gain(after, 0.5 * float(whole.max()), gain)
 
     def p_value(self, view: View, noise: Noise, snr: float | None = None) -> float:
-        """Probability that noise alone has an output as large as `snr`, by default the view's largest."""
+        """Probability of an output as large as `snr` in noise alone, by default the view's largest."""
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
         matched = self.matched(view, noise)
-        # Seven digits are plenty for draws, and half the work. Each record has draws of its own: with the
-        # same for all, their p-values would all be wrong alike.
+        # Seven digits suffice for draws, at half the work. Each record has its own draws; shared draws would
+        # give all p-values the same error.
         rng = np.random.default_rng(seed_of(view.coefficients[:SLOW]))
         draws = rng.standard_normal((len(matched.whitened), _DRAWS), np.float32)
         outputs = matched.rows().astype(np.float32) @ draws
@@ -166,8 +166,8 @@ class Bank:
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
     """Random partition of n samples into `PARTS`, each of blocks from the whole record.
 
-    A part is predicted by what the others show. With eight parts these are seven eighths of the data; with
-    halves an effect would have to be twice as strong to be found at all.
+    Each part is predicted from the others. With eight parts these are seven eighths of the data; with halves
+    an effect would have to be twice as strong to be detected.
     """
     owner = np.random.default_rng(1).permutation(np.arange(-(-n // block)) % PARTS)
     owner = np.repeat(owner, block)[:n]
@@ -187,13 +187,13 @@ def extrapolated(largest: Float[np.ndarray, " draws"], value: float) -> float:
     upper = slice(len(u) // 2, None)
     log_count = np.log(-np.log(below[upper])) - np.log(2.0) - norm.logsf(u[upper])
     slope, level = np.polyfit(u[upper], log_count, 1, w=np.sqrt(1.0 - below[upper]))
-    # Far out the number of independent filters grows no faster than a rough process's, like u².
+    # Far out the number of independent filters grows no faster than u², as for a rough process.
     growth = float(np.clip(slope, 0.0, _GROWTH)) * (min(value, anchor + 3.0) - anchor)
     return float(-np.expm1(-np.exp(level + slope * anchor + growth + np.log(2.0) + log_ndtr(-value))))
 
 
 def any_of(p: float, count: float) -> float:
-    """Probability of a p-value as small as p in any of `count` independent tests (Šidák 1967)."""
+    """Probability of a p-value below p in any of `count` independent tests (Šidák 1967)."""
     return float(-np.expm1(count * np.log1p(-min(p, 1.0 - 1e-16))))
 
 

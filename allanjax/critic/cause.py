@@ -18,8 +18,8 @@ class Cause(ABC):
     name: str
     #: Whether it is visible directly in the samples and must be undone before the search for others.
     is_preprocessing: ClassVar[bool] = False
-    #: Whether it is refitted when later findings change what it was conditional on: "at once", if its misfit
-    #: would be mistaken for other effects, or "at last".
+    #: When it is refitted if later findings change its conditions: "at once", if its misfit would be mistaken
+    #: for other effects, or "at last".
     refit: ClassVar[Literal["", "at once", "at last"]] = ""
 
     def __repr__(self) -> str:
@@ -34,7 +34,7 @@ class Cause(ABC):
         return self.detect(view)
 
     def at(self, places: Sequence[Place]) -> Cause | None:
-        """The cause that searches only at places known from other axes; None if there is no such search."""
+        """This cause, searching only at places known from other axes; None if it has no such search."""
         return None
 
     def p_value(self, view: View) -> float | None:

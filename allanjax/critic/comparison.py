@@ -1,12 +1,12 @@
 """Whitened residuals of a record, and the law of Allan deviations in its simulations.
 
-A simulation draws cosine coefficients c_j ~ N(0, v_j), the levels v themselves being known only as well as
-the record shows them. The Allan variance of the record continued by its mirror image at both ends, known as
-the total variance (Greenhall, Howe & Percival 1999, IEEE Trans. UFFC 46:1183), is diagonal in them:
+A simulation draws cosine coefficients c_j ~ N(0, v_j), where the levels v themselves are known only as well
+as the record determines them. The Allan variance of the record continued by its mirror image at both ends,
+known as the total variance (Greenhall, Howe & Percival 1999, IEEE Trans. UFFC 46:1183), is diagonal in them:
 
     σ²(m) = (1/n) Σ_j c_j² w_j(m),    w_j(m) = 2 sin⁴(m a_j/2)/(m² sin²(a_j/2)),    a_j = πj/n.
 
-So the scatter of simulations needs no simulating: it is that of a weighted sum of χ² variates.
+So the scatter of simulations follows without simulating: it is that of a weighted sum of χ² variates.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from allanjax.noise.terms import Markov, PowerLaw
 from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
-# Most coefficients whose weights are in memory at once.
+# Largest number of coefficients whose weights are in memory at once.
 _CHUNK = 1 << 16
 # Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
 _FAST = 40.0
-# Phase [rad] over which a weight is taken to be constant.
+# Phase [rad] over which a weight is taken as constant.
 _TURN = 0.04
-# Relative precision of such sums: the variance that fitted levels leave is no smaller.
+# Relative precision of such sums: the variance that remains after fitting the levels is not smaller.
 _ROUNDING = 1e-3
-# Bins of a spectrum and cluster times of a curve in an octave.
+# Bins of a spectrum and cluster times of a curve per octave.
 _PER_OCTAVE = 6
 _CURVE_PER_OCTAVE = 4
 
@@ -59,7 +59,7 @@ class StageResiduals:
 
     @functools.cached_property
     def samples(self) -> Float[np.ndarray, " n"]:
-        """Samples less the findings and the model's ramp, which simulations lack, too [SI]."""
+        """Samples less the findings and the model's ramp, as in simulations [SI]."""
         x, ramp = self.stage.x, self.stage.ramp
         if ramp and np.isfinite(ramp):
             x = x - ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / self.rate
@@ -92,7 +92,7 @@ class StageResiduals:
         ]
 
     def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
-        """Share of each noise term in some of the expected squares; no rows where the terms are not known.
+        """Share of each noise term in some of the expected squares; no rows if the terms are unknown.
 
         The shares of all coefficients at all stages would take gigabytes.
         """
@@ -110,8 +110,7 @@ class StageResiduals:
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
         """Covariance of the relative errors of the terms' powers.
 
-        The inverse of the Fisher information, to which 1 is added: no power is taken to be uncertain by more
-        than itself.
+        The inverse of the Fisher information plus 1, so that no power is more uncertain than 100 %.
         """
         return np.linalg.inv(self.level_information + np.eye(len(self.stage.powers)))
 
@@ -122,7 +121,7 @@ class StageResiduals:
         return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
 
     def forget(self) -> None:
-        """Let go of what can be computed anew and is as long as the record, but for what others ask for."""
+        """Drop arrays as long as the record that can be recomputed, except those that are needed outside."""
         for name in ("samples", "coefficients", "whitened", "_spectra"):
             vars(self).pop(name, None)
 
@@ -139,9 +138,9 @@ class AllanLaw:
     Attributes:
         time: cluster times [s].
         measured, mean: Allan variances of the record, and the mean of the simulations' [rate²].
-        covariance: covariance of the simulated variances over their means, errors of the levels included.
-        fitted: covariance of the measured variances over the means if the model is right: its levels were
-            fitted to the same record.
+        covariance: covariance of the simulated variances over their means, including errors of the levels.
+        fitted: covariance of the measured variances over the means if the model is right, given that its
+            levels were fitted to the same record.
     """
 
     time: Float[np.ndarray, " m"]
@@ -151,7 +150,7 @@ class AllanLaw:
     fitted: Float[np.ndarray, "m m"]
 
     def at(self, some: slice) -> AllanLaw:
-        """Law at some of the cluster times."""
+        """Law at selected cluster times."""
         both = some, some
         return AllanLaw(
             self.time[some], self.measured[some], self.mean[some], self.covariance[both], self.fitted[both]
@@ -182,7 +181,7 @@ def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) 
         terms = len(record.stage.powers)
         sums.append((np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms))))
     for part in _chunks(n - 1):
-        # Of neighbours between which no weight turns by more than a small angle, only the sum counts.
+        # Neighbours between which no weight changes phase by more than a small angle count only by their sum.
         edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
         last = np.append(edges[1:], part.stop - part.start)
         a = np.pi * (part.start + 0.5 * (edges + last + 1)) / (2.0 * n)
@@ -217,8 +216,8 @@ def _law(
     slope = slope / mean[:, None]
     known = 2.0 * square / np.outer(mean, mean)
     L = record.level_covariance
-    # The errors of the levels, L·score, go with the record: their covariance with it is slope·L, and that of
-    # the score is its Fisher information.
+    # The errors of the levels, L·score, are correlated with the record: their covariance with it is slope·L,
+    # and that of the score is its Fisher information.
     followed = 2.0 * L - L @ record.level_information @ L
     return AllanLaw(
         sizes / record.rate,
@@ -230,7 +229,7 @@ def _law(
 
 
 def _chunks(size: int) -> Iterator[slice]:
-    """Slices of an array that double in length: the lowest coefficients differ most."""
+    """Slices of an array that double in length, as the lowest coefficients differ most."""
     first, length = 0, 1024
     while first < size:
         yield slice(first, min(first + length, size))
@@ -242,7 +241,7 @@ def octave_bins(n: int) -> Int[np.ndarray, " bins+1"]:
     edges = [1]
     while (last := edges[-1]) < n:
         edges.append(last + max(1, int(last * (2.0 ** (1.0 / _PER_OCTAVE) - 1.0))))
-    # What is left over at the end belongs to the last whole bin.
+    # The rest at the end belongs to the last whole bin.
     return np.append(edges[:-2], n)
 
 

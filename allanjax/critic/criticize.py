@@ -44,15 +44,15 @@ from allanjax.record.recording import Axis, DeadAxis, Recording
 
 _T = TypeVar("_T")
 
-# Statistics that compare with other channels: what they show has its cause in these.
+# Statistics that compare with other channels, in which the cause of any discrepancy lies.
 _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
-# Statistics of the samples' distribution: imputed samples are drawn, by a simple rule, and show it.
+# Statistics of the samples' distribution, which reveal that imputed samples are drawn by a simple rule.
 _OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
-# Fewest samples of a record that is criticized: a judgement.
+# Fewest samples for a critique: a judgement.
 _SHORTEST = 1024
-# Axes that are worked on at a time: each takes some twenty times the memory of its samples.
+# Number of axes processed at a time: each takes some twenty times the memory of its samples.
 _WORKERS = 2
 
 
@@ -64,7 +64,7 @@ def criticize(
     vibrating: bool,
     tell: Callable[[str], None],
 ) -> Critique:
-    """Critique of a recording, given what `critique` takes."""
+    """Critique of a recording; the arguments are those of `critique`."""
     recording, seen = _undisturbed(recording, vibrating)
     _check(recording, given, false_alarms)
     per_axis = false_alarms / len(recording.axes)
@@ -106,7 +106,7 @@ def criticize(
             )
         ]
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
-        # An effect may be why there is no fit.
+        # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
@@ -118,7 +118,7 @@ def criticize(
     unfitted = [r for r in fit.results if not r.converged]
     notes = [*fit.notes]
     notes += [
-        f"{r.axis.name}: the fit failed ({r.reason}); the baseline has the most probable terms"
+        f"{r.axis.name}: the fit failed ({r.reason}); critique starts from the most probable terms instead"
         for r in unfitted
     ]
     notes += [note for s in searches for note in s.notes]
@@ -129,7 +129,7 @@ def criticize(
 def _guarded(
     work: Callable[[int], _T], axes: Sequence[Axis], failed: dict[str, DeadAxis]
 ) -> Callable[[int], _T | None]:
-    """The work on an axis by its number; None, and a reason in `failed`, where it has failed."""
+    """The work on an axis by its number; if it fails, None and a reason in `failed`."""
 
     def attempt(k: int) -> _T | None:
         if axes[k].name in failed:
@@ -154,7 +154,7 @@ def _guarded(
 
 
 def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
-    """The recording without axes whose critique has failed; a FitError if nothing is left."""
+    """The recording without axes whose critique failed; FitError if no axis is left."""
     left = [name for name in recording.names if name not in failed]
     if not left:
         reasons = "; ".join(f"{name}: {axis.reason}" for name, axis in failed.items())
@@ -163,16 +163,13 @@ def _left(recording: Recording, failed: Mapping[str, DeadAxis]) -> Recording:
 
 
 def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Inspection]:
-    """The recording without what disturbs its beginning and end, and the facts about it.
-
-    What happens between is for the critique to name.
-    """
+    """The recording without disturbances at its ends (findings are in between), and the facts about it."""
     seen = inspect(recording, vibrating=vibrating, may_move=True)
     facts = [fact for fact in seen.facts if fact.kind not in ("disturbances", "spikes")]
     whole = 0.0, recording.duration
     start, stop = (seen.parts[0][0], seen.parts[-1][1]) if seen.parts else whole
     if (start, stop) != whole:
-        text = f"{seen.left_out}: the critique uses {plain(start)} to {plain(stop)} s only"
+        text = f"{seen.left_out}: the critique uses only {plain(start)} to {plain(stop)} s"
         facts.append(Fact("disturbances", text, recording.names, spans=((start, stop),)))
         recording = recording.between(start, stop)
     elif seen.refusal:
@@ -190,10 +187,10 @@ def _searches(
     tell: Callable[[str], None],
     failed: dict[str, DeadAxis],
 ) -> tuple[list[Search], Fit]:
-    """Searches in all axes but those that `failed`, and the fit that the critique begins with."""
+    """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
 
     def searched(k: int) -> Draft:
-        """Search in one axis, from the model that was given."""
+        """Search in one axis, starting from the given model."""
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         drawn = None if recording.missing is None else recording.missing[:, k]
@@ -201,42 +198,43 @@ def _searches(
         return search(view, causes, false_alarms, tell)
 
     def concluding(k: int) -> Search:
-        """Search in an axis, at the places where others have something, too."""
+        """Search in an axis, also at the places of findings in other axes."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [again for cause in causes if (again := cause.at(others)) is not None]
         draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
         return dataclasses.replace(concluded(draft, causes), others=further or None)
 
-    # The work is in transforms and compiled functions, which run in parallel. Where the terms are chosen the
-    # search needs no fit: it is for the report.
+    # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
+    # the search needs no fit: the fit is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
         found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
         drafts = {k: draft for k, draft in enumerate(found) if draft is not None}
         places = {k: places_in(draft.end, (s.candidate for s in draft.steps)) for k, draft in drafts.items()}
         searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
-    # It looks for filters, resonances and lines itself.
+    # The critique searches for filters, resonances and lines itself.
     return [s for s in searches if s is not None], fitting.result().without_extensions()
 
 
 def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None:
-    """Raise AllanjaxError or FitError if this cannot be criticized."""
+    """Raise AllanjaxError or FitError if a critique is not possible."""
     label = recording.name or "the recording"
     if not 0.0 < false_alarms < 1.0:
         raise AllanjaxError(f"false_alarms must be between 0 and 1, not {false_alarms}")
     if recording.n < _SHORTEST:
         raise FitError(
-            f"{label}: {recording.n} samples are too few for a critique; record at least {_SHORTEST}"
+            f"{label}: {recording.n} samples are too few for a critique; record at least {_SHORTEST} samples"
         )
     if given is not None and given.axes != recording.names:
         raise AllanjaxError(
-            f"the fit has axes {', '.join(given.axes)}, but the recording has {', '.join(recording.names)}"
+            f"the fit has axes {', '.join(given.axes)}, the recording {', '.join(recording.names)}; "
+            "leave out fit"
         )
     if given is not None and given.template.response is not None:
         raise FitError(
             f"{label}: critique does not support models with a response ({given.template.response!r}); "
-            "call it without the fit, and it looks for a filter itself"
+            "leave out fit, and critique searches for a filter itself"
         )
     for result in given.results if given else ():
         if not result.converged:
@@ -244,19 +242,19 @@ def _check(recording: Recording, given: Fit | None, false_alarms: float) -> None
 
 
 def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None]) -> Fit:
-    """Fit of the Allan variances, or of the spectrum where that does not converge."""
+    """Fit of the Allan variances, or of the spectrum if that does not converge."""
     tell("fitting the noise model")
-    # What was done to the recording is what is looked for.
+    # Effects in the recording are the subject of the search.
     fit = fit_inspected(recording, seen, None, "allan", plain=True, as_is=True)
     if all(result.converged for result in fit.results):
         return fit
-    # Where an effect dwarfs the noise no model may fit the Allan variances; spectra are more patient.
+    # If an effect dwarfs the noise, the fit of Allan variances may fail; that of the spectrum is robust.
     return fit_inspected(recording, seen, None, "whittle", plain=True, as_is=True)
 
 
 def _stages(s: Search) -> tuple[Snapshot, ...]:
-    """Axis before the first finding and after each."""
-    # The last one is without all lines: of harmonics, which are one finding, some may have come late.
+    """The axis before the first finding and after each finding."""
+    # The last stage is without all lines, as some harmonics, which are one finding, may have come late.
     views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
     return tuple(_snapshot(view) for view in views)
 
@@ -277,7 +275,7 @@ def _compared(
 def _of_samples(
     step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
 ) -> list[tuple[Discrepancy, Discrepancy]]:
-    """Discrepancy of the samples themselves that a finding removes, before it and after it."""
+    """Discrepancy of the samples themselves that a finding removes, before and after it."""
     statistic = _IN_SAMPLES.get(step.candidate.cause)
     old, new = ({d.statistic: d for d in found} for found in (before, after))
     return [(old[statistic], new[statistic])] if statistic else []
@@ -306,7 +304,7 @@ def _finding(
 
 
 def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
-    """Finding of the most significant discrepancy that is left, if it is beyond doubt."""
+    """Finding for the most significant remaining discrepancy, if it is beyond doubt."""
     known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
     left = [d for d in after if d.p_value < judged("unexplained", "p_value") and d.statistic not in known]
     if not left:
@@ -317,7 +315,7 @@ def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> lis
         "measured": (worst.measured, worst.unit),
         "simulated": (worst.simulated, worst.unit),
     }
-    # Where a statistic has no place there is none.
+    # A statistic without places has none.
     parameters = {
         name: s.start.estimate(name, value, 0.0, unit) for name, (value, unit) in numbers.items() if unit
     }

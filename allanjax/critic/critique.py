@@ -55,16 +55,16 @@ def critique(
         AllanjaxError: `fit` has other axes; `false_alarms` is not between 0 and 1.
         FitError: the record has fewer than 1024 samples, or the fit of an axis failed.
     """
-    # What it needs takes half a second to load.
+    # Its imports take half a second.
     from threadpoolctl import threadpool_limits
 
     from allanjax.critic.causes import CAUSES
     from allanjax.critic.criticize import criticize
 
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
-    # Sooner than a fit would, so that it does not happen while axes are criticized.
+    # Earlier than in a fit, so that it does not happen while axes are processed.
     release_programs(0.5)
     causes, tell = CAUSES if causes is None else causes, progress or (lambda text: None)
-    # Axes are criticized in parallel, with one BLAS thread each: idle BLAS threads spin and take the cores.
+    # Axes are processed in parallel with one BLAS thread each, as idle BLAS threads spin and occupy cores.
     with threadpool_limits(limits=1, user_api="blas"):
         return criticize(recording, fit, causes, false_alarms, vibrating, tell)

@@ -1,7 +1,7 @@
 """The structure of a spectrum as a factor of the basic terms' spectrum, and records behind steep filters.
 
-Cosines see a record continued by its mirror image, which has kinks at its ends. In a filter's stop band the
-kinks may be all that is left.
+The cosine transform continues a record by its mirror image, which has kinks at the ends. In a stop band they
+may dominate.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from allanjax.estimate.structure.structure import (
 )
 from allanjax.noise.response import Response
 
-# Response below which the record's ends are modelled, and coefficients that a local mean is taken over.
+# Response below which the record's ends are modelled, and number of coefficients in a local mean.
 _DEEP, _LOCAL = 0.01, 401
 # Least share of the noise in the whole spectrum.
 _LEAST = 1e-12
-# Points of the response.
+# Number of points of the response.
 _POINTS = 4097
 
 
@@ -37,8 +37,8 @@ def spectrum_factor(
 ) -> Float[np.ndarray, " n-1"]:
     """Ratio of the whole spectrum to that of the slow terms, a power law and white noise before the response.
 
-    Where the record's ends exceed what the response passes it is the record's own (of these squared
-    coefficients), so that these coefficients carry no information.
+    Where the record's ends exceed the filtered noise, it follows the record's own squared coefficients, so
+    that these carry no information.
     """
     f, rate = family.frequency, family.rate
     inside, after = np.zeros(len(f)), np.zeros(len(f))
@@ -54,7 +54,7 @@ def spectrum_factor(
         part = inside if structure.inside[FULL.first_oscillator + k] else after
         part += rate * np.asarray(resonance_of(structure, int(k), rate).sampled(rate).sampled_psd(f, rate))
     after += structure.power[OUTSIDE] * rate
-    # Resonances may be all that there is.
+    # There may be resonances only.
     noise = np.maximum(noise, _LEAST * (inside + after))
     response = response_of(structure, rate)
     if response is None:
@@ -72,10 +72,7 @@ def spectrum_factor(
 def stop_band(
     structure: Structure, family: NoiseFamily, factor: Float[np.ndarray, " n-1"]
 ) -> tuple[Bool[np.ndarray, " n-1"], Float[np.ndarray, " n-1"]] | None:
-    """Where the kinks at a record's ends may matter, and the share of the spectrum that is not theirs.
-
-    None where they do not matter.
-    """
+    """Where the kinks at a record's ends matter, and the share of the spectrum without them; or None."""
     response = response_of(structure, family.rate)
     if response is None or not (factor < _DEEP).any():
         return None

@@ -1,4 +1,4 @@
-"""Findings: detected causes, what they change, and the discrepancies that they explain."""
+"""Findings: detected causes, their effects, and the discrepancies that they explain."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from allanjax.critic.parameters import Detail
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.units import Sensor
 
-#: Coefficients by whose change a finding's effect is measured, beside the drift and the Allan deviation.
+#: Coefficients whose change measures a finding's effect, beside the drift and the Allan deviation.
 MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
-# Parameters that are the size of an effect in an axis; the first that a finding has counts.
+# Parameters that may be the size of an effect in an axis; the first one of a finding counts.
 _SIZES = (
     *("amplitude", "coefficient", "peak", "scale", "step", "ratio", "bandwidth"),
     *("upper_level", "lower_level", "fraction"),
 )
 
-# What people call causes whose names do not say it.
+# Usual names of causes, if they differ from their identifiers.
 _TITLES = {
     "common_mode": "shared noise",
     "event": "outlier event",
@@ -30,6 +30,7 @@ _TITLES = {
     "markov": "Gauss-Markov process",
     "power_law": "power-law noise",
     "sinusoid": "spectral line",
+    "spectral_shape": "filters and resonances",
     "telegraph": "telegraph noise",
     "temperature": "temperature effect",
     "warm_up": "warm-up",
@@ -46,7 +47,7 @@ class Discrepancy(ByValue):
         where_unit: unit of the place, "s" or "Hz"; "" if the statistic has no place.
         measured, simulated: the statistic at that place, in `unit`; the simulated one is the median.
         unit: unit of these two.
-        p_value: probability under the model of a difference as large at any place.
+        p_value: probability under the model of a difference as large, at any place.
         channel: the other axis or channel of a correlation.
     """
 
@@ -92,7 +93,7 @@ class CoefficientChange(ByValue):
 class DriftChange(ByValue):
     """RMS drift over a `horizon` [s]: measured on held-out data, and predicted before and after a finding.
 
-    The drift is the integrated rate less the integral of the mean rate over the same length of time before.
+    The drift is the integrated rate, less the integral of the mean rate over an equally long time before.
     """
 
     horizon: float
@@ -103,13 +104,13 @@ class DriftChange(ByValue):
 
 
 class Effect(NamedTuple):
-    """The largest relative change that a finding makes in a quantity for which one simulates.
+    """The largest relative change by a finding in a quantity that simulations are used for.
 
     Attributes:
         size: the larger value over the smaller one, less 1; 1 if a term is added or removed.
         quantity: "angle_random_walk", "rate_random_walk", "drift" or "allan_deviation"; "sum" for shared
             noise, which changes the standard deviation of the sum of two axes; "" for none.
-        time: time of the drift, or cluster time of the Allan deviation [s]; else nan.
+        time: time of the drift, or cluster time of the Allan deviation [s]; otherwise nan.
     """
 
     size: float
@@ -165,20 +166,20 @@ class Finding(ByValue):
         return next((self.parameters[label] for label in _SIZES if label in self.parameters), None)
 
     def named(self, cause: str) -> str:
-        """Name of its own or of a rival's cause for people, e.g. "spectral line" for "sinusoid"."""
+        """Usual name of its own or a rival's cause, e.g. "spectral line" for "sinusoid"."""
         sensors = {e.axis.sensor for e in self.parameters.values()}
         return cause_title(cause, "accel" if sensors == {"accel"} else "gyro")
 
     @property
     def amplitudes(self) -> dict[str, Estimate]:
-        """Size of the effect in each axis, see `size`; empty for noise that axes share."""
+        """Size of the effect in each axis, see `size`; empty for shared noise."""
         if self.members:
             return dict(self.per_axis)
         return {self.axes[0]: self.size} if len(self.axes) == 1 and self.size is not None else {}
 
     @property
     def odds(self) -> float | None:
-        """Odds for it, e^evidence; None if it has no evidence."""
+        """Odds for the finding, e^evidence; None if it has no evidence."""
         return None if self.evidence is None else float(np.exp(min(self.evidence, 700.0)))
 
     @property
@@ -203,7 +204,7 @@ class Finding(ByValue):
             found.append(Effect(_change(self.drift.before, self.drift.after), "drift", self.drift.horizon))
         for before, after in self.discrepancies:
             if before.statistic == "allan_deviation":
-                # How much less wrong the simulation is: what is subtracted changes the measured one, too.
+                # Reduction of the simulation's error, as subtraction also changes the measured value.
                 mended = (1.0 + _off(before)) / (1.0 + _off(after)) - 1.0
                 found.append(Effect(max(mended, 0.0), "allan_deviation", before.where))
         if "correlation" in self.parameters and len(self.axes) > 1:
@@ -221,17 +222,17 @@ class Finding(ByValue):
 
 
 def cause_title(cause: str, sensor: Sensor) -> str:
-    """Name of a cause or a coefficient for people, e.g. "spectral line" for "sinusoid"."""
+    """Usual name of a cause or a coefficient, e.g. "spectral line" for "sinusoid"."""
     return _TITLES.get(cause) or title_of(cause, sensor)
 
 
 def _off(d: Discrepancy) -> float:
-    """How far a simulated statistic is off, as `Effect.size` measures it."""
+    """Error of a simulated statistic, in the measure of `Effect.size`."""
     return _change(d.measured, d.simulated)
 
 
 def _change(before: float, after: float) -> float:
-    """Factor between two values, less one: of one that comes or goes 1, of two that are not there 0."""
+    """Factor between two values, less one; 1 if one of them is missing, 0 if both are."""
     known = [value for value in (before, after) if np.isfinite(value) and value > 0.0]
     if len(known) < 2:
         return float(len(known))

@@ -28,9 +28,9 @@ _N = "angle_random_walk"
 
 
 def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
-    """Changes of every basic coefficient that the noise has before or after a finding."""
+    """Changes of every basic coefficient that is in the noise before or after a finding."""
     views = step.before, step.candidate.after
-    # What is in the spectrum is fitted jointly with the terms, what is in time is not.
+    # Spectral structure is fitted jointly with the terms, waveforms in time are not.
     jointly = views[0].structure is not views[1].structure
     before, after = (
         dict(v.noise.power) if v.structure is None or not jointly else _of_structure(v.structure, v.rate)
@@ -74,13 +74,13 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     """Drift predicted for one half of the record from the noise of the other, before and after each finding.
 
     The drift over a time T is the integral of the rate over T less that over the T before: its mean square is
-    2T² times the Allan variance. Given at the time where the finding changes the prediction most, both halves
-    taken together. An effect with a waveform of its own drifts as its waveform does.
+    2T² times the Allan variance. It is given at the time at which the finding changes the prediction most,
+    both halves taken together. An effect with a waveform drifts as the waveform does.
     """
     known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
 
     def predicted(view: View) -> Float[np.ndarray, "halves m"]:
-        # The view after one finding is that before the next, at least in its samples and its factor.
+        # The view after one finding is the view before the next, at least in its samples and its factor.
         key = id(view.samples), id(view.structure), tuple(view.allowed)
         if key not in known:
             known[key] = _predicted(view)
@@ -92,12 +92,12 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
 def _drift_change(
     step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
 ) -> DriftChange | None:
-    """Change of the predicted drift by one finding; None for a record that is too short."""
+    """Change of the predicted drift by one finding; None if the record is too short."""
     before, after = step.before, step.candidate.after
     T, m = _horizons(before)
     if len(T) == 0:
         return None
-    # What is in the spectrum alone has no path of its own.
+    # Purely spectral effects have no path.
     path = None if after.samples is before.samples else before.samples - after.samples
     rows = []
     for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
@@ -112,7 +112,7 @@ def _drift_change(
 
 
 def _horizons(view: View) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Times of the drift that a half of the record holds [s], and in samples."""
+    """Times of the drift that fit into half the record, in s and in samples."""
     T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= view.n // 2]
     return T, np.rint(T * view.rate).astype(int)
 
@@ -134,18 +134,18 @@ def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray
 
 
 def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
-    """Allan variances of the noise that is estimated from each half of the record."""
+    """Allan variances of the noise estimated from each half of the record."""
     half = view.n // 2
     _, m = _horizons(view)
     family = family_of(half, view.rate)
-    # Every other coefficient of the whole record has a half's frequency.
+    # Every other coefficient of the whole record has the frequency of one of a half.
     factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
     mask = SpectralMask.of(family, factor)
     found = []
     for rows in _halves(view):
         c = centred(view.samples[rows])
         if not c.any():
-            # A half that is silent predicts no drift at all.
+            # A silent half predicts no drift.
             found.append(np.zeros(len(m)))
             continue
         noise = mask.evidence(c).approximate_map(view.allowed, view.model_evidence)

@@ -10,19 +10,19 @@ from jaxtyping import Bool, Float
 from allanjax.critic.view import View
 from allanjax.record.completion import in_time, predicted
 
-# Most draws, and the change of the log spectrum between two of them that ends them.
+# Most draws, and the change of the log spectrum between two draws below which they end.
 _DRAWS, _SETTLED = 12, 0.1
-# Bins of the record's own spectrum: most in an octave, fewest coefficients in one, and the standard
-# deviations up to which its difference from the model is chance.
+# Bins of the record's own spectrum: most per octave, fewest coefficients per bin, and the number of standard
+# deviations up to which a difference from the model is chance.
 _PARTS, _LEAST, _CHANCE = 32, 64, 3.0
 
 
 def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
-    """View in which these samples are drawn anew, given all others and the record's spectrum.
+    """View in which these samples are redrawn, given all others and the record's spectrum.
 
     A simulated record is corrected by the best prediction of its difference from this one (conditional
     simulation). That is repeated until the spectrum, to which interpolated samples contribute at first, is
-    that of the other samples. Samples that were imputed before begin as they are.
+    that of the other samples. Samples that were imputed before start from their values.
     """
     rng = np.random.default_rng([int(missing.sum()), int(np.argmax(missing))])
     fresh, known = np.flatnonzero(missing & ~view.imputed), np.flatnonzero(~missing)
@@ -37,7 +37,7 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
         )
         before, v = v, _own_variance(after)
         last, changed = changed, float(np.max(abs(np.log(v / before))))
-        # What changes no less than the last time is chance, as of a long gap that is drawn anew.
+        # A change no smaller than the last one is chance, e.g. from redrawing a long gap.
         if changed < _SETTLED or changed > last:
             break
     return after
@@ -46,7 +46,7 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
 def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
     """Expected squared coefficients: the model's, or the record's own in bins where it differs beyond chance.
 
-    So effects that have not been found yet, such as a filter, are allowed for.
+    This allows for effects that have not been found yet, such as a filter.
     """
     n, v = view.n, view.variance()
     octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
@@ -57,7 +57,7 @@ def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
     first = np.unique(np.concatenate(parts).astype(int))
     count = np.diff(first)
     level = np.log(np.maximum(np.add.reduceat(view.coefficients**2 / v, first[:-1]), 1e-300) / count)
-    # Gradually: what is at the edge of chance would come and go from draw to draw.
+    # Gradually, as bins at the edge of chance would otherwise switch from draw to draw.
     level *= np.clip(abs(level) / np.sqrt(2.0 / count) - _CHANCE, 0.0, 1.0)
     middle = 0.5 * (first[:-1] + first[1:] - 1)
     return v * np.exp(np.interp(np.arange(n - 1), middle, level))

@@ -31,10 +31,10 @@ def together(
     details: Mapping[str, Detail] | None = None,
     counted: Sequence[Finding] | None = None,
 ) -> Finding:
-    """One finding of several; `counted` are those whose p-value, evidence and gain are its own.
+    """One finding from several; the p-value, evidence and gain are those of the `counted` ones.
 
-    The p-value is the smallest one times their number, evidence and gain are sums: they are of different
-    axes, or were found one after the other. A rival is one in all of them.
+    The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
+    different axes or were found one after the other. Rivals are those of all of them.
     """
     counted = members if counted is None else counted
     p = [f.p_value for f in counted if f.p_value is not None]
@@ -50,7 +50,7 @@ def together(
         span=(min(start), max(end)),
         domain=members[0].domain,
         details=details or {},
-        # What is left of a finding stands for it.
+        # The rest of a finding represents it.
         members=tuple(made for f in members for made in f.members or (f,)),
         per_axis=per_axis,
     )
@@ -63,7 +63,7 @@ def together(
 
 
 def shared(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
-    """Parameters that all members have in common, where they have any."""
+    """Parameters that all members have in common."""
     found = {}
     for label in labels:
         each = [f.parameters[label] for f in members if label in f.parameters]
@@ -84,9 +84,9 @@ def summed(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estim
 
 
 def mean_of(each: Sequence[Estimate]) -> Estimate | None:
-    """Mean of estimates, weighted by their errors; where they scatter by more, its error is larger.
+    """Mean of estimates, weighted by their errors; if they scatter more, its error is larger.
 
-    None where they are exact and differ, or have different units.
+    None if they are exact and differ, or have different units.
     """
     if len({e.unit for e in each}) > 1:
         return None
@@ -94,7 +94,7 @@ def mean_of(each: Sequence[Estimate]) -> Estimate | None:
         return each[0]
     known = [e for e in each if np.isfinite(e.std)]
     if not known:
-        # Limits: the mildest one holds for all.
+        # Limits: the weakest one holds for all.
         return max(each, key=lambda e: e.value if e.lower_limit is None else -e.value)
     value, std = (np.array([getattr(e, name) for e in known]) for name in ("value", "std"))
     if not np.all(std > 0.0):
@@ -107,7 +107,7 @@ def mean_of(each: Sequence[Estimate]) -> Estimate | None:
 
 
 def largest(members: Sequence[Finding]) -> dict[str, Estimate]:
-    """How large the effect is in each axis, the largest where an axis has several members."""
+    """Size of the effect in each axis; the largest if an axis has several members."""
     found: dict[str, Estimate] = {}
     for f in members:
         for axis, size in f.amplitudes.items():
@@ -117,7 +117,7 @@ def largest(members: Sequence[Finding]) -> dict[str, Estimate]:
 
 
 def _sum(values: Iterable[float | None]) -> float | None:
-    """Sum of the numbers that there are, None if there are none."""
+    """Sum of the numbers that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return float(sum(known)) if known else None
 
@@ -133,17 +133,17 @@ def _rivals(members: Sequence[Finding]) -> tuple[Rival, ...]:
     return tuple(Rival(name, value) for name, value in odds.items() if value < _ODDS)
 
 
-#: Names of the cause of single samples, and of an event that nothing but such samples show.
+#: Names of the cause of single samples, and of an event of such samples only.
 OUTLIERS, EVENT = "outliers", "event"
-#: What is an event as long as it is short, and what an event is called of which it is a part.
+#: Causes that are events if they are short, and names of the events of which they are a part.
 STRETCHES = ("disturbance", "variance_change")
 # Longest change of the variance that is an event, as a share of the record: a judgement.
 _SHORT = 0.05
-# Pause [s] after which another event begins: a judgement.
+# Pause [s] after which a new event begins: a judgement.
 _PAUSE = 0.5
-# Share of a finding's outliers below which those outside of its event are not reported apart: a judgement.
+# Share of a finding's outliers below which those outside its event are not reported separately: a judgement.
 _FEW = 0.1
-# Expected number of chance coincidences of outliers from which on they are no event: a judgement.
+# Expected number of chance coincidences above which outliers are not an event: a judgement.
 _CHANCE = 1e-3
 
 
@@ -157,7 +157,7 @@ class _Mark(NamedTuple):
 
 
 def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding], list[Finding]]:
-    """Events that several of these findings are, and the findings without what is in these.
+    """Events formed by several of these findings, and the findings without the parts in events.
 
     Outliers belong to an event if there are more of them than by chance.
     """
@@ -167,7 +167,7 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
     found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
     if not found:
         return [], list(findings)
-    # Where most of a finding is, there its evidence and its gain are reported.
+    # The evidence and gain of a finding are reported where most of it is.
     home = [_home(k, f, found) for k, f in enumerate(findings)]
     happened = [
         _event(cluster, findings, [k for k, place in enumerate(home) if place == number])
@@ -191,7 +191,7 @@ def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
 
 
 def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
-    """Marks, in order, that follow each other without a pause."""
+    """Ordered marks that follow each other without a pause."""
     found: list[list[_Mark]] = []
     end = -np.inf
     for mark in marks:
@@ -203,9 +203,9 @@ def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
 
 
 def _rate(marks: Sequence[_Mark], duration: float) -> float:
-    """Rate of outliers outside of events [1/s], by the share of the record's parts that have none.
+    """Rate of outliers outside events [1/s], from the share of the record's parts without any.
 
-    An event, with however many outliers, is in a few of these parts, and one does not count.
+    An event, with however many outliers, is in few of these parts, one of which does not count.
     """
     parts = max(int(duration / _PAUSE), 2)
     seen = {int(mark.start / _PAUSE) for mark in marks if mark.place is not None}
@@ -213,22 +213,22 @@ def _rate(marks: Sequence[_Mark], duration: float) -> float:
 
 
 def _crowd(cluster: Sequence[_Mark], rate: float, duration: float) -> list[_Mark]:
-    """Marks of a cluster that are no chance coincidence; none if they are all of one finding."""
+    """Marks of a cluster that are not a chance coincidence; none if all belong to one finding."""
     stretches = [mark for mark in cluster if mark.place is None]
     points = [mark for mark in cluster if mark.place is not None]
     if stretches:
         length = max(m.end for m in cluster) - min(m.start for m in cluster) + 2.0 * _PAUSE
-        # Of a Poisson process: so many or more.
+        # Poisson process: probability of so many or more.
         by_chance = float(gammainc(len(points), rate * length)) if points else 0.0
     else:
-        # So many, each within the pause after the one before.
+        # So many, each within one pause after the last.
         by_chance = (1.0 + rate * duration) * float(-np.expm1(-rate * _PAUSE)) ** (len(points) - 1)
     kept = [*cluster] if by_chance < _CHANCE else stretches
     return kept if len({mark.finding for mark in kept}) > 1 else []
 
 
 def _home(k: int, f: Finding, found: Sequence[Sequence[_Mark]]) -> int | None:
-    """Number of the event in which most of a finding is, None if that is none."""
+    """Number of the event with most of a finding; None if there is none."""
     inside = [sum(mark.finding == k for mark in cluster) for cluster in found]
     whole = len(_numbers(f, "times")) if f.cause == OUTLIERS else 1
     most = int(np.argmax(inside))
@@ -236,7 +236,7 @@ def _home(k: int, f: Finding, found: Sequence[Sequence[_Mark]]) -> int | None:
 
 
 def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Sequence[int]) -> Finding:
-    """One event of several marks; `counted` are the findings that are reported here."""
+    """One event from several marks; `counted` are the findings that are reported here."""
     places = sorted({mark.finding for mark in cluster})
     members = [findings[k] for k in places]
     causes = tuple(dict.fromkeys(f.cause for f in members))
@@ -262,12 +262,12 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
 
 
 def _numbers(f: Finding, name: str) -> tuple[Estimate, ...]:
-    """Numbers of a detail, none if there is no such detail."""
+    """Numbers of a detail; empty if there is no such detail."""
     return tuple(e for e in f.details.get(name, ()) if isinstance(e, Estimate))
 
 
 def _loudness(mark: _Mark, f: Finding) -> Estimate | None:
-    """How large the effect is at a mark."""
+    """Size of the effect at a mark."""
     sizes = _numbers(f, "sizes")
     if mark.place is None or mark.place >= len(sizes):
         return f.size
@@ -276,7 +276,7 @@ def _loudness(mark: _Mark, f: Finding) -> Estimate | None:
 
 
 def _louder(one: Estimate, other: Estimate) -> bool:
-    """Whether one says more of how loud an event is: what is no ratio, then what is larger."""
+    """Whether one describes the size of an event better: a value other than a ratio, then a larger one."""
     return (one.unit != "1", abs(one.value)) > (other.unit != "1", abs(other.value))
 
 
@@ -289,10 +289,7 @@ def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
 
 
 def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:
-    """Finding without what is in events, None if hardly anything is left.
-
-    It keeps its evidence and its gain if most is left.
-    """
+    """Finding without its parts in events, or None; it keeps evidence and gain if most of it is left."""
     if (k, None) in taken:
         return None
     whole = len(_numbers(f, "times"))
@@ -303,7 +300,7 @@ def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bo
 
 
 def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> Finding:
-    """Outliers of a finding that are wanted, by their number in its list."""
+    """Selected outliers of a finding, by their number in its list."""
     details = {
         name: tuple(e for place, e in enumerate(_numbers(f, name)) if wanted(place))
         for name in f.details
@@ -321,29 +318,29 @@ def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> F
     return dataclasses.replace(one, span=span)
 
 
-#: What is left over, which has no cause.
+#: A remaining discrepancy, which has no cause.
 UNEXPLAINED = "unexplained"
-# Standard deviations within which values are the same: of a line, a place in time, a shape.
+# Standard deviations within which values count as the same: of a line, a place in time, a shape.
 _LINE, _TIME, _SHAPE = 4.0, 4.0, 3.0
-# Resolved frequencies [1/duration] within which two lines are one that is not quite steady: a judgement.
+# Resolved frequencies [1/duration] within which two lines are one that is not steady: a judgement.
 _STEADY = 3.0
-# Quality factor from which on a resonance is a line; highest order of a harmonic, and the largest share of
-# the fundamental within which it is looked for, so that chance makes few: judgements.
+# Quality factor above which a resonance is a line; highest order of a harmonic, and the largest share of the
+# fundamental within which it is sought, so that few arise by chance: judgements.
 _NARROW, _ORDERS, _BY_CHANCE = 50.0, 20, 0.02
-# Relative difference of bandwidths that is none, since nominally equal filters differ by their parts: a
+# Relative difference within which bandwidths count as equal, as parts of equal filters have tolerances: a
 # judgement.
 _BANDWIDTH = 0.1
-# Factors of a warm-up's time constant, and of a resonance's quality factor, since a structure is damped
-# differently along each axis, within which they are the same: judgements.
+# Factors within which a warm-up's time constants, and a resonance's quality factors, count as the same; a
+# structure is damped differently along each axis: judgements.
 _FACTOR, _DAMPING = 2.0, 4.0
-# Shares of the record within which steps are simultaneous, and beyond which they are not, however large their
+# Shares of the record within which steps are simultaneous, and beyond which they are not, whatever their
 # errors: judgements.
 _STEP_TIME, _APART = 1e-3, 2e-2
-# Overlaps, as shares of the longer one, from which on stretches are one event: those of one axis, and of
-# different axes; and from which on their ends are those of the event: judgements.
+# Overlaps, as shares of the longer one, above which stretches are one event, on one axis and on different
+# axes; and above which their ends are those of the event: judgements.
 _NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
 
-#: Whether a finding is one with the strongest of a kind, in a record of this length [s].
+#: Whether a finding belongs to the strongest one of its kind, in a record of this length [s].
 Same: TypeAlias = Callable[[Finding, Finding, float], bool]
 
 
@@ -352,7 +349,7 @@ class Rule(NamedTuple):
 
     Attributes:
         applies: whether a finding is of this kind.
-        family: findings of this kind that are one with the strongest one, itself among them.
+        family: findings of this kind that belong to the strongest one, itself included.
         combine: combines several findings into one.
     """
 
@@ -381,7 +378,7 @@ def merged(
 
 
 def _place(f: Finding) -> tuple[bool, float, float]:
-    """What findings are sorted by."""
+    """Sorting key of findings."""
     return f.cause == UNEXPLAINED, -f.effect.size, -_weight(f)
 
 
@@ -390,7 +387,7 @@ def _weight(f: Finding) -> float:
 
 
 def _among(f: Finding, family: Sequence[Finding]) -> bool:
-    """Whether it is one of these, and not only equal to one of them."""
+    """Whether it is identical, not only equal, to one of these."""
     return any(f is other for other in family)
 
 
@@ -398,7 +395,7 @@ def _among(f: Finding, family: Sequence[Finding]) -> bool:
 
 
 def _value(f: Finding, label: str) -> tuple[float, float]:
-    """A parameter and its error, 0 where that is not known; nan if there is no such parameter."""
+    """A parameter and its error, 0 if that is unknown; nan if there is no such parameter."""
     e = f.parameters.get(label)
     if e is None:
         return float("nan"), 0.0
@@ -406,13 +403,13 @@ def _value(f: Finding, label: str) -> tuple[float, float]:
 
 
 def _near(one: Finding, other: Finding, label: str, deviations: float, least: float, most: float) -> bool:
-    """Whether two parameters differ by no more than their errors; by `least` they may, by `most` not."""
+    """Whether two parameters agree within their errors; `least` is always allowed, `most` never."""
     (a, a_std), (b, b_std) = _value(one, label), _value(other, label)
     return bool(abs(a - b) <= max(min(deviations * np.hypot(a_std, b_std), most), least))
 
 
 def _similar(one: Finding, other: Finding, label: str, factor: float) -> bool:
-    """Whether two positive parameters differ by less than a factor, or no more than their errors."""
+    """Whether two positive parameters agree within a factor or within their errors."""
     (a, a_std), (b, b_std) = _value(one, label), _value(other, label)
     if not (a > 0.0 and b > 0.0):
         return False
@@ -420,7 +417,7 @@ def _similar(one: Finding, other: Finding, label: str, factor: float) -> bool:
 
 
 def _sensor(f: Finding) -> str:
-    """Sensor of a finding's axis, as far as its parameters say."""
+    """Sensor of a finding's axis, if its parameters determine it."""
     return next((e.axis.sensor for e in f.parameters.values()), "")
 
 
@@ -437,7 +434,7 @@ def _same_bandwidth(one: Finding, other: Finding, duration: float) -> bool:
 
 
 def _same_resonance(one: Finding, other: Finding, duration: float) -> bool:
-    """Whether most of a resonance lies where another one lies, which is about as wide."""
+    """Whether two resonances overlap for the most part and are about equally wide."""
     widths = sorted(_width(f) for f in (one, other))
     return _near(one, other, "frequency", _SHAPE, 0.5 * widths[0], widths[1]) and _similar(
         one, other, "quality_factor", _DAMPING
@@ -449,7 +446,7 @@ def _same_step(one: Finding, other: Finding, duration: float) -> bool:
 
 
 def _overlap(one: Finding, other: Finding) -> float:
-    """Length that two stretches have in common, as a share of the longer one."""
+    """Common length of two stretches, as a share of the longer one."""
     (a, b), (c, d) = one.span, other.span
     return (min(b, d) - max(a, c)) / max(b - a, d - c, 1e-300)
 
@@ -472,9 +469,9 @@ def _rule(
     totals: Sequence[str] = (),
     is_once: bool = True,
 ) -> Rule:
-    """Rule for causes that are one where `same` says so; `is_once`: if there is one of them in an axis.
+    """Rule for causes that are merged if `same`; with `is_once` only if an axis has one of them.
 
-    The `parameters` are those that the axes share, of the `totals` the sum is reported.
+    The `parameters` are those that the axes share; for the `totals` the sum is reported.
     """
 
     def family(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
@@ -502,9 +499,9 @@ def _rule(
 
 
 def _stretches(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
-    """Stretches that are one event with the strongest one: they last as long, or overlap on one axis.
+    """Stretches that form one event with the strongest one: they last as long, or overlap on one axis.
 
-    What is found again within a stretch of the same axis is what a first finding has left of the event.
+    A second finding within a stretch of the same axis is the rest of the event.
     """
     family, left = [first], [f for f in findings if f is not first]
     for known in family:
@@ -533,7 +530,7 @@ def _stretch(members: Sequence[Finding]) -> Finding:
 
 
 def _sizes(members: Sequence[Finding]) -> dict[str, Estimate]:
-    """How large an event is in each axis: its peak, or the product of ratios that were found in turn."""
+    """Size of an event in each axis: its peak, or the product of ratios that were found in turn."""
     found = largest(members)
     for axis, size in found.items():
         each = [f.amplitudes[axis] for f in members if axis in f.amplitudes]
@@ -549,14 +546,14 @@ def _sizes(members: Sequence[Finding]) -> dict[str, Estimate]:
 
 
 def _is_line(f: Finding) -> bool:
-    """Whether a finding is a line: one that keeps its phase, or a resonance that is narrow."""
+    """Whether a finding is a line: one that keeps its phase, or a narrow resonance."""
     return "frequency" in f.parameters and (
         f.cause == "sinusoid" or (f.cause == "resonance" and _value(f, "quality_factor")[0] > _NARROW)
     )
 
 
 def _order(low: Finding, high: Finding, duration: float) -> int:
-    """Order of the harmonic of a line that another one is, 1 if they are the same; 0 if it is none."""
+    """Order of one line as a harmonic of another, 1 if they are the same; 0 if it is none."""
     (f, std), (other, other_std) = (_value(one, "frequency") for one in (low, high))
     order = int(np.rint(other / f))
     reach = max(_LINE * float(np.hypot(other_std, order * std)), 1.0 / duration)
@@ -568,12 +565,12 @@ def _order(low: Finding, high: Finding, duration: float) -> int:
 
 
 def _width(f: Finding) -> float:
-    """Width of a resonance [Hz], none of a line that keeps its phase."""
+    """Width of a resonance [Hz]; None for a line that keeps its phase."""
     return _value(f, "frequency")[0] / _value(f, "quality_factor")[0] if f.cause == "resonance" else 0.0
 
 
 def _lines(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
-    """Lines with the frequency of the strongest one, of its fundamental, or of harmonics of that."""
+    """Lines at the frequency of the strongest one, its fundamental, or harmonics of that."""
 
     def frequency(f: Finding) -> float:
         return f.parameters["frequency"].value
@@ -588,7 +585,7 @@ def _lines(first: Finding, findings: Sequence[Finding], duration: float) -> list
 
 
 def _line(members: Sequence[Finding]) -> Finding:
-    """One line with its harmonics, and its amplitude in each axis, at the lowest frequency seen there."""
+    """One line with its harmonics, and its amplitude in each axis at the lowest frequency found there."""
     lowest = min(f.parameters["frequency"].value for f in members)
     orders = [max(round(f.parameters["frequency"].value / lowest), 1) for f in members]
     fundamental = [
@@ -620,7 +617,7 @@ def _line(members: Sequence[Finding]) -> Finding:
 
 
 def _harmonics(f: Finding, fundamental: float) -> set[int]:
-    """Orders of the harmonics of a line that a finding has, its own among them."""
+    """Orders of the harmonics in a finding of a line, its own included."""
     own = f.parameters["frequency"].value / fundamental
     each = [own, *(own * float(k) for k in values_of(f.details.get("harmonics", ()))[0])]
     each += [float(x) / fundamental for x in values_of(f.details.get("further_frequencies", ()))[0]]
@@ -628,13 +625,13 @@ def _harmonics(f: Finding, fundamental: float) -> set[int]:
 
 
 def _divided(e: Estimate, order: int) -> Estimate:
-    """Frequency of the fundamental by that of a harmonic."""
+    """Frequency of the fundamental from that of a harmonic."""
     if order == 1:
         return e
     return parameter_estimate(e.axis, e.label, e.value / order, e.std / order, e.unit)
 
 
-#: Rules of all causes that are reported once for several axes.
+#: Rules for all causes that are reported once for several axes.
 RULES: tuple[Rule, ...] = (
     Rule(_is_line, _lines, _line),
     _rule(["low_pass"], _same_bandwidth, ["bandwidth", "order"]),

@@ -1,6 +1,6 @@
-"""Evidence of every subset of the basic noise terms, for the record that a hypothesis leaves.
+"""Evidence of every subset of the basic noise terms, for the record under a hypothesis.
 
-Each hypothesis leaves another record, and each record is explained best by other terms.
+Each hypothesis leaves a different record, which different terms explain best.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAM
 from allanjax.estimate.evidence import BLOCK, ROUGH, Evidence
 from allanjax.spectrum.cosine import SpectralStatistics
 
-#: Most subsets that estimates are averaged over, and how much less likely than the best one they may be
-#: [nats]: judgements.
+#: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
+#: they may be [nats]: judgements.
 SETS, _LESS = 4, 3.0
-# Subsets that are less likely than the best one by more [nats] do not count in sums: a judgement.
+# Subsets that are less likely than the best one by more than this [nats] do not count in sums: a judgement.
 _FAR_LESS = 8.0
 
 
@@ -53,7 +53,7 @@ class Sets(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SpectralMask:
-    """Spectral factor and fold of coefficients that the evidence of a record is conditional on."""
+    """Spectral factor and fold of coefficients under which the evidence of a record is computed."""
 
     family: NoiseFamily
     weight: Float[np.ndarray, " n-1"] | None
@@ -125,18 +125,18 @@ class ModelEvidence:
         allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
         required: Sequence[str] = (),
     ) -> Noise:
-        """Most probable subset of the `allowed` terms that has the `required` ones."""
+        """Most probable subset of the `allowed` terms with the `required` ones."""
         return self.likely(allowed, required, 1)[0]
 
     def likely(self, allowed: Collection[str], required: Sequence[str] = (), most: int = 1) -> list[Noise]:
-        """Most probable subsets of the `allowed` terms that have the `required` ones, the best one first."""
+        """Most probable subsets of the `allowed` terms with the `required` ones, the best one first."""
         values, powers, _ = self._evidence_of(allowed, required)
         return self._ranked(values, powers, _grid(allowed), most)
 
     def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
         """Plausible subsets of the `allowed` terms, those with all `required` ones.
 
-        Each term that is not required has the prior probability ½; all values of a free shape have the same.
+        Each term that is not required has the prior probability ½; all values of a free shape the same one.
         """
         values, powers, near = self._evidence_of(allowed, required)
         near = near[values[near] > values[near].max() - _FAR_LESS]
@@ -149,10 +149,7 @@ class ModelEvidence:
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
     def _evidence_of(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
-        """Evidence of all subsets, −∞ if they are not possible; only those that may be best are maximized.
-
-        It is kept: the best subset, the likely ones and all of them are asked for in turn.
-        """
+        """Evidence of all subsets, −∞ for impossible ones, kept; only possible best ones are maximized."""
         asked = frozenset(allowed), frozenset(required)
         if asked not in self._known:
             self._known[asked] = self._refine(allowed, required)
@@ -195,7 +192,7 @@ class ModelEvidence:
         return self.family.power_laws if grid == POWER_LAW else self.family.columns[len(FIXED) :]
 
     def _possible(self, allowed: Collection[str], required: Sequence[str] = ()) -> Bool[np.ndarray, " jobs"]:
-        """Whether each subset is one of the `allowed` terms and has the `required` ones."""
+        """Whether each subset consists of `allowed` terms and has the `required` ones."""
         possible = np.ones(len(self.family.jobs.ramp), bool)
         for name, has in self._members(_grid(allowed)):
             if name not in allowed:
@@ -234,14 +231,14 @@ class ModelEvidence:
         return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
-        """Terms, and whether each subset has them."""
+        """Each term, with a flag per subset that has it."""
         jobs = self.family.jobs
         members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
 
 
 def _grid(allowed: Collection[str]) -> str:
-    """Name of the term with a free shape: a power law takes the place of the Markov process."""
+    """Name of the term with a free shape; a power law takes the place of the Markov process."""
     return POWER_LAW if POWER_LAW in allowed else MARKOV
 
 

@@ -1,7 +1,7 @@
 """Noise of one axis, for whitening: the basic terms and their powers, estimated anew for every hypothesis.
 
-An effect that is not in the model is taken for noise: a step for a random walk, a temperature's influence for
-a Markov process. So no cause can be judged against noise estimated with the effect still in it. Each
+An effect that is not in the model looks like noise: a step like a random walk, an influence of temperature
+like a Markov process. So no cause can be judged against noise that was estimated with the effect in it. Each
 hypothesis gets the noise that fits it best (`ModelEvidence.best`), and hypotheses are compared by evidence.
 """
 
@@ -22,10 +22,10 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
 
-#: Terms without a free shape, and names of terms that are treated apart.
+#: Terms without a free shape, and names of terms that are treated separately.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
-#: Share of white noise in all noise above which the two are not told apart: a judgement.
+#: Share of white noise in all noise above which the two are not distinguished: a judgement.
 NEARLY_ALL = 0.9
 # Least length of spectra, which are padded so that few programs are compiled.
 _PADDED = 4096
@@ -46,7 +46,7 @@ class Noise:
         shape: correlation time [s] or exponent of the term that has one, nan if there is none.
         ramp: whether a ramp was projected out.
         log_evidence: log evidence of this subset [nats], up to a constant common to all subsets.
-        family: family that the subset is of.
+        family: family of the subset.
         index: place of the shape in its grid.
     """
 
@@ -90,7 +90,7 @@ class Noise:
 class NoiseFamily:
     """All subsets of the basic terms for records of n samples at a rate.
 
-    In a subset with a power law it takes the place of the Markov process.
+    A power law takes the place of the Markov process in a subset.
     """
 
     def __init__(self, n: int, rate: float) -> None:
@@ -122,7 +122,8 @@ class NoiseFamily:
         variance: Float[np.ndarray, " n-1"],
         fold: Bool[np.ndarray, " n-1"] | None = None,
     ) -> tuple[float, float]:
-        """Slope of a record's ramp [rate/s], by all coefficients or those in a fold, and its deviation."""
+        """Slope of a record's ramp [rate/s], from all coefficients or those in a fold, and its standard
+        deviation."""
         weight = self.ramp / variance if fold is None else fold * self.ramp / variance
         gram = float(weight @ self.ramp)
         return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
@@ -136,7 +137,7 @@ class NoiseFamily:
         first: Float[np.ndarray, "jobs terms"] | None = None,
         steps: int = FURTHER,
     ) -> Evidence:
-        """Evidence and powers of some subsets after so many steps of scoring from the `first` powers."""
+        """Evidence and powers of some subsets after a number of scoring steps from the `first` powers."""
         jobs, share = TermSubset(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
         known = self.columns[: len(FIXED)]
         first = None if first is None else first[None]
@@ -162,7 +163,7 @@ class NoiseFamily:
     ) -> Float[np.ndarray, " count"]:
         """Expected squared coefficients of a subset, all or the lowest.
 
-        They are those of the density, but exact where a bin has a single coefficient.
+        They follow from the density, but are exact if a bin has a single coefficient.
         """
         count = self.n - 1 if count is None else count
         variance, term = np.zeros(count), np.empty(count)
@@ -182,7 +183,7 @@ def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) ->
 
 
 def _padded(frequency: Float[np.ndarray, " k"]) -> Float[np.ndarray, " more"]:
-    # Powers of two, and half as much again: two programs an octave of lengths.
+    # Powers of two, and 1.5 times these: two programs per octave of lengths.
     count = max(len(frequency), _PADDED)
     octave = 1 << (count - 1).bit_length()
     length = 3 * octave // 4 if 4 * count <= 3 * octave else octave
@@ -214,7 +215,7 @@ def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
 def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
     """Every other pair of coefficients, and the rest: independent halves that both cover the whole spectrum.
 
-    They are pairs since a shape that is odd about the record's middle has odd coefficients only.
+    They are pairs because a shape that is odd about the record's middle has odd coefficients only.
     """
     some = np.arange(n - 1) // 2 % 2 == 0
     return some, ~some

@@ -12,7 +12,7 @@ from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 
-# Distance of a maximum from a bound, absolute and in its deviations, below which it is at the bound.
+# Distance of a maximum from a bound, absolute and in standard deviations, below which it is at the bound.
 _AT_BOUND, _NEAR_BOUND = 2e-2, 1.0
 #: Side of its 95 % limit on which a parameter lies; "" if it has an estimate.
 Limit: TypeAlias = Literal["", "above", "below"]
@@ -29,7 +29,7 @@ def parameter_estimate(
     limit: Limit = "",
     log_normal: bool = False,
 ) -> Estimate:
-    """Parameter of a finding, with the intervals of a normal law of the value or of its logarithm.
+    """Parameter of a finding, with intervals from a normal law of the value or of its logarithm.
 
     If the search ended at a bound of its range, or the effect may continue beyond the record, the value is a
     95 % `limit`: the parameter lies "above" or "below" it and has no standard deviation.
@@ -76,7 +76,7 @@ def side_of_limit(e: Estimate) -> Limit:
 
 
 def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], float, str]:
-    """Words or values of a detail, the standard deviation of the first one, and their unit."""
+    """Words or values of a detail, the standard deviation of the first value, and their unit."""
     words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))
     numbers = [x for x in detail if isinstance(x, Estimate)]
     return (tuple(x.value for x in numbers), numbers[0].std, numbers[0].unit) if numbers else (words, 0.0, "")

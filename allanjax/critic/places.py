@@ -1,7 +1,7 @@
 """Frequencies of lines and resonances in one axis, at which the other axes are searched again.
 
-Vibration and interference affect several axes of a sensor. If the frequency is known from one axis, no other
-frequency is tried in the others, so that weaker effects are detected.
+Vibration and interference affect several axes of a sensor. If the frequency is known from one axis, only this
+one is tried in the others, so that weaker effects are detected.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import numpy as np
 
 from allanjax.critic.view import Candidate, View
 
-# Quality factor from which on a resonance may be a disturbance from outside: a wider one is the sensor's own.
+# Quality factor above which a resonance may come from outside; a wider one is the sensor's own.
 _SHARP = 50.0
-# Frequencies that are resolved [1/duration], and deviations of a frequency, within which it may be.
+# Reach of a place: in resolved frequencies [1/duration], and in standard deviations of its frequency.
 _RESOLVED, _DEVIATIONS = 2.0, 4.0
 
 
 class Place(NamedTuple):
-    """Frequency of a line or a narrow resonance [Hz], how far off it may be [Hz], and its quality factor."""
+    """Frequency of a line or a narrow resonance [Hz], its largest error [Hz], and its quality factor."""
 
     frequency: float
     reach: float
     quality: float
 
     def holds(self, frequency: float) -> bool:
-        """Whether a frequency [Hz] is there."""
+        """Whether a frequency [Hz] is at this place."""
         return abs(frequency - self.frequency) <= self.reach
 
 
@@ -49,7 +49,7 @@ def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
 
 
 def elsewhere(own: Sequence[Place], others: Sequence[Place]) -> tuple[Place, ...]:
-    """Places of other axes at which this axis has no finding yet, each once."""
+    """Places of other axes, without duplicates, at which this axis has no finding yet."""
     found: list[Place] = []
     for place in sorted(others, key=lambda place: place.reach):
         if not any(place.holds(known.frequency) or known.holds(place.frequency) for known in (*own, *found)):

@@ -5,9 +5,9 @@ accepted if
 
 - the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
   the axis: zero at the default, more if several axes share the probability; and
-- if the test is a p-value, p < α·share. Each cause has a share of the false alarms that no other cause
-  changes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
-  replaces p if it is less or if there is no other test.
+- if the test is a p-value, p < α·share. Each cause has its own share of the false alarms, whatever the other
+  causes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
+  replaces p if it is smaller or if there is no other test.
 
 An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
 finding must also gain on held-out data, if it can be tested on them.
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from allanjax.critic.cause import Cause
     from allanjax.critic.view import Candidate
 
-#: Probability of a false finding in a record of one axis that the prior odds are made for.
+#: Probability of a false finding in a record of one axis for which the prior odds are made.
 FALSE_ALARMS = 0.01
 # Share of the axis's false alarms of each of fifteen kinds of test.
 _EQUAL = 1.0 / 15.0
@@ -106,8 +106,8 @@ PRIORS: Mapping[str, Prior] = {
         0.0, _EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
     ),
 }
-#: Of all causes of a user's own together, which share it equally.
-OWN = Prior(-3.0, _EQUAL, "judgement: as for any other cause; the share is reserved for them")
+#: Prior of all user-defined causes together, which share it equally.
+OWN = Prior(-3.0, _EQUAL, "judgement: as for any other cause; the share is reserved for user-defined causes")
 
 
 class Judgement(NamedTuple):
@@ -122,19 +122,19 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("disturbance", "smooth"): Judgement(
         0.75,
         "least share of the excess power in the lowest quarter of the frequencies, since motion is smooth; "
-        "that of the hidden motions, 0.3 … 5 Hz at 50 Hz and more, is larger",
+        "hidden motions, 0.3 … 5 Hz at rates of 50 Hz and more, have a larger share",
     ),
     ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
-    ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is no outlier"),
+    ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is not an outlier"),
     ("power_law", "instead"): Judgement(
         1, "a power law replaces the Markov process, as in the hidden records; both cannot be detected"
     ),
     ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
-    ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in its deviations"),
+    ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in std"),
     ("repeated_samples", "share"): Judgement(0.03, "error of the predicted share of repeats by rounding"),
     ("rounding", "harmless"): Judgement(
         0.35,
-        "resolution over the noise's deviation below which rounding does no harm; hidden steps are larger",
+        "resolution over the noise's deviation below which rounding is harmless; hidden steps are larger",
     ),
     ("saturation", "share"): Judgement(0.9, "share of clipped samples above which the others are unknown"),
     ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record cannot be distinguished from drift"),
@@ -145,8 +145,8 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("variance_change", "lasting"): Judgement(
         0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"
     ),
-    ("variance_change", "shortest"): Judgement(0.01, "share of the record; what is shorter is an event"),
-    ("variance_change", "price"): Judgement(3.0, "log Occam factor of its ratio [nats]: twenty values of it"),
+    ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
+    ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
     ("unexplained", "p_value"): Judgement(
         1e-6, "p-value below which an unexplained discrepancy is reported: some fourteen tests per axis"
     ),
@@ -175,7 +175,7 @@ class AcceptanceRule(NamedTuple):
         return cls(false_alarms, tuple(dict.fromkeys(own)))
 
     def least_log_odds(self, cause: str) -> float:
-        """Gain from which on a candidate of a cause has the posterior odds that are asked for [nats]."""
+        """Gain [nats] above which a candidate of a cause has the required posterior odds."""
         return float(np.log(FALSE_ALARMS / self.false_alarms)) - PRIORS.get(cause, OWN).log_odds
 
     def level(self, cause: str) -> float:
@@ -184,7 +184,7 @@ class AcceptanceRule(NamedTuple):
         return 1.0 if share is None else self.false_alarms * share
 
     def accepts(self, candidate: Candidate) -> bool:
-        """Whether a candidate is probable enough, and improbable by chance."""
-        # What is seen in the samples has no odds: nan.
+        """Whether a candidate is probable enough, and unlikely to be chance."""
+        # An effect that is visible directly in the samples has no odds: nan.
         doubtful = candidate.gain < self.least_log_odds(candidate.cause)
         return bool(not doubtful and candidate.chance < self.level(candidate.cause))

@@ -1,9 +1,9 @@
 """Statistics in which measurement and simulation are compared, at all their places.
 
-Each has a law on records of the model, and its p-value counts all the places (cluster times, frequencies,
-lags, windows, channels) that were looked at. Laws are those of coefficients c_j ~ N(0, v_j) with the model's
-v as given; that of the Allan deviation and of the drift, where slow noise counts whose level hardly any data
-determine, knows that the levels were fitted to the same record.
+Each has a law on records of the model, and its p-value allows for all places searched (cluster times,
+frequencies, lags, windows, channels). Laws are those of coefficients c_j ~ N(0, v_j) with the model's v as
+given. Those of the Allan deviation and the drift, which depend on slow noise that few data determine, allow
+for levels that were fitted to the same record.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Float, Real
 from scipy.fft import dct, rfft
 from scipy.stats import binom, chi2, kurtosistest, norm
 
-from allanjax.allan.clusters import cluster_sizes
+from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic import profiles
 from allanjax.critic.bank import any_of, extrapolated
 from allanjax.critic.causes.rounding import HARMLESS
@@ -34,7 +34,7 @@ from allanjax.critic.noise import centred
 from allanjax.inspection.plausible import lattice
 from allanjax.record.units import unit_scale
 
-#: Smallest p-value that is reported: smaller ones are beyond floating point.
+#: Smallest p-value that is reported; smaller ones are beyond floating point.
 TINY = 1e-300
 # Most lags of the autocorrelation, most windows, fewest samples in one: judgements.
 _LAGS, _WINDOWS, _SHORTEST = 200, 64, 16
@@ -54,9 +54,9 @@ class Profile:
 
     Attributes:
         simulated: its median in simulations.
-        score: how far apart the two are: standard normal under the model, or of a magnitude that grows so.
+        score: difference of the two: standard normal under the model, or a magnitude that grows like one.
         law: p-value of the largest magnitude among the scores.
-        channels: other axes or channels, of correlations: a place each.
+        channels: other axes or channels, one place each, for correlations.
     """
 
     statistic: str
@@ -83,12 +83,12 @@ class Profile:
         )
 
     def worst(self) -> Discrepancy:
-        """Discrepancy where measurement and simulation are farthest apart."""
+        """Discrepancy at the place where measurement and simulation differ most."""
         return self.at(int(np.argmax(abs(self.score))))
 
 
 def _independent(count: int) -> Callable[[float], float]:
-    """Law of the largest of `count` independent standard normal magnitudes: its p-value by its size."""
+    """p-value of the largest of `count` independent standard normal magnitudes, as a function of its size."""
     return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
@@ -107,8 +107,8 @@ def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
 def cluster_times(record: StageResiduals) -> list[Profile]:
     """Profiles of the Allan deviation at octaves, and of the drift of the integrated rate.
 
-    The drift over T, less that at the mean rate of the stretch of equal length before, is √2·T times the
-    Allan deviation at T; it is given at round times.
+    The drift over T, less that at the mean rate over an equally long time before, is √2·T times the Allan
+    deviation at T; it is given at round times.
     """
     octaves = cluster_sizes(record.n, record.rate)
     horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
@@ -163,7 +163,7 @@ def line(record: StageResiduals) -> Profile:
     power = (spectrum.real**2 + spectrum.imag**2) / n
     count = len(power)
     noise = np.sqrt(record.variance[1 : 2 * count : 2]) / record.scale
-    # The largest of so many: half of all simulations stay below it.
+    # Median of the largest of so many: half of all simulations stay below it.
     typical = -np.log(-np.expm1(np.log(0.5) / count))
     measured, simulated = (2.0 * np.sqrt(u / n) * noise for u in (power, typical))
     return Profile(
@@ -250,7 +250,7 @@ def windows(record: StageResiduals) -> list[Profile]:
 
 
 def _steps(finest: int) -> list[int]:
-    """Numbers of the finest windows that make a window: 1, 2, 4, … half of them."""
+    """Numbers of finest windows in a window: 1, 2, 4, … half of them."""
     return [2**k for k in range(int(np.log2(finest)))]
 
 
@@ -289,8 +289,8 @@ def auxiliary_correlation(
 ) -> Profile:
     """Profile of the outputs of filters matched to other channels, given as cosine coefficients.
 
-    An output is an rms in the axis's unit. A slow channel has few independent samples; the noise at its
-    frequencies says how few.
+    An output is an rms in the axis's unit. A slow channel has few independent samples; their number follows
+    from the noise at its frequencies.
     """
     root = np.sqrt(record.variance)
     found = [
@@ -330,8 +330,8 @@ def discrepancies(
 
     Args:
         record: the axis.
-        raw: its samples as recorded [SI], without those that were missing; imputed ones once a cause that
-            makes them what they are was found.
+        raw: its samples as recorded [SI], without missing ones; imputed ones after a finding that explains
+            their distribution, such as rounding.
         others, auxiliary: other axes and other channels, by name.
         seed: seed of the simulation in which repeated values are counted.
     """
@@ -349,7 +349,7 @@ def discrepancies(
 def before_and_after(
     records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
 ) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
-    """Pairs of a statistic before and after each finding, at the place where it improved it most.
+    """Pairs of a statistic before and after each finding, at the place of the largest improvement.
 
     The records are those of an axis before its first finding and after each.
     """
@@ -357,7 +357,7 @@ def before_and_after(
     channels = _varying(auxiliary)
     stages = []
     for record, law in zip(records, laws, strict=True):
-        # Those that cost little beside the transforms.
+        # Those that cost little compared with the transforms.
         cheap = (profiles.psd, profiles.line, profiles.tails, profiles.largest_residual)
         of_record = [profiles.allan_deviation(record, law), *(of(record) for of in cheap)]
         of_record += profiles.windows(record)
@@ -384,7 +384,8 @@ def _varying(
 
 
 def _lattice(record: StageResiduals, raw: Float[np.ndarray, " recorded"]) -> Discrepancy:
-    """Share of the samples on a lattice; one finer than the noise is only how the file writes numbers."""
+    """Share of the samples on a lattice; one finer than the noise only reflects the number format of the
+    file."""
     q = lattice(raw)
     if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
         return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
@@ -392,7 +393,7 @@ def _lattice(record: StageResiduals, raw: Float[np.ndarray, " recorded"]) -> Dis
 
 
 def _repeated(record: StageResiduals, raw: Float[np.ndarray, " recorded"], seed: int) -> Discrepancy:
-    """Share of samples equal to the one before, in simulations of the recording's resolution too."""
+    """Share of samples equal to the one before, also in simulations with the recording's resolution."""
     gaps = np.diff(np.unique(raw))
     q = float(gaps.min()) if len(gaps) else 0.0
     count = int(np.sum(raw[1:] == raw[:-1]))
@@ -400,7 +401,7 @@ def _repeated(record: StageResiduals, raw: Float[np.ndarray, " recorded"], seed:
     if q > 0.0:
         x = np.rint((record.simulate(seed)[: len(raw)] + float(np.mean(raw))) / q)
         simulated = int(np.sum(x[1:] == x[:-1]))
-    # Two counts of one expectation: which of the two an event is in is a matter of chance.
+    # Two counts with the same expectation: an event is in either of them by chance.
     p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
     n = len(raw) - 1
     return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)

@@ -7,14 +7,14 @@ import functools
 import html
 import os
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis
+from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
 from allanjax.critic.parameters import side_of_limit, values_of
@@ -71,7 +71,7 @@ class AxisCritique(ByValue):
         baseline: the model from which the critique started.
         model: the extended model: noise terms and deterministic terms with their values.
         misfit: how far the baseline's curve is off, if it does not fit the data.
-        left_out: causes that no term of a model describes, such as outliers.
+        left_out: causes that no model term describes, such as outliers.
     """
 
     axis: Axis
@@ -89,7 +89,7 @@ class AxisCritique(ByValue):
         """Constant to add to samples of the extended model at `rate` [Hz] [SI]."""
         x = self.stages[0].x
         time = (np.arange(len(x)) + 0.5) / rate
-        # Lines have no mean, and the effect of a channel counts from that in the record.
+        # Lines have no mean, and the effect of a channel is relative to its mean in the record.
         shifts = (
             getattr(term, term.amplitude_parameter().name) * float(np.mean(term.column(time)))
             for term in self.model.terms
@@ -109,7 +109,7 @@ class AxisCritique(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Critique(ByValue, PerAxis[AxisCritique]):
-    """Critique of a recording: what its simulation gets wrong, why, and how much a correction gains.
+    """Critique of a recording: the errors of its simulation, their causes, and the gain of a correction.
 
     Attributes:
         name: the recording's name.
@@ -120,8 +120,6 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         notes: notes for the user.
         dead: axes that could not be compared, and why.
     """
-
-    CALLED: ClassVar[str] = "the critique"
 
     name: str
     rate: float
@@ -141,7 +139,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def findings(self) -> tuple[Finding, ...]:
         """Findings of the recording, each cause once, the largest change first; see `Finding.members`.
 
-        The `AxisCritique` of an axis has its findings one by one.
+        The `AxisCritique` of an axis has all its findings singly.
         """
         own = [f for axis in self.results for f in axis.findings]
         return merged(own, self.shared_findings, self.duration)
@@ -206,7 +204,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
         missing = drawn if drawn.any() else None
         recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
-        # The facts are those of the recording as it came, but for lines, which may have been taken out.
+        # The facts are those of the original recording, except for lines, which may have been removed.
         seen = inspect(recording, as_is=True, may_move=True)
         lines = [fact for fact in seen.facts if fact.kind == "lines"]
         facts = ordered([*(fact for fact in self.fit.facts if fact.kind != "lines"), *lines])
@@ -242,7 +240,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def plot(
         self, path: str | os.PathLike[str] | None = None, findings: Collection[Finding] | None = None
     ) -> tuple[Figure, ...]:
-        """Draw a figure per finding, or for some, and one per axis without findings; saved in folder `path`.
+        """Draw a figure per finding, or for selected ones, and per axis without; saved in folder `path`.
 
         A finding in several axes is drawn in the most affected one, `Finding.shown`.
 
@@ -259,7 +257,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
 
 def _table(findings: Sequence[Finding]) -> pd.DataFrame:
-    """Table with one row per finding and parameter, with the size in each of several axes."""
+    """Table with one row per finding and parameter, and the size in each axis of a shared finding."""
     import pandas as pd
 
     columns = ["axes", "cause", "parameter", "value", "std", "unit", "limit", "p_value", "gain"]
@@ -270,7 +268,7 @@ def _table(findings: Sequence[Finding]) -> pd.DataFrame:
         found += [(whole, name, *values_of(detail), "") for name, detail in f.details.items()]
         if f.members:
             found += [(axis, *_row(e)) for axis, e in f.amplitudes.items()]
-            # Lists, such as the times of outliers, are those of the axes.
+            # Lists, such as the times of outliers, are in the findings of single axes.
             lists = [(m, {k: d for k, d in m.details.items() if k not in f.details}) for m in f.members]
             found += [(m.axes[0], name, *values_of(d), "") for m, own in lists for name, d in own.items()]
         numbers = [float("nan") if x is None else x for x in (f.p_value, f.gain)]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.base.wording import plain
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
@@ -24,30 +25,30 @@ from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
-# Rivals with longer odds against them than this are not reported: a judgement.
+# Rivals with higher odds against them are not reported: a judgement.
 _ODDS = 1000.0
 # Most findings in an axis: a judgement.
 _MOST = 8
 # p-value below which a rejected candidate is reported as undecided: a judgement.
 _CERTAIN = 1e-6
-# No further cause is asked once a candidate has gained so much [nats], and so many times the gain that any of
-# them offered in the round before: judgements.
+# No further cause is tried once a candidate has gained this much [nats], and so many times the gain that any
+# other cause offered in the round before: judgements.
 _EARLY_STOP_NATS, _EARLY_STOP_RATIO = 30.0, 4.0
-# Share of imputed samples from which on no other cause is looked for: a judgement.
+# Share of imputed samples above which no other cause is sought: a judgement.
 _TOO_MANY = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Draft:
-    """Search in one axis that may go on.
+    """Search in one axis that may be continued.
 
     Attributes:
         start, end: view of the axis without findings, and with all of them subtracted.
-        steps: the findings as they were made.
+        steps: the findings in order.
         tests: `Cause.p_value` at the start, of those causes that have one.
-        notes: notes for the user: causes as probable as noise, or an early end of the search.
+        notes: notes for the user: causes about as probable as noise terms, or an early end of the search.
         preprocessed: whether a finding concerns the samples themselves, such as rounding.
-        is_anew: whether findings were refitted, so that views before others are those of old ones.
+        is_anew: whether findings were refitted, so that the views of the steps are outdated.
     """
 
     start: View
@@ -65,7 +66,7 @@ class Search(Draft):
 
     Attributes:
         noise_model: random terms of the extended model, if there is a filter or a resonance among them.
-        others: terms of the baseline that are no basic ones, if it has any.
+        others: terms of the baseline other than basic ones, if any.
     """
 
     noise_model: Model | None = None
@@ -83,7 +84,7 @@ def search(
         if (
             candidate is not None
             and accepted.accepts(candidate)
-            # What cannot be held out is nan.
+            # Gains that cannot be held out are nan.
             and not (gain := candidate.held_out()) <= 0.0
         ):
             steps.append(Step.of(candidate, gain, (), view))
@@ -95,10 +96,10 @@ def search(
 def going_on(
     draft: Draft, causes: Sequence[Cause], false_alarms: float, progress: Callable[[str], None]
 ) -> Draft:
-    """Search that goes on, with causes that have not been asked yet."""
+    """Continued search, with causes that have not been tried yet."""
     accepted, steps, view = AcceptanceRule.of(false_alarms, causes), list(draft.steps), draft.end
     others, notes = _others(view, causes), draft.notes
-    # Gains that causes offered last, if they may not have to be asked again.
+    # Gains that causes offered last, of those that may not have to be tried again.
     offered: dict[Cause, float] = {}
     # Findings that are dropped again count too.
     rounds, anew = 0, draft.is_anew
@@ -122,7 +123,7 @@ def going_on(
         known = steps
         steps, view = refitted(known, view, others)
         anew |= [s.candidate for s in steps] != [s.candidate for s in known]
-        # A waveform may have hidden anything; other effects hardly hide one. In the end all are asked again.
+        # A waveform may have hidden any effect, others hardly; in the end all causes are tried again.
         if len(steps) < len(known) or step.candidate.has_waveform:
             offered = {}
         else:
@@ -132,19 +133,19 @@ def going_on(
             offered = {cause: offered[cause] for cause in left} | nothing | waveforms
     else:
         notes += (f"{view.axis.name}: the search stopped at {len(steps)} findings; there may be more",)
-    # It may have to wait for those of other axes.
+    # It may have to wait for the searches in other axes.
     view.forget()
     notes = tuple(dict.fromkeys(notes))
     return dataclasses.replace(draft, steps=tuple(steps), end=view, notes=notes, is_anew=anew)
 
 
 def _others(view: View, causes: Sequence[Cause]) -> list[Cause]:
-    """Causes that are not seen in the samples themselves; none in a record that is mostly imputed."""
+    """Causes that are not visible directly in the samples; none in a record that is mostly imputed."""
     return [c for c in causes if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
 
 
 def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
-    """Search that is over: all is fitted once more, and the filter and the resonances are described."""
+    """Finished search: everything is refitted, and the filter and the resonances are described."""
     start, known, anew = draft.start, list(draft.steps), draft.is_anew
     steps, view = refitted(known, draft.end, _others(draft.end, causes), last=True)
     shape = finished(view, coefficient_folds(view.n))
@@ -170,7 +171,7 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
 
 
 def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:
-    """Steps in which the filter and the resonances stand for the structure of the spectrum."""
+    """Steps in which the filter and the resonances represent the structure of the spectrum."""
     (first,) = [s for s in steps if s.candidate.cause == SpectralShape.name][:1]
     parts = []
     for part in shape.parts:
@@ -196,7 +197,7 @@ def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:
 def _candidates(
     view: View, causes: Sequence[Cause], offered: Mapping[Cause, float], progress: Callable[[str], None]
 ) -> tuple[list[tuple[Cause, Candidate]], list[Cause]]:
-    """Candidates of the causes in this view, and the causes not asked since they had offered far less."""
+    """Candidates of the causes in this view, and the causes not tried because they had offered far less."""
     left = sorted(causes, key=lambda cause: -offered.get(cause, np.inf))
     candidates: list[tuple[Cause, Candidate]] = []
     most = 0.0
@@ -212,13 +213,13 @@ def _candidates(
 
 
 def _undecided(candidate: Candidate, view: View) -> str:
-    """Note on a candidate that is about as probable as basic terms, if it is unlikely by chance."""
+    """Note on a candidate that is about as probable as basic terms, if chance is unlikely."""
     sensor = view.axis.sensor
     instead = [cause_title(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.chance > _CERTAIN or not instead:
         return ""
     name, odds = cause_title(candidate.cause, sensor), np.exp(candidate.gain)
-    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {odds:.2g} : 1)"
+    return f"{view.axis.name}: {' and '.join(instead)} may actually be {name} (odds {plain(odds, 2)} : 1)"
 
 
 def _chosen(
@@ -236,7 +237,7 @@ def _chosen(
         # Those before it in the ranking have been rejected.
         behind = ranked[ranked.index(candidate) + 1 :]
         rivals = [(other.cause, candidate.gain - other.gain) for other in behind]
-        # Basic terms that the finding replaces explained it so far.
+        # Basic terms that the finding replaces had explained it so far.
         rivals += [(t, candidate.gain) for t in view.noise.terms if t not in candidate.after.noise.terms]
         odds = ((name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
         return Step(candidate, gain, tuple(odds), view)
@@ -252,7 +253,7 @@ def view_of(
     baseline: tuple[Model, Model] | None,
     drawn: Bool[np.ndarray, " n"] | None = None,
 ) -> View:
-    """First view of an axis, in which the baseline's other than basic terms are subtracted or in the factor.
+    """First view of an axis; terms of the baseline other than basic ones are subtracted or in the factor.
 
     The baseline is a fitted model and the template of its terms; None: all basic terms are allowed. Samples
     that were missing are `drawn`.
@@ -279,7 +280,7 @@ def view_of(
             if name != RAMP:
                 noise += family.spectrum(model[name].sampled(rate))
         factor = 1.0 + density / np.maximum(noise, 1e-12 * density)
-    # A baseline without any basic noise still needs one to be compared with.
+    # A baseline without basic noise still needs some to be compared with.
     if not set(allowed) - {RAMP}:
         allowed = ("angle_random_walk", *allowed)
     return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, drawn, drawn=drawn)
@@ -315,7 +316,7 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
 
 
 def basic_model(view: View, random: Model | None = None) -> Model:
-    """Model of the basic terms of a view, with their values, or with these in place of the random ones."""
+    """Model of a view's basic terms with their values, or with these in place of the random ones."""
     model = random or view.noise.model()
     if not view.noise.ramp:
         return model
@@ -323,7 +324,7 @@ def basic_model(view: View, random: Model | None = None) -> Model:
 
 
 def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
-    """Model of an axis with all findings in it, and causes that change samples as no term of a model does."""
+    """Model of an axis with all findings, and the causes that no model term can describe."""
     model, left_out = basic_model(search.end, search.noise_model), []
     for step in search.steps:
         before, model = model, step.candidate.add_to_model(model)
@@ -333,7 +334,7 @@ def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
 
 
 def grouped(steps: Sequence[Step]) -> list[Step]:
-    """Steps in which harmonics of one fundamental are one finding, and so are all outliers."""
+    """Steps in which the harmonics of a fundamental are one finding, and all outliers are one."""
     left, grouped = list(steps), []
     while left:
         first, others = left[0], []

@@ -42,13 +42,13 @@ from allanjax.record.completion import in_time
 
 # Narrowest window [coefficients].
 _NARROWEST = 8
-# Independent windows for each width, and how many more for each e-fold of a smaller p-value; number of the
-# widest windows that show nothing new. Measured on simulated spectra.
+# Number of independent windows per width, and its growth per e-fold of a smaller p-value; number of the
+# widest windows that add nothing. Measured on simulated spectra.
 _INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
 
 
 class Window(NamedTuple):
-    """Window with most excess: its middle and width [coefficients], and the p-value of the search for it."""
+    """Window with the largest excess: its middle and width [coefficients], and the p-value of the search."""
 
     middle: float
     width: float
@@ -77,28 +77,28 @@ def conspicuous(ratio: Float[np.ndarray, " n-1"]) -> Window:
         least, widths = min(least, any_of(tail, independent * windows)), widths + 1.0
         best = max(best, (gain - np.log(windows), LOWEST + k * step + width / 2.0 + 1.0, float(width)))
         width *= 2
-    # Every width is a search of its own, but that the widest ones see what narrower ones have seen.
+    # Every width is a separate search, except that the widest ones repeat narrower ones.
     return Window(best[1], best[2], any_of(least, max(widths - _WIDE, 1.0)))
 
 
 #: Names of the findings.
 LOW_PASS, RESONANCE = "low_pass", "resonance"
-# Quality factor from which on resonances may be lines of one source, and how far from multiples of its
-# frequency, as a share of that, its lines may be: judgements.
+# Quality factor above which resonances may be lines of one source, and the largest distance of its lines from
+# multiples of its frequency, as a share of that: judgements.
 _LINES, _BESIDE = 50.0, 0.25
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
-# p-value of what is left of the spectrum from which on it is searched again: a judgement.
+# p-value of the rest of the spectrum below which it is searched again: a judgement.
 _LEFT = 1e-4
 # Correlation time [samples] below which a Markov process without white noise is filtered white noise.
 _SHORT = 20.0
-# Points at which the response is looked at for its half-power frequency, the share of half the sample rate
-# up to which this is looked for, and the step of derivatives.
+# Number of points of the response in the search for its half-power frequency, the share of half the sample
+# rate up to which this is sought, and the step of derivatives.
 _POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
 
 
 def _record(view: View, further: PowerLaw | None) -> Record:
-    """Spectrum of a view, without what its baseline has besides the basic terms."""
+    """Spectrum of a view without the terms of its baseline other than basic ones."""
     squares = view.residual**2
     return Record(squares if view.base is None else squares / view.base, view.rate, further)
 
@@ -115,7 +115,7 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
     columns += [] if further is None else [FURTHER]
     start = dataclasses.replace(Structure.plain(columns), further=further)
     noise = view.noise
-    # The same spectrum by another name: as white noise that is filtered it says where it ends.
+    # The same spectrum by another name: as filtered white noise it shows where the pass band ends.
     filtered = "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
     for name, power in noise.power.items():
         if name in FIXED:
@@ -133,10 +133,9 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
 
 
 def candidate_structure(view: View) -> tuple[View, float] | None:
-    """View with the structure that its spectrum has beyond what was found, and its log odds [nats].
+    """View with the structure of its spectrum beyond the findings, and its log odds [nats].
 
-    They are odds against the basic terms, also those that the model lacks: a Markov process may explain much
-    of what a filter does.
+    The odds are against all basic terms, also missing ones: a Markov process may explain much of a filter.
     """
     if view.structure is not None and not _left(view):
         return None
@@ -155,7 +154,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
 def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
     """View with narrow resonances at some of these places, and their log odds [nats].
 
-    The frequency of each is known but for its reach, which costs less than any frequency does.
+    The frequency of each is known within its reach, which costs less than an unknown frequency.
     """
     further = _further(view)
     record = _record(view, further)
@@ -190,7 +189,7 @@ def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
 
 
 def _without_ends(view: View) -> View:
-    """View whose ends are drawn anew in the stop band of its response; they count as imputed.
+    """View whose ends are redrawn in the stop band of its response; they count as imputed.
 
     Whitening amplifies the stop band, and with it the kinks of the mirrored record.
     """
@@ -201,7 +200,7 @@ def _without_ends(view: View) -> View:
         return view
     deep, share = band
     k = np.arange(view.n)
-    # Gradually: an edge would be a sample that stands out.
+    # Gradually, as an edge would be an outlying sample.
     near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
     root = np.sqrt(view.variance())
     drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
@@ -211,7 +210,7 @@ def _without_ends(view: View) -> View:
 
 
 def _left(view: View) -> bool:
-    """Whether the spectrum has something left that its structure does not explain."""
+    """Whether the spectrum has a rest that its structure does not explain."""
     return conspicuous(view.squared_whitened).p_value < _LEFT
 
 
@@ -221,12 +220,12 @@ class Part(NamedTuple):
     Attributes:
         cause: name of the cause.
         estimates: parameters in the recording's units.
-        gain: log odds for it, all else being fitted anew [nats].
+        gain: log odds for it, with everything else refitted [nats].
         held_out: gain in log-likelihood on every other half of the coefficients [nats].
-        p_value: p-value of its statistic, None where there is none.
+        p_value: p-value of its statistic; None if there is none.
         support: lowest and highest frequency [Hz].
         structure: structure with this part and all that gain more.
-        details: further frequencies, if there are some.
+        details: further frequencies, if any.
     """
 
     cause: str
@@ -240,7 +239,7 @@ class Part(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Structure of a view's spectrum, finished: its parts by their gain, and the model of all of it."""
+    """Final structure of a view's spectrum: its parts by gain, and the complete model."""
 
     parts: tuple[Part, ...]
     structure: Structure
@@ -271,7 +270,7 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     return Shape(tuple(parts), structure, model_of(structure, view.rate, further))
 
 
-#: Stands for the response among the components of a group.
+#: Represents the response among the components of a group.
 _RESPONSE = -1
 
 
@@ -339,7 +338,7 @@ def _part(
     structure = found.structure
     if group == [_RESPONSE]:
         estimates, low = _of_response(view, found)
-        # Of a filter there is no statistic but its odds.
+        # For a filter, the odds are the only statistic.
         return Part(LOW_PASS, estimates, gain, held_out, None, (low, view.rate / 2.0), partial, {})
     oscillators = [k - FULL.first_oscillator for k in group]
     # The strongest one and those close to it; the others are further lines of the same source.
@@ -370,7 +369,7 @@ def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
         slope[i] = np.log(there / value) / _STEP
     std = float(np.sqrt(slope @ covariance @ slope))
     bounds = np.log([LOWEST_BANDWIDTH * view.rate, view.rate])
-    # Steeper filters than the steepest one that is looked for look like it.
+    # Filters steeper than the steepest one in the search look like it.
     steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
     estimates = [
         view.log_estimate("bandwidth", *limited(float(np.log(value)), std, bounds), "Hz"),
@@ -382,7 +381,7 @@ def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
 def _half_power(structure: Structure, rate: float) -> float:
     """Frequency at which the response has fallen by half [Hz].
 
-    Where aliases keep it from falling so far it is that of the poles as an analog filter.
+    If aliases keep it above that, it is the frequency of the analog filter with these poles.
     """
     response = response_of(structure, rate)
     assert response is not None
@@ -399,7 +398,7 @@ def _half_power(structure: Structure, rate: float) -> float:
 def _of_resonances(
     view: View, found: Fitted, group: Sequence[int]
 ) -> tuple[list[Estimate], tuple[float, float]]:
-    """Frequency, quality factor and amplitude of one resonance, or of several that are one that moves."""
+    """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts."""
     structure, at, hertz = found.structure, FULL, view.rate / (2.0 * np.pi)
     frequency = np.array([structure.frequency(k) for k in group]) * hertz
     quality = np.array([structure.quality(k) for k in group])
@@ -407,7 +406,7 @@ def _of_resonances(
     power = np.array([structure.power[k] for k in places])
     response = response_of(structure, view.rate)
     if response is not None:
-        # As they are recorded, after the response.
+        # As recorded, after the response.
         passed = np.asarray(response.power(frequency, view.rate))
         power = np.where(structure.inside[places], power * passed, power)
     share = power / power.sum()
@@ -426,7 +425,7 @@ def _of_resonances(
     # The full width at half of the maximum of a normal law is 2.355 standard deviations.
     Q = f0 / np.hypot(width, 2.355 * moved)
     q_std = float(np.sqrt(share**2 @ (std[[at.qualities + k for k in group]] * (1.0 - 0.5 / quality)) ** 2))
-    # A narrower one is a line, a wider one an edge; below and above there is nothing to see of one.
+    # A narrower one is a line, a wider one an edge; lower or higher ones are not observable.
     spacing = view.rate / (2.0 * view.n)
     band, shapes = np.log([LOWEST * spacing, view.rate / 2.0]), np.log([LEAST_QUALITY, f0 / (LINE * spacing)])
     estimates = [

@@ -1,4 +1,4 @@
-"""Steps of the search: a finding, and the change that it makes in a view."""
+"""Steps of the search: a finding, and its change of a view."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Step:
 
     @classmethod
     def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
-        """Step that keeps no more of its views than is needed."""
+        """Step that keeps only the necessary parts of its views."""
         candidate = dataclasses.replace(
             candidate, after=candidate.after.without_caches(), held_out=lambda: gain
         )
@@ -46,12 +46,12 @@ class Step:
 class Change:
     """Change that a finding makes in a view.
 
-    What is in the structure of the spectrum is no part of it.
+    The structure of the spectrum is not part of it.
 
     Attributes:
         path: samples that are subtracted.
         added, removed: basic terms of the noise.
-        imputed: samples that are imputed since.
+        imputed: samples imputed by this step.
     """
 
     path: Float[np.ndarray, " n"] | None
@@ -70,11 +70,11 @@ class Change:
         )
 
     def apply(self, view: View) -> View:
-        """View without the finding, of one that has it."""
+        """View after the finding is made, from one before it."""
         return self._made(view)
 
     def undo(self, view: View) -> View:
-        """View as it would be had the finding not been made."""
+        """View as it would be without the finding."""
         return self._made(view, undone=True)
 
     def _made(self, view: View, undone: bool = False) -> View:
@@ -90,9 +90,9 @@ class Change:
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
-    """Steps made again one after the other, each in the view that the one before has left.
+    """Steps repeated one after the other, each in the view that the one before leaves.
 
-    The structure of the spectrum is that of the last step that has changed it.
+    The structure of the spectrum is that of the last step that changed it.
     """
     view, found = start, []
     for step in steps:
@@ -110,18 +110,18 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
 
 # Most rounds, for findings that depend on each other.
 _ROUNDS = 3
-# Frequencies at which noise is compared; changes of its log level, and of a parameter of other findings in
-# its standard deviations, that do not call for a refit: judgements.
+# Number of frequencies at which noise is compared; largest changes of its log level, and of a parameter of
+# other findings in its standard deviations, without a refit: judgements.
 _PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
-# Loss of log evidence [nats] from which on a finding is not dropped, and the largest loss that refitting may
-# bring, since a greedy search explains some noise, too: judgements.
+# Loss of log evidence [nats] above which a finding is not dropped, and the largest loss by refitting, since a
+# greedy search also explains some noise: judgements.
 _SURE, _LOST = 20.0, 2.5
 
 
 def refitted(
     steps: Sequence[Step], view: View, causes: Sequence[Cause], last: bool = False
 ) -> tuple[list[Step], View]:
-    """Steps, refitted where later ones changed what they were conditional on, and the view at the end.
+    """Steps, refitted if later ones changed their conditions, and the final view.
 
     A finding that gains nothing given the others is dropped, unless much evidence would be lost without it.
     Before the search is over (`last`), nothing is done unless a finding is to be refitted "at once".
@@ -145,7 +145,7 @@ def refitted(
                 lost.add(k)
                 continue
             lost.discard(k)
-            # Waveforms that overlap share what they gain; in the spectrum the gain was measured once for all.
+            # Overlapping waveforms share their gain; for spectral effects the gain was measured for good.
             gain = candidate.held_out() if candidate.has_waveform else found[k].gain
             end = candidate.after.with_findings(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
@@ -153,7 +153,7 @@ def refitted(
             found[k] = dataclasses.replace(step, conditions=_conditions(k, found, end))
     if end.noise.log_evidence < view.noise.log_evidence - _LOST:
         return list(steps), view
-    # Only the weakest one: what is left when it is gone may explain the others.
+    # Only the weakest one, as the rest after its removal may explain the others.
     for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
         without = _without(found[k], end)
         if end.noise.log_evidence - without.noise.log_evidence < _SURE:
@@ -163,7 +163,7 @@ def refitted(
 
 
 def _without(step: Step, end: View) -> View:
-    """View as it would be had this step not been made."""
+    """View as it would be without this step."""
     names = list(end.found)
     names.remove(step.candidate.cause)
     return step.change.undo(end).with_findings(*names)

@@ -22,7 +22,7 @@ from allanjax.noise.model import Model
 from allanjax.record.completion import in_time, widening
 from allanjax.record.recording import Axis
 
-# Steadier subsets of the terms, which are searched too: noise that drifts may be an effect in disguise.
+# Steadier subsets of the terms, which are also searched, as drifting noise may be a disguised effect.
 _STEADY: tuple[tuple[str, ...], ...] = (
     ("quantization", "angle_random_walk"),
     ("quantization", "angle_random_walk", "bias_instability"),
@@ -117,7 +117,7 @@ class View:
 
     @functools.cached_property
     def log_evidence_all_terms(self) -> float:
-        """Log evidence averaged over the subsets of all basic terms, those that the model lacks too."""
+        """Log evidence averaged over the subsets of all basic terms, including those that the model lacks."""
         return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
 
     @functools.cached_property
@@ -153,7 +153,7 @@ class View:
 
     @functools.cached_property
     def noises(self) -> tuple[Noise, ...]:
-        """Most probable subset, and the best steadier ones: an effect may have been taken for drift."""
+        """Most probable subset, and the best steadier ones, as an effect may have been taken for drift."""
         found = {frozenset(self.noise.terms): self.noise}
         for steady in _STEADY:
             if set(steady) & set(self.allowed) - {"quantization"}:
@@ -172,9 +172,9 @@ class View:
         self,
         fitted: Callable[[Bool[np.ndarray, " n-1"]], Noise | tuple[Noise, Float[np.ndarray, " n-1"]]],
     ) -> float:
-        """Log-likelihood of each half of the coefficients under what is fitted to the other half.
+        """Log-likelihood of each half of the coefficients under a fit to the other half.
 
-        That is noise, or noise and a further factor of the spectrum.
+        The fit is of noise, or of noise and a further factor of the spectrum.
         """
         total = 0.0
         for fold in coefficient_folds(self.n):
@@ -202,7 +202,8 @@ class View:
 
     @property
     def expected_likelihood(self) -> float:
-        """Expected log-likelihood of another such record: this one's less a nat a parameter (Akaike 1973)."""
+        """Expected log-likelihood of another such record: this one's less one nat per parameter (Akaike
+        1973)."""
         shaped = bool(np.isfinite(self.noise.shape))
         return self.log_likelihood(self.noise) - len(self.noise.terms) - shaped
 
@@ -210,8 +211,8 @@ class View:
         """Gain in log-likelihood [nats] on data that were not used to estimate the effect.
 
         It is the expected gain of the noise without the effect (`after`) over the noise with it, in which the
-        effect's gain in sample is replaced by the cross-validated one: on parts of the record by the effect
-        that the other parts show.
+        effect's in-sample gain is replaced by the cross-validated one: on parts of the record with the effect
+        from the other parts.
         """
         return after.expected_likelihood - self.expected_likelihood - (in_sample - cross_validated)
 
@@ -222,7 +223,7 @@ class View:
 
     @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
-        """Cosine coefficients without the ramp that the noise has."""
+        """Cosine coefficients without the ramp of the noise."""
         return self.coefficients - self.slope * self.family.ramp if self.noise.ramp else self.coefficients
 
     @functools.cached_property
@@ -240,7 +241,7 @@ class View:
     def with_samples(
         self, samples: Float[np.ndarray, " n"], imputed: Bool[np.ndarray, " n"] | None = None
     ) -> View:
-        """View of other samples, of which these are `imputed` besides those that were."""
+        """View of other samples, of which these are newly `imputed`."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
         view = dataclasses.replace(self, samples=samples, imputed=imputed)
         vars(view)["factor"], vars(view)["_mask"] = self.factor, self._mask
@@ -259,7 +260,7 @@ class View:
         return view
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
-        """View, with all that has been computed of it, for which these causes have been found.
+        """View with these causes found, keeping everything computed for it.
 
         `nuisances` are coefficients of subtracted waveforms, whose amplitudes are nuisances.
         """
@@ -268,7 +269,7 @@ class View:
         return view
 
     def without_caches(self) -> View:
-        """View without what can be computed anew, but for its noise."""
+        """View without cached values, except its noise."""
         view = dataclasses.replace(self)
         vars(view)["noise"] = dataclasses.replace(self.noise)
         if "factor" in vars(self):
@@ -276,7 +277,7 @@ class View:
         return view
 
     def forget(self) -> None:
-        """Let go of what can be computed anew and is as long as the record, as of a view that has to wait."""
+        """Drop cached arrays as long as the record, e.g. for a view that has to wait."""
         for name in ("coefficients", "whitened", "loo_residuals", "_variance", "_mask"):
             vars(self).pop(name, None)
         for noise in {*vars(self).get("noises", ()), vars(self).get("noise")} - {None}:
@@ -287,7 +288,7 @@ class View:
         return dataclasses.replace(self, allowed=tuple(terms))
 
     def recoloured(self, whitened: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Samples that have these whitened residuals, with the ramp of this view's samples."""
+        """Samples with these whitened residuals and the ramp of this view's samples."""
         c = dct(whitened, norm="ortho", workers=-1)
         c[1:] *= np.sqrt(self.variance())
         c[1:] += self.coefficients - self.residual
@@ -299,7 +300,7 @@ class View:
         return parameter_estimate(self.axis, label, value, std * self._wide, unit, limit)
 
     def log_estimate(self, label: str, log: float, std: float, limit: Limit, unit: str) -> Estimate:
-        """Parameter given by its logarithm and the standard deviation of the logarithm."""
+        """Parameter, given its logarithm and the standard deviation of that."""
         value = float(np.exp(log))
         std *= value * self._wide
         return parameter_estimate(self.axis, label, value, std, unit, limit, log_normal=True)
@@ -336,7 +337,7 @@ class Candidate:
         domain: "time" or "frequency".
         add_to_model: adds it to a model of noise terms.
         has_waveform: whether it subtracts a known waveform from the lowest coefficients.
-        parts: the single effects, in order, if only several together explain anything.
+        parts: the single effects, in order, if only several together are significant.
         details: words and lists of numbers by name.
         bound: upper bound of the probability of such odds under noise alone, e.g. e^−gain.
     """
@@ -357,7 +358,7 @@ class Candidate:
 
     @property
     def chance(self) -> float:
-        """Probability by which it is accepted: the p-value or the bound, whichever is less."""
+        """Probability that decides on acceptance: the p-value or the bound, whichever is smaller."""
         return self.bound if self.p_value is None else min(self.p_value, self.bound)
 
     @property

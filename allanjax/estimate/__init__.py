@@ -1,1 +1,1 @@
-"""Estimation: which terms a recording shows, their coefficients, and how well these are known."""
+"""Estimation: the noise terms in a recording, their coefficients, and the uncertainty of these."""

@@ -27,7 +27,7 @@ from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.recording import Axis, DeadAxis
 
 SCHEMA_VERSION = 1
-#: What stands for an infinite parameter of a model, for which JSON has no number.
+#: Replacement for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
 _Made = TypeVar("_Made", bound=Parametrized)
 
@@ -54,7 +54,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
         "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
-        "stretch_s": None if fit.stretch is None else list(fit.stretch),
+        "stretch_s": None if fit.longest_part is None else list(fit.longest_part),
         "parts_s": [list(part) for part in fit.parts],
         "notes": list(fit.notes),
     }
@@ -108,7 +108,7 @@ def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
 
 
 def _extension(result: AxisFit) -> dict[str, Any]:
-    """The axis's own model, what it was corrected for in words, and the fit without that."""
+    """The axis's own model, its correction in words, and the fit without that correction."""
     template, plain = result.own_template, result.plain
     assert template is not None
     assert plain is not None
@@ -135,7 +135,7 @@ def _misfit(misfit: Misfit | None) -> dict[str, Any] | None:
 
 
 def _terms(model: Model) -> dict[str, Any]:
-    """The terms of a model, its response, and the terms that pass that."""
+    """The terms of a model, its response, and the terms that pass through it."""
     terms = [{"term": term.name(), **_parameters(term)} for term in model]
     if (response := model.response) is None:
         return {"model": terms, "response": None}
@@ -253,7 +253,9 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
     except FileNotFoundError as error:
         raise AllanjaxError(f"{path}: no such file; check the path") from error
     except (OSError, ValueError) as error:
-        raise AllanjaxError(f"{path}: not a JSON file, or damaged: {error}") from error
+        raise AllanjaxError(
+            f"{path}: not a JSON file, or damaged ({error}); give a NAME.json of allanjax characterize"
+        ) from error
     classes = term_classes() | {term.name(): term for term in terms}
     try:
         if "fits" in document:
@@ -268,7 +270,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
 def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
     """Fit from its JSON document."""
     if "baseline" in document or "schema_version" not in document or "axes" not in document:
-        raise AllanjaxError("not a fit written by allanjax; allanjax characterize writes such files")
+        raise AllanjaxError("not a fit written by allanjax; give a NAME.json of allanjax characterize")
     if document["schema_version"] != SCHEMA_VERSION:
         raise AllanjaxError(
             f"schema version {document['schema_version']}, but this allanjax reads version {SCHEMA_VERSION}; "
@@ -323,7 +325,7 @@ def _parametrized(made: type[_Made], of: Mapping[str, Any]) -> _Made:
 
 
 def _loaded_curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:
-    """Allan deviations of the living axes."""
+    """Allan deviations of all axes but the dead ones."""
     curve = document["curve"]
     return AllanDeviation(
         cluster_time=np.array(curve["cluster_time_s"], float),

@@ -1,8 +1,8 @@
 """Fits of single axes: from Allan variances or a spectrum to coefficients, misfit and model.
 
-By Whittle's likelihood the levels of the cosine spectrum are χ² around their expectations (see `cosine`),
-which the joint spectral model has for all terms and the response at once (`spectral`). The inference is that
-of the Allan variances, with the levels in their place. Lines, ramps and regressors are estimated alongside
+By Whittle's likelihood the levels of the cosine spectrum are χ² around their expectations (see `cosine`); the
+joint spectral model computes these for all terms and the response at once (`spectral`). The inference is as
+for Allan variances, with the levels in their place. Lines, ramps and regressors are estimated alongside
 (`deterministic`).
 """
 
@@ -58,7 +58,7 @@ from allanjax.estimate.spectral.fit import (
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import PER_OCTAVE, Bins, cosine_transform, term_column
 from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
@@ -67,9 +67,9 @@ from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
 _ROUNDS = 3
 # Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
-# Bins an octave where the spectrum is not smooth: of resonances, and of filters.
+# Bins per octave where the spectrum is not smooth: for resonances, and for filters.
 _FINE = 24
-# Cluster sizes and terms that a fit's arrays have room for: with four an octave, sizes of 6·10⁷ samples.
+# Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 _CAPACITY = (96, 6)
 
 
@@ -80,7 +80,7 @@ class WhittleFit:
     Attributes:
         coefficients: coefficients of all terms of the model.
         solution: solution for its random terms.
-        estimates: degrees of freedom of χ² before the model's parameters are subtracted.
+        estimates: degrees of freedom of χ² before subtraction of the model's parameters.
         spectrum: the statistics that the model was fitted to.
         regression: amplitude of each regressor and its standard deviation [rate per the regressor's unit].
         misfit: misfit of the levels; None if the model suffices.
@@ -315,7 +315,7 @@ def fit_allan(
         axes: its axes.
         template: the model.
         active: the terms that each axis has.
-        values: the record, without which lines and resonances cannot be found.
+        values: the record, which is needed to find lines and resonances.
     """
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
     results, scatter = _fit_estimates(
@@ -390,7 +390,7 @@ def _fit_estimates(
         dof = len(variances) - estimated(template, active[k])
         solution = jax.tree.map(lambda x: x[0], solution)
         result = _axis_fit(axis, template, active[k], coefficients, solution, dof)
-        # With one or two degrees of freedom at the longest cluster times the tail of χ² is none.
+        # With one or two degrees of freedom, as at the longest cluster times, the χ² tail is not valid.
         results.append(dataclasses.replace(with_misfit(result, misfit), p_value=np.nan))
         scatter.append(np.asarray(inference.estimate_variance)[0])
     return tuple(results), scatter
@@ -403,7 +403,7 @@ def solve_and_infer(
     active: Bool[np.ndarray, "axes terms"],
     starts: Starts,
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
-    """Best solution from the starts of each axis, the inference around it, and its misfit."""
+    """Best solution of each axis over its starts, the inference around it, and its misfit."""
     V, powers = design.padded_estimates(variance), design.padded_terms(starts.power)
     of_terms = (design.padded_terms(free), design.padded_terms(active))
     solution = jax.device_get(solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0]))
@@ -454,7 +454,7 @@ def judged(
 ) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
-    The law of the levels is known at all frequencies, that of variances at long cluster times is not.
+    The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
     sufficient = result.converged and result.discrepancy == 0.0
     if sufficient:
@@ -475,7 +475,7 @@ def judged(
 
 
 def _with_verdict(result: AxisFit, chi2: float, dof: int) -> AxisFit:
-    """Result with this χ², of so many degrees of freedom."""
+    """Result with this χ² and number of degrees of freedom."""
     return dataclasses.replace(result, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof)))
 
 
@@ -506,7 +506,7 @@ def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> So
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
-    """Raise FitError unless n samples give more of these `estimates` than there are free parameters."""
+    """Raise FitError unless n samples give more of the `estimates` than there are free parameters."""
     free_count = sum(p.free for p in template.parameters)
     if count <= free_count:
         raise FitError(
@@ -608,7 +608,7 @@ def _moments_under(
 
 
 def _with_all_terms(template: Model, result: AxisFit) -> Model:
-    """The fitted model, absent terms included: with an amplitude of zero, and whatever shape."""
+    """The fitted model; absent terms are included with an amplitude of zero and an arbitrary shape."""
     values = {}
     for p in template.parameters:
         value = result[p.label].value if p.label in result.coefficients else p.start
@@ -620,7 +620,7 @@ def _with_all_terms(template: Model, result: AxisFit) -> Model:
 def _moments_of(
     design: AllanDesign, template: Model, result: AxisFit
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Expectation and variance of the Allan variances under a fitted model; of no meaning without a fit."""
+    """Expectation and variance of the Allan variances under a fitted model; meaningless without a fit."""
     values = {label: c.value for label, c in result.coefficients.items()} if result.converged else {}
     amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
     power = np.array([float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes])

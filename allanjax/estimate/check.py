@@ -18,7 +18,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,8 +31,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.renamed import renamed
-from allanjax.base.tables import WIDTH, html_table, printable, text_table
-from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
 from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.spectral.components import columns_of
@@ -69,8 +68,7 @@ _SHORTEST, _ACCURACY = 64, 1e-3
 SCHEMA_VERSION = 1
 # Fewest samples from which a length is determined.
 _FEWEST = 64
-_HEADINGS = ("check", "verdict", "reason")
-# Characters of a finding in the table; a longer one is cut, and printed in full below.
+# Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
 
 
@@ -198,7 +196,7 @@ class NeededLength(ByValue):
         below = f"not detected (< {significant(c.upper_limit or 0.0)} {c.unit}, 95 %)"
         if self.seconds is not None and self.seconds <= self.now:
             return f"{below}, at that limit it would usually be detected by now"
-        return f"{below}, at that limit {needed}"
+        return f"{below}; if it were at that limit, {needed}"
 
 
 def needed_lengths(result: AxisFit, n: int, rate: float) -> tuple[NeededLength, ...]:
@@ -317,7 +315,7 @@ def _groups(n: int, first: int) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, 
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class Check(ByValue):
+class Check(ByValue, Tabled):
     """Whether a recording is suitable for the estimation of noise coefficients.
 
     Attributes:
@@ -366,10 +364,7 @@ class Check(ByValue):
         }
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
-        if not self.rate:
-            return f"{name}cannot be read as a recording"
-        return f"{name}{self.n:,} samples at {self.rate:g} Hz ({duration(self.n / self.rate)})"
+        return record_size(self.n, self.rate) if self.rate else "cannot be read as a recording"
 
     def _of(self, verdict: str) -> list[Line]:
         return [line for line in self.lines if line.verdict == verdict]
@@ -377,24 +372,19 @@ class Check(ByValue):
     def _names(self, verdict: str) -> str:
         return ", ".join(line.name for line in self._of(verdict))
 
-    def __str__(self) -> str:
-        rows, below = [], []
+    def _tables(self) -> list[list[Column]]:
+        lines = (*self._of("stop"), *self._of("look"))
+        rows = [(line.name, line.verdict, line.reason.partition("; ")[0]) for line in lines]
+        return [columns_from(("check", "verdict", "reason"), rows)] if rows else []
+
+    def _notes(self) -> Iterator[str]:
         for line in (*self._of("stop"), *self._of("look")):
             finding, _, rest = line.reason.partition("; ")
-            rows.append((line.name, line.verdict, textwrap.shorten(finding, _CELL, placeholder=" …")))
             more = line.reason if len(finding) > _CELL else rest
             # The lengths of all axes are in `lengths`, and in JSON.
             if more and not line.name.startswith("length for"):
-                below.append(f"{line.name}: {more}")
-        below.append(f"fine: {self._names('fine') or 'none'}")
-        head = f"{text_table(self._title(), _HEADINGS, rows)}\n" if rows else self._title()
-        return "\n".join([head, *(textwrap.fill(printable(x), WIDTH, subsequent_indent="  ") for x in below)])
-
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        rows = [(x.name, x.verdict, x.reason) for verdict in ("stop", "look") for x in self._of(verdict)]
-        return html_table(self._title(), _HEADINGS, [*rows, ("all others", "fine", self._names("fine"))])
+                yield f"{line.name}: {more}"
+        yield f"fine: {self._names('fine') or 'none'}"
 
 
 def check(
@@ -484,7 +474,7 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
     """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
     states: dict[str, list[NeededLength]] = {}
     for x in lengths:
-        state = "not detected" if math.isnan(x.relative_std) else f"above {_TARGET_WORDS}"
+        state = "not detected" if math.isnan(x.relative_std) else f"known to worse than {_TARGET_WORDS}"
         states.setdefault("unknown" if x.reason else state, []).append(x)
     if len(states) > 1:
         # Axes whose fit does not describe the sensor have a line of their own.
@@ -495,9 +485,9 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
         return head
     left = [x for of in states.values() for x in of]
     longest = max(left, key=lambda x: x.seconds or math.inf)
-    at_limit = " at the limit" * (states.keys() == {"not detected"})
+    at_limit = "at the limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
-    return f"{head}: {_TARGET_WORDS}{at_limit} needs {_in_words(longest.seconds)}{where}"
+    return f"{head}; {at_limit}{_in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
 
 
 def _in_words(seconds: float | None) -> str:

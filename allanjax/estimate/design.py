@@ -36,20 +36,20 @@ _OSCILLATING_RIDGE = 5e-3
 _OSCILLATING_ORDER = 32
 # Terms whose rows every Allan design has, so that any choice among them is data.
 _BASIC = tuple(term.with_unit_amplitude() for term in basic_terms())
-# Shapes that are evaluated roughly, so many at a time; those from which a fit may start; and frequencies that
-# are tried for lines.
+# Number of shapes that are evaluated roughly at a time, number of starts of a fit, and number of frequencies
+# that are tried for lines.
 _CANDIDATES = 512
 _BLOCK = 16
 _STARTS = 4
 _PEAKS = 4
-# Starts that differ by less than this in ln lead to the same solution; 1 for kinds of shapes not listed.
+# Starts that differ by less than this in ln lead to the same solution; 1 for unlisted kinds of shapes.
 _APART = {"line": 0.02}
 
 
 class FreeShape(NamedTuple):
-    """Free parameter that is no amplitude: of which of the terms, its declaration, and whether it is fitted.
+    """Free parameter that is not an amplitude: its term, its declaration, and whether it is fitted.
 
-    Those of lines are not: their frequencies are known from the record.
+    Frequencies of lines are not fitted, as they are known from the record.
     """
 
     term: int
@@ -58,10 +58,10 @@ class FreeShape(NamedTuple):
 
 
 class Design(eqx.Module):
-    """Model of the estimates as the inference sees it: see the module's docstring.
+    """Model of the estimates for the inference: see the module's docstring.
 
     Attributes:
-        owner: the term that each of the free parameters other than amplitudes ("shapes") is of.
+        owner: the term of each free parameter that is not an amplitude ("shape").
         terms: number of terms.
         rows: number of estimates.
     """
@@ -78,7 +78,7 @@ class Design(eqx.Module):
     @property
     @abc.abstractmethod
     def has_shapes(self) -> bool:
-        """Whether there may be any; known when a program is compiled."""
+        """Whether there may be shapes; known when a program is compiled."""
 
     @abc.abstractmethod
     def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
@@ -102,7 +102,7 @@ class Design(eqx.Module):
 
     @abc.abstractmethod
     def products(self, shape: Float[Array, " shapes"]) -> Array:
-        """Part of the covariance that depends on the shapes alone."""
+        """Part of the covariance that depends only on the shapes."""
 
     @abc.abstractmethod
     def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
@@ -138,7 +138,7 @@ class Design(eqx.Module):
     @property
     @abc.abstractmethod
     def weight(self) -> Float[Array, " m"]:
-        """Rough relative weight of each estimate, where no model is known."""
+        """Rough relative weight of each estimate, for use without a model."""
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -157,7 +157,7 @@ def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_resp
 
 
 def of_owners(model: Model, of_terms: Bool[np.ndarray, "... terms"]) -> Bool[np.ndarray, "... owners"]:
-    """Flags of what has parameters: of the terms, then of the response if any term that passes it has one."""
+    """Flags of these terms, then of the response: whether any of the terms passes through it."""
     if model.response is None:
         return of_terms
     passing = of_terms[..., np.array(model.inside, bool)]
@@ -190,7 +190,7 @@ class AllanDesign(Design):
 
     Attributes:
         shapes: the free parameters that are not amplitudes.
-        others: the terms that are not basic ones, of unit amplitude; free shapes are None.
+        others: the terms that are not basic ones, with unit amplitude; free shapes are None.
         columns: row of each term among the basic ones and these.
     """
 
@@ -214,8 +214,8 @@ class AllanDesign(Design):
     ) -> AllanDesign:
         """Design of a noise model for Allan variances at these cluster sizes of n samples.
 
-        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays
-        have a `capacity` of so many cluster sizes and terms at least: compiled functions serve others, too.
+        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays are
+        padded to at least the `capacity` of cluster sizes and terms, so that compiled functions are reused.
         """
         oscillates = any(term.oscillates for term in model.terms)
         order = {"order": _OSCILLATING_ORDER} if oscillates else {}
@@ -224,7 +224,7 @@ class AllanDesign(Design):
 
     @classmethod
     def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
-        """Design of a noise model for the estimates of a quadrature, with room for so many terms at least."""
+        """Design of a noise model for the estimates of a quadrature, padded to at least so many terms."""
         others: list[NoiseTerm] = []
         columns, basic = np.full(max(slots, len(model)), -1), [type(term) for term in _BASIC]
         for k, term in enumerate(model.sampled(rate).terms):
@@ -240,7 +240,7 @@ class AllanDesign(Design):
         )
         oscillates = any(term.oscillates for term in model.terms)
         distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
-        # What pads is beyond all rows.
+        # Padding is beyond all rows.
         columns = np.where(columns < 0, len(_BASIC) + len(others), columns)
         return cls(
             shapes=shapes,
@@ -340,7 +340,7 @@ class AllanDesign(Design):
 
 
 def _structure(term: NoiseTerm) -> NoiseTerm:
-    """Term of unit amplitude whose free shapes are None and whose held ones are arrays, to be data."""
+    """Term of unit amplitude: its free shapes are None, and its held ones arrays, so that they are data."""
     held: dict[str, Any] = {}
     for p in term.parameters()[1:]:
         value = getattr(term, p.name)
@@ -422,15 +422,15 @@ def _bilinear(
 
 
 def _chosen(rows: Float[Array, "basis ..."], columns: Int[ArrayLike, " terms"]) -> Float[Array, "terms ..."]:
-    """Rows of a model's terms among those of all; zero where there is no term."""
+    """Rows of a model's terms among all rows; zero where there is no term."""
     return rows.at[jnp.asarray(columns)].get(mode="fill", fill_value=0.0)
 
 
 def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Array, " pairs"]:
     """Covariance of the estimates of a narrow-band term alone.
 
-    Its power fluctuates as one, which all estimates share; an estimate's own overlaps of differences add as
-    much once more (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
+    Its power fluctuates as a whole, which all estimates share; the overlaps within an estimate add as much
+    again (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
     """
     i, j = geometry.pairs
     mean = geometry.mean(term)
@@ -504,7 +504,7 @@ def _different(
     misfit: Float[np.ndarray, " candidates"],
     apart: Float[np.ndarray, " shapes"],
 ) -> Int[np.ndarray, " starts"]:
-    """Indices of the best candidates that are no neighbours of a better one, then of the best others."""
+    """Indices of the best candidates that are not next to a better one, then of the best others."""
     order = list(np.argsort(misfit))
     chosen: list[int] = []
     for i in order:
@@ -533,7 +533,7 @@ def _rough_powers(
         def step(_: int, v: Array) -> Array:
             return jnp.where(active, v * target / (normal @ v), 0.0)
 
-        # The start is low enough for no term alone to exceed the curve.
+        # The start is so low that no term alone exceeds the curve.
         start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / design.terms, 0.0)
         v = jax.lax.fori_loop(0, 500, step, start)
         return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
@@ -543,7 +543,7 @@ def _rough_powers(
 
 
 def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"]:
-    """Sixteen correlation times [s] that a record of this duration [s] may show."""
+    """Sixteen correlation times [s] that are observable in a record of this duration [s]."""
     return np.geomspace(4.0 / rate, duration / 4.0, 16)
 
 
@@ -553,7 +553,7 @@ def shape_candidates(
     rate: float,
     peaks: Float[np.ndarray, " peaks"] | Sequence[float],
 ) -> Float[np.ndarray, "candidates shapes"]:
-    """Transformed shape values to try in a record of this duration [s]: those given, or a grid.
+    """Transformed shape values to try in a record of this duration [s]: the given ones, or a grid.
 
     `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
     """

@@ -1,8 +1,8 @@
 """Deterministic parts of a record in its cosine spectrum: ramps, steps, lines of unknown phase, regressors.
 
-Given the noise, each enters linearly: weighted least squares estimate it, and projecting it out costs degrees
-of freedom where it has its power (its leverage), for which the remaining levels are corrected. So the noise
-is estimated from residuals that no amplitude of these parts could have changed.
+Given the noise, each enters linearly and is estimated by weighted least squares. Projecting it out costs
+degrees of freedom where it has its power (its leverage), and the remaining levels are corrected for that. So
+the noise is estimated from residuals that do not depend on the amplitudes of these parts.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 from allanjax.spectrum.cosine import Bins, cosine_transform
 
-# A line is fitted to so many coefficients on either side of it; beyond, its best fit is subtracted.
+# A line is fitted to so many coefficients on either side; farther away its best fit is subtracted.
 LINE_REACH = 64
-# Grid points a coefficient in the search for a line's frequency.
+# Grid points per coefficient in the search for a line's frequency.
 _GRID = 4
 # A line is searched within so many coefficients of a conspicuous place.
 _SEARCH = 4.0
@@ -39,7 +39,7 @@ _OUTLYING = 16.0
 
 
 def needs_record(term: NoiseTerm) -> bool:
-    """Whether a term is estimated from the record itself: lines, resonances, transients; not a ramp."""
+    """Whether a term must be estimated from the record itself: lines, resonances, transients; not a ramp."""
     return term.narrow_band or (term.deterministic and not isinstance(term, DriftRamp))
 
 
@@ -90,7 +90,7 @@ class Line:
 
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
-    """Indices of a model's lines, and the start of each one's frequency (or None) and whether it is held."""
+    """Indices of a model's lines, with the start of each frequency (or None) and whether it is held."""
     lines: list[int] = []
     wanted: list[tuple[float | None, bool]] = []
     for k, term in enumerate(model.terms):
@@ -155,7 +155,7 @@ def _wave(
 
 
 def _conspicuous(c: Float[np.ndarray, " n-1"], n: int, rate: float) -> list[float]:
-    """Frequencies where a few neighbouring coefficients have most power relative to their surroundings."""
+    """Frequencies where a few neighbouring coefficients have most power relative to the others around."""
     from scipy.ndimage import median_filter, uniform_filter1d
 
     power = uniform_filter1d(c**2, _CORE, mode="nearest")
@@ -229,7 +229,7 @@ class Projection:
 
     @property
     def estimates(self) -> float:
-        """Number of levels; one of less than a degree of freedom counts as that."""
+        """Number of levels; a level with less than one degree of freedom counts as that fraction."""
         return float(np.sum(np.minimum(self.dof, 1.0)))
 
 
@@ -269,7 +269,7 @@ class AxisSpectrum(ByValue):
         for term, line in lines.items():
             near = line.indices - 1
             own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
-            # The rest, which is due to other lines, is not in a line's own coefficients.
+            # The rest is due to other lines and is not in a line's own coefficients.
             fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
             apart[near] += fitted**2
             present[near] += fitted
@@ -312,7 +312,7 @@ class AxisSpectrum(ByValue):
 
 
 def amplitude_quantile(square: float, degrees: int, probability: float) -> float:
-    """Amplitude, in standard deviations, for which a square as small as this one has that probability.
+    """Amplitude, in standard deviations, under which a square as small as this one has this probability.
 
     The square of an estimate with `degrees` components (a ramp has one, a line two), in units of its
     variance, has a noncentral χ² law. A confidence limit follows for any amplitude, zero included. Upper

@@ -1,6 +1,6 @@
 """The evidence for sets of noise terms: Whittle's likelihood integrated over the amplitudes of each set.
 
-An amplitude c has the prior 1/[(c + c0)·Y], uniform where the term could not be seen and uniform in ln c
+An amplitude c has the prior 1/[(c + c0)·Y], uniform where the term could not be detected, and uniform in ln c
 above (the modified Jeffreys prior, Gregory 2005, ApJ 631:1198). Its scale c0 is the amplitude whose power
 would be one standard deviation in these data; Y = ln(1 + 10⁴): four decades. So a term's Occam factor
 depends on how sharply the data determine it, not on units, and is two to five nats. (The scale of a ramp's
@@ -35,14 +35,14 @@ from allanjax.spectrum.cosine import Bins, SpectralStatistics
 #: Largest amplitude that the prior allows, over the prior's scale, and the normalization ln(1 + that).
 PRIOR_RANGE = 1e4
 LOG_PRIOR_RANGE = np.log1p(PRIOR_RANGE)
-#: Steps of Fisher scoring: from zero to the maximum; to tell the sets that matter from the others; and from
+#: Steps of Fisher scoring: from zero to the maximum; to separate relevant sets from the others; and from
 #: there to the maximum (within 10⁻⁵ nats).
 STEPS, ROUGH, FURTHER = 20, 3, 6
 # Sweeps over the powers within a step, each of which goes on from the last.
 _SWEEPS = 40
 # Points of the integral over one amplitude: within 10⁻⁷ nats, for half of the time that the evidence takes.
 _QUADRATURE = 48
-#: Sets computed together, for one compilation: a fourth of those of six basic terms.
+#: Sets computed together in one compiled program: a quarter of the sets of six basic terms.
 BLOCK = 143
 # Numbers of bins are rounded up to multiples of this.
 _BINS = 64
@@ -52,8 +52,8 @@ class TermSubset(NamedTuple):
     """A subset of the candidate terms, or several, stacked [subsets].
 
     Attributes:
-        terms: which of the terms without a free shape it has, and whether the one with a free shape, or two.
-        column: index of the latter's shape in its grid, 0 without; of two an array.
+        terms: which terms without a free shape it has, and whether it has one with a free shape, or two.
+        column: index of the latter's shape in its grid, 0 without one; an array for two.
         ramp: whether it has a ramp.
     """
 
@@ -78,7 +78,7 @@ def term_subsets(fixed: int, grid: int, ramp: bool) -> TermSubset:
 def term_pairs(
     some: Bool[np.ndarray, "sets fixed"], ramp: Bool[np.ndarray, " sets"], grid: int
 ) -> TermSubset:
-    """Subsets of two terms with a free shape, all pairs of different ones, beside each of these sets."""
+    """Subsets of two terms with different free shapes: all pairs, combined with each of these sets."""
     pairs = np.array(list(itertools.combinations(range(grid), 2))).reshape(-1, 2)
     rows, each = np.repeat(np.arange(len(some)), len(pairs)), np.tile(pairs, (len(some), 1))
     both = np.ones((len(rows), 2), bool)
@@ -106,7 +106,8 @@ def without_ramp(
 def _log_likelihood(
     statistics: SpectralStatistics, size: Array, share: Array, mean: Array, ramp: Array
 ) -> Array:
-    """Whittle log-likelihood, integrated over all amplitudes of the ramp but for a constant of its unit."""
+    """Whittle log-likelihood, integrated over all amplitudes of the ramp, up to a constant that depends on
+    its unit."""
     base = -0.5 * jnp.sum(share * (size * jnp.log(mean) + statistics.squares / mean))
     u, p = jnp.sum(share * statistics.gram / mean), jnp.sum(share * statistics.cross / mean)
     return base + jnp.where(ramp, 0.5 * p**2 / u - 0.5 * jnp.log(u), 0.0)
@@ -138,7 +139,7 @@ def _marginal_factor(precision: Array, power: Array, score: Array, prior_scale: 
 
 
 def _ramp_evidence(statistics: SpectralStatistics, share: Array, mean: Array) -> Array:
-    """Factor of the ramp, ln ∫ prior(R) cosh(Rp) exp(−½R²u) dR, less the part that `_log_likelihood` has."""
+    """Factor of the ramp, ln ∫ prior(R) cosh(Rp) exp(−½R²u) dR, less the part in `_log_likelihood`."""
     u, p = jnp.sum(share * statistics.gram / mean), jnp.sum(share * statistics.cross / mean)
     prior_scale = 1.0 / jnp.sqrt(u)
     centre = jnp.abs(p) / u
@@ -179,7 +180,7 @@ def _evidence(
         new = _non_negative_powers(
             columns * weight @ columns.T, columns @ (weight * level), subset.terms, power
         )
-        # Fisher scoring overshoots at times; then half the step is taken.
+        # Fisher scoring may overshoot; then half the step is taken.
         tried = jnp.stack([new, 0.5 * (power + new)])
         means = jnp.maximum(tried @ columns, 1e-300)
         values = jax.vmap(lambda mean: _log_likelihood(statistics, size, share, mean, subset.ramp))(means)
@@ -259,7 +260,7 @@ def evidences(
         steps: number of scoring steps.
     """
     count, blocks = len(subsets.ramp), []
-    # Bins that only pad have no coefficients: few programs serve all lengths.
+    # Padding bins have no coefficients, so that few programs serve all lengths.
     more = -len(size) % _BINS
     fixed, grid = (np.pad(x, ((0, 0), (0, more)), constant_values=1.0) for x in (fixed, grid))
     size, share = np.pad(size, (0, more)), np.pad(share, ((0, 0), (0, more)))
@@ -280,7 +281,7 @@ def evidences(
 
 
 class Row(NamedTuple):
-    """Subset of the candidates, each free time with a value, as one axis sees it.
+    """Subset of the candidates for one axis, with a value for each free time.
 
     Attributes:
         members: which of the candidates' columns it has.
@@ -295,7 +296,7 @@ class Row(NamedTuple):
     log_evidence: float
 
     def key(self, cut: int) -> tuple[int, ...]:
-        """Its columns without a free shape, of which there are `cut`."""
+        """Which of the first `cut` columns it has, those without a free shape."""
         return tuple(int(m) for m in self.members if m < cut)
 
 
@@ -347,14 +348,14 @@ class Candidates:
 
     @property
     def grid(self) -> Float[np.ndarray, "grid m"]:
-        """Columns of the first term with a free time; some levels if there is none."""
+        """Columns of the first term with a free time; arbitrary levels if there is none."""
         if not self.shaped:
             return np.ones((1, self.columns.shape[1]))
         count = (len(self.columns) - len(self.fixed)) // len(self.shaped)
         return self.columns[len(self.fixed) :][:count]
 
     def subsets(self) -> TermSubset:
-        """All subsets with one free time at most, those without first."""
+        """All subsets with at most one free time, those without one first."""
         return term_subsets(len(self.fixed), len(self.grid) if self.shaped else 0, bool(self.ramps))
 
     def evidence(
@@ -366,7 +367,7 @@ class Candidates:
         return Evidence(*(np.array(x) for x in found))
 
     def rows(self, subsets: TermSubset, found: Evidence, axis: int) -> list[Row]:
-        """The subsets that were compared, as one axis sees them."""
+        """The compared subsets for one axis."""
         cut, count = len(self.fixed), len(self.grid)
         rows = []
         for k in np.flatnonzero(found.log_evidence[axis] > -np.inf):
@@ -391,7 +392,7 @@ def sorted_terms(model: Model) -> tuple[tuple[int, ...], tuple[int, ...], tuple[
         free = [p for p in term.parameters()[1:] if term.is_free(p)]
         if not term.has_free_amplitude:
             raise AllanjaxError(
-                f"{term.name()}: a term with a held amplitude cannot be chosen; leave it free"
+                f"{term.name()}: a term with a held amplitude cannot be ranked; leave it free"
             )
         if term.deterministic and len(term.parameters()) == 1:
             ramps.append(k)
@@ -405,7 +406,7 @@ def sorted_terms(model: Model) -> tuple[tuple[int, ...], tuple[int, ...], tuple[
     few = 1 <= len(fixed) + len(ramps) + len(kinds) <= 6
     if len(shaped) > 2 or len(kinds) > 1 or len(ramps) > 1 or not few:
         raise AllanjaxError(
-            "at most six candidate terms, with at most one ramp and one term with a free time (or two of one "
-            "kind); hold the other times, e.g. Markov().hold(correlation_time=100.0)"
+            "select_terms takes at most six terms, with at most one ramp and one term with a free time (or "
+            "two of one kind); hold the other times, e.g. Markov().hold(correlation_time=100.0)"
         )
     return tuple(fixed), tuple(shaped), tuple(ramps)

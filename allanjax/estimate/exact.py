@@ -1,7 +1,7 @@
-"""Fit of a noise model by the maximum of its exact Gaussian likelihood, which a Kalman filter gives.
+"""Fit of a noise model by the maximum of its exact Gaussian likelihood, computed by a Kalman filter.
 
-The mean of the record is unknown: the likelihood is that of the differences of successive samples. Where
-Whittle's likelihood begins, from its maximum, the exact one is climbed by Fisher scoring. Derivatives of the
+The mean of the record is unknown: the likelihood is that of the differences of successive samples. From the
+maximum of Whittle's likelihood, Fisher scoring climbs the exact one. Derivatives of the
 innovations e and their variances s are central differences, all of them in one compiled program; with them
 
     score_i = −Σ e ∂_i e/s − ½ Σ ∂_i s/s·(1 − e²/s),    information_ij = Σ ∂_i e ∂_j e/s + ½ Σ ∂_i s ∂_j s/s²
@@ -25,7 +25,7 @@ from allanjax.estimate.design import free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
-from allanjax.kalman.likelihood import innovations_under, log_likelihoods
+from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.recording import Recording
@@ -42,11 +42,11 @@ _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0
 
 
 def check_exact(model: Model | None, recording: Recording) -> None:
-    """Raise FitError where the exact likelihood cannot be used, with what to do instead."""
-    whittle = 'use objective="whittle"'
+    """Raise FitError if the exact likelihood cannot be used, with an alternative."""
+    whittle = 'use objective="whittle" (--objective whittle)'
     if model is None:
         raise FitError(
-            'objective="exact" needs a model, e.g. "N + K"; allanjax.select_terms(recording) ranks the terms'
+            'objective="exact" needs a model, e.g. "N + K" (--terms); allanjax.select_terms ranks the terms'
         )
     if recording.n > MOST:
         raise FitError(
@@ -55,7 +55,9 @@ def check_exact(model: Model | None, recording: Recording) -> None:
         )
     for label, term in zip(model.term_labels, model.terms, strict=True):
         if term.deterministic:
-            raise FitError(f"{label} is not random, as the exact likelihood requires; {whittle}")
+            raise FitError(
+                f"{label} is deterministic, but the exact likelihood takes random terms only; {whittle}"
+            )
         if isinstance(term, PowerLaw) and any(term.is_free(p) for p in term.parameters()[1:]):
             raise FitError(
                 f"{label} has no state space with a free exponent; hold the exponent, or {whittle}"
@@ -65,7 +67,7 @@ def check_exact(model: Model | None, recording: Recording) -> None:
 def fit_exact(
     recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"]
 ) -> tuple[AxisFit, bool]:
-    """Fit one axis by its exact likelihood, from the maximum of Whittle's; and whether that was possible.
+    """Fit one axis by its exact likelihood, starting from Whittle's, and whether that was possible.
 
     Where the model does not fit the spectrum, the result is that of Whittle's likelihood.
     """
@@ -108,13 +110,13 @@ class _Place:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Problem:
-    """Samples and what of the model is fitted to them.
+    """Samples, and the part of the model that is fitted to them.
 
     Attributes:
         template, z, rate, missing: the model and the samples.
-        parameters: those that are fitted: powers in units of `scale`, shapes as ln of the distance from their
+        parameters: the fitted ones: powers in units of `scale`, shapes as ln of the distance from their
             bound.
-        start, scale, is_power: of each.
+        start, scale, is_power: start, scale and kind of each.
         lower, upper: bounds of each.
         held: values of all parameters that are not fitted.
     """
@@ -273,8 +275,8 @@ class _Problem:
     ) -> tuple[Float[np.ndarray, " grid"], Float[np.ndarray, " grid"]]:
         """Hypothetical powers of a term, and signed roots of the likelihood ratio of each.
 
-        Of an absent term the root is that of a likelihood whose maximum is at zero: the slope there, with
-        which the data would like less than nothing, is taken out, lest its limit shrink.
+        For an absent term the likelihood is modified to have its maximum at zero: its negative slope there is
+        removed, so that the term's limit does not shrink.
         """
         with_it = inside.copy()
         with_it[k] = True
@@ -300,7 +302,7 @@ class _Problem:
 def _covariance(
     information: Float[np.ndarray, "p p"], of: Bool[np.ndarray, " p"]
 ) -> Float[np.ndarray, "p p"]:
-    """Inverse of the information about these parameters, the others known; zero for those."""
+    """Inverse of the information about these parameters, the others being known; zero for the others."""
     found = np.zeros_like(information)
     found[np.ix_(of, of)] = np.linalg.pinv(information[np.ix_(of, of)], rcond=1e-14, hermitian=True)
     return found

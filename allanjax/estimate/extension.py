@@ -1,7 +1,7 @@
-"""Fit of an axis whose spectrum the plain noise terms do not follow: with filter, resonances and lines.
+"""Fit with filter, resonances and lines of an axis that the plain noise terms do not fit.
 
-What there is besides the terms is searched for in the spectrum (`Content`); the terms are chosen anew, from
-the spectrum divided by what that makes of it; and all of it is fitted jointly (`fit_jointly`).
+The spectrum is searched for components besides the terms (`Content`); the terms are chosen anew, from the
+spectrum divided by the effect of these components; and everything is fitted jointly (`fit_jointly`).
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoi
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
 
-# Coefficients on either side of a line that have its power, and that are looked at.
+# Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
-# Share of the excess there that a line's core has; log odds of a peak in white noise; peaks that are tried.
+# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried.
 _NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
 # Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
 _BLOCK, _MEDIAN = 64, 0.4549
-# Looks for lines, each after those found before are taken out.
+# Number of searches for lines, each after removal of the lines found before.
 _LOOKS = 3
 # Rounds of projecting out ramp and lines and fitting the rest.
 _WEIGHT_ROUNDS = 2
-# Numbers of terms, free shapes and levels that arrays have room for: those of the joint spectral model.
+# Numbers of terms, free shapes and levels to which arrays are padded: those of the joint spectral model.
 _TERMS, _SHAPES, _LEVELS = 24, 32, 1024
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
@@ -63,14 +63,14 @@ _SHAPED, _AROUND = 0.05, 1.5
 _SHORT = 20.0
 # Least distance of two lines [coefficients].
 _APART = 1.5
-# Joint fits, until all that is in the model is seen.
+# Most joint fits until every component of the model is detected.
 _ROUNDS = 6
-# Share of the discrepancy that must be gone, and samples that a search needs.
+# Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
-    """What a spectrum consists of.
+    """Components of a spectrum.
 
     Attributes:
         structure: terms, response and resonances.
@@ -86,7 +86,7 @@ class Content(NamedTuple):
 
     @property
     def further(self) -> list[int]:
-        """Components that are no plain terms, then a negative number for each line."""
+        """Components that are not plain terms, then a negative number for each line."""
         own = [
             k
             for k in np.flatnonzero(self.structure.active).tolist()
@@ -102,7 +102,7 @@ class Content(NamedTuple):
 
 
 def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
-    """What the spectrum of these samples consists of."""
+    """Components of the spectrum of these samples."""
     n, lines, x = len(x), list[float](), x - x.mean()
     c = cosine_transform(x)
     for _ in range(_LOOKS):
@@ -158,9 +158,9 @@ class Template(NamedTuple):
     """Model of an axis, with the values of a structure.
 
     Attributes:
-        model: all five basic terms first, the ramp too, then Markov processes and what there is further.
-        active: its terms that are in use; for the others there is a limit.
-        component: of its random terms, the component of the structure.
+        model: first all five basic terms, the ramp included, then Markov processes and further components.
+        active: terms of the model that are in use; the others get a limit.
+        component: the component of the structure for each random term.
     """
 
     model: Model
@@ -169,7 +169,7 @@ class Template(NamedTuple):
 
     @classmethod
     def of(cls, content: Content, ramp: bool) -> Template:
-        """Template of what there is, with or without a ramp in use."""
+        """Template of the content, with or without a ramp in use."""
         structure, rate = content.structure, content.bins.rate
         terms: list[tuple[NoiseTerm, bool, bool]] = []
         component = []
@@ -201,7 +201,7 @@ class Template(NamedTuple):
 def fit_jointly(
     content: Content, ramp: bool, axis: Axis, x: Float[np.ndarray, " n"]
 ) -> tuple[Template, WhittleFit, Structure]:
-    """Joint fit of what the spectrum of these samples consists of, and its structure."""
+    """Joint fit of all components of the spectrum of these samples, and its structure."""
     template, rate = Template.of(content, ramp), content.bins.rate
     base = Record(content.c**2, rate).binned(content.structure)
     spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
@@ -271,7 +271,7 @@ def _tangent(
     levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
     fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
     for i, (plateau, by_own) in fillers.items():
-        # Powers are counted anew: what it has at low frequencies is that of white noise.
+        # Its power is redefined: at low frequencies it is that of white noise.
         power[WHITE] += plateau * power[i]
         unit[i] -= plateau * levels_of_white
         by_shape[i] -= plateau * slopes_of_white
@@ -296,7 +296,7 @@ def _tangent(
 
 
 def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray, " m"]) -> frozenset[int]:
-    """Components that are resonances around which the levels are not those of the model."""
+    """Resonances around which the levels differ from the model."""
     f, rows, hertz = spectrum.bins.frequency, len(ratio), spectrum.bins.rate / (2.0 * np.pi)
     weight, found = np.asarray(spectrum.levels.shape)[:rows], set[int]()
     for k in structure.oscillators:
@@ -309,10 +309,10 @@ def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray,
 
 
 def _fillers(noise: Model, rate: float, unshaped: Sequence[int]) -> dict[int, tuple[float, dict[str, float]]]:
-    """Terms that are white at low frequencies, which nothing tells from white noise there.
+    """Terms that are white at low frequencies, where nothing distinguishes them from white noise.
 
-    So are resonances that are not shown to have an oscillator's shape. By index: their density there for unit
-    amplitude, and its logarithmic derivatives by ln(shape − bound).
+    These include resonances whose oscillator shape the data do not show. By index: their density there at
+    unit amplitude, and its logarithmic derivatives by ln(shape − bound).
     """
     found: dict[int, tuple[float, dict[str, float]]] = {}
     for i, term in enumerate(noise.terms):
@@ -335,7 +335,7 @@ def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:
 
 
 def _parameter(name: str, component: int) -> int:
-    """Parameter of the joint spectral model that a shape of a component is."""
+    """Parameter of the joint spectral model for a shape of a component."""
     at = FULL
     if component < at.first_oscillator:
         return at.times + component - at.first_markov
@@ -353,7 +353,7 @@ class Extension(NamedTuple):
 def extended(
     x: Float[np.ndarray, " n"], rate: float, plain: AxisFit, curve: AllanDeviation, k: int
 ) -> Extension | None:
-    """Fit of one axis with what its spectrum has besides the plain terms; None if that explains little.
+    """Fit of one axis with components besides the plain terms; None if they explain little.
 
     Args:
         x: samples.
@@ -367,7 +367,7 @@ def extended(
     content = content_of(x, rate)
     of = content.structure
     besides = of.kind != NONE or len(of.oscillators) or len(of.markovs) or content.lines
-    # Without plain terms there is nothing to correct.
+    # Without plain terms nothing is to be corrected.
     if not besides or not content.plain_terms:
         return None
     selection = _selection(content, axis)
@@ -396,7 +396,7 @@ def extended(
 
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:
-    """Ranking of the terms by the spectrum, divided by what the rest of the structure makes of it."""
+    """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
     structure, fine = content.structure, content.bins
     bins = Bins.of(fine.n, fine.rate)
     f, response = fine.frequency, response_of(structure, fine.rate)
@@ -407,7 +407,7 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
         total += density * (passed if structure.inside[k] else 1.0)
         terms += density if k in content.plain_terms else 0.0
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
-    # A ramp is not divided: it is in the lowest coefficients, where nothing is changed.
+    # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
     corrected = content.c / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
     basic = basic_terms() + Markov()
     candidates = candidates_of(basic + Markov() if len(structure.markovs) > 1 else basic, fine.rate)
@@ -418,7 +418,7 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
 def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     """Structure with the chosen terms, and as many Markov processes as were chosen.
 
-    Where no set of terms suffices those with a free time were left out, and the structure keeps its own.
+    If no set of terms suffices, those with a free time were left out, and the structure keeps its own.
     """
     chosen, structure = selection.chosen.terms, content.structure
     for k, label in enumerate(FIXED):
@@ -447,9 +447,9 @@ def _overlap(structure: Structure, k: int, other: int) -> bool:
 
 
 def _tidied(content: Content, template: Template, result: AxisFit) -> Content | None:
-    """Content without resonances and lines that the joint fit does not show; None if it shows all.
+    """Content without resonances and lines that the joint fit does not detect; None if it detects all.
 
-    A resonance that has become as narrow as a line is one.
+    A resonance that has become as narrow as a line becomes a line.
     """
     structure, spacing = content.structure, content.bins.rate / (2.0 * content.bins.n)
     further = dict(
@@ -468,13 +468,13 @@ def _tidied(content: Content, template: Template, result: AxisFit) -> Content | 
         for label, own in found.items()
         if "quality_factor" in own and own["frequency"].value < own["quality_factor"].value * LINE * spacing
     }
-    # What is too narrow spoils its neighbours, which are judged once it is a line.
+    # Too narrow a resonance spoils its neighbours; these are judged once it is a line.
     unseen = sorted(
         (label for label, own in found.items() if not own["amplitude"].detected),
         key=lambda label: found[label]["amplitude"].value,
     )
     gone = list(narrow)
-    # Of resonances that overlap none may be seen, but all together are: the weakest goes first.
+    # Overlapping resonances may be detected only together, not singly: the weakest goes first.
     for label in unseen if not narrow else ():
         if not any(_overlap(structure, further[label], further[other]) for other in gone):
             gone.append(label)

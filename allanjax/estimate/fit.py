@@ -1,7 +1,7 @@
 """Fits of a noise model to a recording: Allan or wavelet variances, Whittle's or the exact likelihood.
 
-Of many axes (`fit_many`) the solver and the inference are compiled once, for blocks of a fixed number of
-axes, whatever their number; the blocks share the cores.
+For many axes (`fit_many`) the solver and the inference are compiled once, for blocks of a fixed number of
+axes; the blocks share the cores.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.allan.clusters import Spacing
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.estimators import Spacing
 from allanjax.base.cache import release_programs
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.tables import text_table
+from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import (
     check_count,
@@ -41,14 +41,14 @@ from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
 from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSelection, percent, ranked
+from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, Sinusoid, Telegraph, basic_terms
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
@@ -59,12 +59,12 @@ from allanjax.spectrum.cosine import joint_statistics
 if TYPE_CHECKING:
     import pandas as pd
 
-# Denser cluster times than octaves gain some 5 % in the middle of the curve; beyond four an octave, nothing.
+# Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
 _PER_OCTAVE = 4
 Objective = Literal["allan", "whittle", "wavelet", "exact"]
-# Axes of a block: what the compiled programs hold for so many stays in a core's cache.
+# Axes per block: for so many, the data of the compiled programs stay in a core's cache.
 _BLOCK = 64
-# The arrays have room for a multiple of so many cluster sizes: at octaves, two programs serve all records.
+# Arrays are padded to a multiple of so many cluster sizes: at octaves, two programs serve all records.
 _CAPACITY = 8
 
 
@@ -87,8 +87,8 @@ def fit(
     """Estimate the coefficients of a noise model from every axis of a recording.
 
     The recording is inspected first (see `inspect`). Parts in which it was handled are left out on all axes;
-    `warnings` and `stretch` of the fit report them. If too little remains, there is no result. With a step, a
-    warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
+    `warnings` and `longest_part` of the fit report them. If too little remains, there is no result. With a
+    step, a warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
 
     `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
     per octave, weighted with their full covariance under the fitted model (see `gls`).
@@ -151,15 +151,15 @@ def fit_inspected(
     wavelet: str = "haar",
     as_is: bool = False,
 ) -> Fit:
-    """Fit of a recording whose inspection is known already; see `fit`."""
+    """Fit of a recording that has been inspected already; see `fit`."""
     if objective not in get_args(Objective):
         told = ", ".join(f'"{name}"' for name in get_args(Objective))
         raise AllanjaxError(f"the objective must be one of {told}, not {objective!r}")
-    # What is wrong with them is said before anything is computed.
+    # Errors in the regressors are raised before anything is computed.
     _regressors(recording, regressors, objective)
     if not seen.refusal:
         quiet = seen.quiet(recording)
-        # As if it were complete, but for the exact likelihood; what that claims too much is made good after.
+        # The record is fitted as if complete (not by the exact likelihood); intervals are widened later.
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
@@ -179,7 +179,7 @@ def inspected(
     as_is: bool,
     vibrating: bool,
 ) -> Inspection:
-    """Inspection of a recording for a fit of this model, which may say that the mean moves."""
+    """Inspection of a recording for a fit of this model, under which the mean may move."""
     terms = () if model is None else model_to_fit(model, recording.axes, with_response=True).terms
     timed = any(isinstance(term, Transient) for term in terms)
     may_move = timed or bool(regressors) or any(isinstance(term, Telegraph) for term in terms)
@@ -207,12 +207,12 @@ def _fitted(
     curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
     check_length(curve, template, recording.name)
     if recording.others:
-        # The stretches are taken to be independent.
+        # Segments are taken to be independent.
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
         results = fit_statistics(*joint, template, recording.axes, active)
         objective = "whittle"
     elif objective == "allan" or octaves:
-        # Wavelet variances of Haar are half the Allan variances at octaves.
+        # Haar wavelet variances are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
     elif objective == "wavelet":
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
@@ -225,22 +225,23 @@ def _fitted(
         results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
     if objective in ("allan", "wavelet"):
         results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
-    # Allan variances that were fitted have their degrees of freedom already.
+    # Fitted Allan variances have their degrees of freedom already.
     if not (objective == "allan" or octaves) or any(result.spectrum is not None for result in results):
         results, curve = with_curve(curve, template, results)
-    # Regressors are part of a model that is given, or of the plain terms.
+    # Regressors belong to a given model, or to the plain terms.
     if selection is not None and not (plain or given):
         results, selection = _extended(recording, results, curve, selection)
     if selection is not None:
         results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
-    notes = (*recording.notes, *notes, *ambiguities(selection))
+    notes = (*recording.notes, *notes, *(selection.ambiguities() if selection else ()))
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
 
 def _exact(
     recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
 ) -> tuple[tuple[AxisFit, ...], tuple[str, ...]]:
-    """Results by the exact likelihood, and a note on axes that have Whittle's, widened where samples miss."""
+    """Results by the exact likelihood, and a note on axes with Whittle's, which is widened for missing
+    samples."""
     found = [fit_exact(recording, k, template, active[k]) for k in range(len(recording.axes))]
     by = np.ones(len(found)) if recording.missing is None else widening(recording.missing)
     results = tuple(
@@ -248,14 +249,14 @@ def _exact(
         for (result, exact), factor in zip(found, by, strict=True)
     )
     names = [result.axis.name for result, exact in found if not exact]
-    note = f"{', '.join(names)}: fitted by Whittle's likelihood, as the model does not fit"
+    note = f"{', '.join(names)}: fitted by Whittle's likelihood instead, as the model does not fit"
     return results, (note,) if names else ()
 
 
 def _extended(
     recording: Recording, results: Sequence[AxisFit], curve: AllanDeviation, selection: TermSelection
 ) -> tuple[tuple[AxisFit, ...], TermSelection]:
-    """Results and selection in which axes that no set of terms follows have their extension."""
+    """Results and selection, in which axes that no set of terms fits have their extension."""
 
     def of(k: int) -> Extension | None:
         incomplete = not results[k].converged or results[k].discrepancy > 0.0
@@ -269,7 +270,7 @@ def _extended(
 
 
 def _with_missing(found: Fit, factors: Float[np.ndarray, " axes"]) -> Fit:
-    """Fit of a record of which samples are missing: wider intervals, fewer degrees of freedom."""
+    """Fit of a record with missing samples: wider intervals, fewer degrees of freedom."""
     results = zip(found.results, factors, strict=True)
     curve = dataclasses.replace(found.curve, edf=found.curve.edf / factors**2)
     return dataclasses.replace(
@@ -285,7 +286,7 @@ def without_coefficients(
     notes: tuple[str, ...],
     dead: tuple[DeadAxis, ...],
 ) -> Fit:
-    """A fit without coefficients: the curve of a recording, and why it has none."""
+    """A fit without coefficients: the curve of a recording, and the reason."""
     nothing = np.zeros((0, 0))
     results = tuple(
         AxisFit(axis, False, seen.refusal, np.nan, 0, np.nan, np.nan, {}, nothing, template)
@@ -295,16 +296,16 @@ def without_coefficients(
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
-    """A fit completed by its inspection: facts, parts, levels, and what these facts mean for each axis."""
+    """A fit with the results of its inspection: facts, parts, levels, and consequences for each axis."""
     rate, results = found.curve.rate, []
     facts = ordered(_left(fact, found) for fact in seen.facts)
     for r in found.results:
         k = [axis.name for axis in seen.axes].index(r.axis.name)
         r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
-        # What lines add to the power is half of it in an amplitude.
+        # A relative change of the power is half as large in the amplitude.
         widened = (f for f in facts if f.consequence == "widened" and r.axis.name in f.axes)
-        share = float(np.hypot(seen.allowance[k], sum(f.share or 0.0 for f in widened) / 2.0))
-        r = r.allowing(share, float(seen.foreign[k]) / np.sqrt(rate))
+        share = float(np.hypot(seen.disturbance_error[k], sum(f.share or 0.0 for f in widened) / 2.0))
+        r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
         kinds = seen.why_not(r.axis.name)
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(
@@ -313,7 +314,8 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
 
 
 def _left(fact: Fact, found: Fit) -> Fact:
-    """A fact about lines, as one that widens where no term of its axis's model is for lines; others as is."""
+    """A fact about lines, which widens the intervals if no term of the axis's model describes them; others as
+    is."""
     if fact.kind != "lines" or not found[fact.axes[0]].converged:
         return fact
     if any(term.narrow_band or isinstance(term, Sinusoid) for term in found[fact.axes[0]].model.terms):
@@ -328,7 +330,7 @@ def terms_to_fit(
     axes: Sequence[Axis],
     objective: Objective,
 ) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
-    """Model to fit, given or chosen, and which of its terms each axis has.
+    """Model to fit, given or chosen, and the terms that each axis has.
 
     Raises:
         FitError: a step or a warm-up without a time, or with "allan"; the same term twice.
@@ -340,18 +342,18 @@ def terms_to_fit(
         _check_distinct(template)
         return template, np.ones((len(axes), len(template)), bool)
     sets = [axis.chosen.terms for axis in selection.results]
-    # A Markov process is part of the template where it is needed only: it costs time.
+    # A Markov process is in the template only if it is needed, as it costs time.
     template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
     return template, np.array([[label in s for label in template.term_labels] for s in sets])
 
 
 def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
-    """Raise FitError if there are no more Allan variances than parameters."""
+    """Raise FitError unless there are more Allan variances than parameters."""
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, name)
 
 
 def _check_distinct(template: Model) -> None:
-    """Raise FitError for two terms that differ in nothing but their amplitudes, which are to be found."""
+    """Raise FitError for two terms that differ only in free amplitudes."""
     seen = set()
     for k, term in enumerate(template.terms):
         shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
@@ -362,7 +364,7 @@ def _check_distinct(template: Model) -> None:
 
 
 def _with_known_transients(template: Model, objective: Objective) -> Model:
-    """The model with the shapes of its steps and warm-ups held: a record is not searched for them."""
+    """The model with the shapes of its steps and warm-ups held, as a record is not searched for them."""
     terms = list(template.terms)
     for k, term in enumerate(template.terms):
         if not isinstance(term, Transient):
@@ -373,7 +375,7 @@ def _with_known_transients(template: Model, objective: Objective) -> Model:
         for shape in shapes:
             if getattr(term, shape) is None:
                 raise FitError(
-                    f"a fit does not estimate the {shape} of a {term.name()}; pass it, e.g. "
+                    f"a fit does not estimate the {shape} of a {term.name()}; give its value, e.g. "
                     f'{type(term).__name__}({shape}=120.0).hold("{shape}"); allanjax.critique estimates it'
                 )
         terms[k] = term.hold(*shapes)
@@ -413,7 +415,7 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
     if not result.converged:
         return result
     doubtful, found = ranking.doubtful(), dict(result.coefficients)
-    # Of an extended axis the ranking is of a spectrum that was corrected.
+    # The ranking of an extended axis is that of its corrected spectrum.
     intervals = ranking.intervals if result.own_template is None else {}
     for label, c in found.items():
         if label in intervals and c.detected and c.std > 0.0:
@@ -424,22 +426,8 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
     return result.with_estimates(found)
 
 
-def ambiguities(selection: TermSelection | None) -> tuple[str, ...]:
-    """Notes on terms that the data leave undecided: one note per term, with its axes and probabilities."""
-    found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
-    for axis in selection.values() if selection else ():
-        for question, words, one, other in axis.undecided():
-            found.setdefault((question, words), []).append((axis.axis.name, one, other))
-    notes = []
-    for (question, words), of in found.items():
-        names = [name for name, *_ in of]
-        probabilities = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
-        notes.append(f"undecided: {question} on {', '.join(names)} (probability {probabilities})")
-    return tuple(notes)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class BulkFit(ByValue):
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class BulkFit(ByValue, Tabled):
     """The fit of one model to many axes: arrays [axes] or [axes, coefficients], in SI.
 
     Axes that did not converge have NaN for their coefficients and detect nothing.
@@ -521,19 +509,19 @@ class BulkFit(ByValue):
         scales = {s: [unit_scale(u, s) if u else 1.0 for u in units] for s, units in of_sensor.items()}
         return np.array([of_sensor[s] for s in sensors], object), np.array([scales[s] for s in sensors])
 
-    def __str__(self) -> str:
+    def _tables(self) -> list[list[Column]]:
         rows = []
         for (label, unit), of_label in self.to_dataframe().groupby(["coefficient", "unit"], sort=False):
             seen = of_label["value"][of_label["detected"]]
             ends = [significant(x, 4) for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
             rows.append([str(label), str(unit), *ends, f"{len(seen)} of {len(of_label)} axes"])
-        title = (
+        return [columns_from(("coefficient", "unit", "5 %", "median", "95 %", "detected"), rows)]
+
+    def _title(self) -> str:
+        return (
             f"{len(self)} axes of {self.curve.n:,} samples at {self.curve.rate:g} Hz, "
             f"{np.count_nonzero(self.converged)} converged; values where detected"
         )
-        return text_table(title, ("coefficient", "unit", "5 %", "median", "95 %", "detected"), rows)
-
-    __repr__ = __str__
 
 
 def fit_many(
@@ -607,7 +595,7 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
 def _in_blocks(
     curve: AllanDeviation, template: Model
 ) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
-    """Solution and inference of every axis, and whether the curve is near enough to the data."""
+    """Solution and inference of every axis, and whether the curve is close enough to the data."""
     capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (capacity, 0))
     free = free_powers(template)

@@ -1,13 +1,12 @@
 """Iterated generalized least squares on estimates of power, compiled and vectorised over axes.
 
 The estimating equation is D'C⁻¹(V − μ) = 0 with mean μ, its derivatives D and the covariance C of the
-estimates V all at the current model: unbiased whatever the shape of V's law, and nearly as good as the whole
-record's likelihood. Inside, each variance is written in units of its model mean.
+estimates V, all under the current model: it is unbiased for any law of V, and nearly as efficient as the
+likelihood of the whole record. Internally, each variance is in units of its mean under the model.
 
-Where a model cannot follow the curve within the scatter (χ² beyond all doubt, p < 1e-6), the covariance
-gains a relative error s of the model's powers, correlated over about an octave, such that χ²
-equals its degrees of freedom. Intervals then say how well the coefficients are known *given that the model is
-incomplete*, instead of being absurdly narrow.
+If a model cannot follow the curve within the scatter (p < 1e-6), the covariance gains a relative error s of
+the model's powers, correlated over about an octave, that brings χ² to its degrees of freedom. The intervals
+then allow for an incomplete model instead of being absurdly narrow.
 """
 
 from __future__ import annotations
@@ -29,23 +28,23 @@ from allanjax.estimate.design import AllanDesign
 # Bound of a shape's distance from its start, in ln: the spectrum locates a line better than the Allan curve
 # does; the starts of other shapes are two to a decade or denser.
 _SHAPE_BOUND = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound, which is open, in ln.
+# Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
 # Largest number of reweightings, and of steps of the shapes within each.
 _OUTER_STEPS = 100
 _INNER_STEPS = 50
 # Largest factor by which the acceleration extrapolates the last move.
 _MAX_EXTRAPOLATION = 5.0
-# Number of full steps; from then on shapes move by at most _LATE in ln, times _SHORTER after each step.
+# Number of full steps; afterwards shapes move by at most _LATE in ln, times _SHORTER after each step.
 _DAMPING_AFTER_STEP = 25
 _LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
-# The same after the last step: where a direction is poorly determined, as that of a long correlation time,
-# steps stay longer, and so much of a standard deviation is good enough.
+# The same after the last step: in a poorly determined direction, such as a long correlation time, steps stay
+# longer, and this share of a standard deviation suffices.
 _CLOSE = 0.05
 # Phases of the iteration: first with large errors of the model, nearly a log-log fit, which converges from
-# anywhere; then without; then, if χ² is too large, with the error that makes it equal its degrees of freedom.
+# anywhere; then without; then, if χ² is too large, with the error that brings it to its degrees of freedom.
 _WARM_UP, _PLAIN, _WITH_ERROR, _DONE = range(4)
 _FIRST_ERROR, _LEAST_ERROR, _LESS_ERROR = 0.1, 1e-4, 0.5
 _WARM_UP_ERROR = np.array([0.5, 0.2, 0.05, 0.0])
@@ -58,8 +57,7 @@ class Solution(NamedTuple):
         power: powers (squared amplitudes) of the terms.
         shape: transformed shapes, ln(value − lower bound).
         chi2: χ² without an error of the model.
-        power_error: relative error of the model's powers that the misfit calls for; 0 if the model
-            suffices.
+        power_error: relative error of the model's powers that explains the misfit; 0 if the model suffices.
         converged: whether the iteration converged.
         cost: minus twice the log-likelihood, to choose among solutions.
     """
@@ -87,7 +85,7 @@ class _Place(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State of the iteration: the estimate, where it was robust, its last move, and the phase."""
+    """State of the iteration: the estimate, the one of the robust phase, the last move, and the phase."""
 
     here: _Place
     robust: _Place
@@ -102,14 +100,14 @@ class _State(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """Data of one axis, what of the model is to be fitted to them, and from where.
+    """Data of one axis, the part of the model that is fitted to them, and the start.
 
     Attributes:
         design, V, free, active: as in `solve`.
         power, shape: where the fit starts; inactive terms have zero power, held ones keep theirs.
         moves: which shapes are fitted; the others stay at their start.
         lower, upper: bounds of these.
-        still: means and products where no shape moves, computed once.
+        still: means and products if no shape moves, computed once.
         dof: degrees of freedom of χ².
     """
 
@@ -147,20 +145,20 @@ class _Problem(NamedTuple):
         return self.design.means(shape) if self.still is None else self.still[0]
 
     def place(self, power: Array, shape: Array) -> _Place:
-        """What the data are expected to be with these parameters."""
+        """Expectation and covariance of the data under these parameters."""
         products = self.design.products(shape) if self.still is None else self.still[1]
         mean = self.design.mean(power, self.means(shape))
         return _Place(power, shape, mean, self.design.covariance(power, products))
 
     def misfit(self, place: _Place, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
-        # Relative residuals as they are: normal scores of each would not be jointly normal.
+        # Plain relative residuals, since normal scores of each would not be jointly normal.
         residual = (self.V / place.mean - 1.0)[:, None]
         residual, log_det = self.design.whiten(place.covariance, place.mean, power_error, residual)
         return jnp.sum(residual**2), log_det
 
     def project_powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
-        """Powers for a shape, and the whitened residual they leave (variable projection)."""
+        """Best powers for given shapes, and the whitened residual (variable projection)."""
         A = W @ (self.means(shape) / reference).T
         target = W @ (self.V / reference) - A @ jnp.where(self.free, 0.0, self.power)
         v = non_negative_least_squares(A, target, self.active & self.free)
@@ -169,7 +167,7 @@ class _Problem(NamedTuple):
 
 
 def _reweighted(problem: _Problem, state: _State, W: Array) -> tuple[Array, Array]:
-    """One generalized least squares fit with the weights of the present estimate: powers and shapes."""
+    """Powers and shapes by one generalized least squares fit with the weights of the present estimate."""
     here = state.here
     shape = here.shape
     if problem.still is None:
@@ -205,10 +203,10 @@ def _accelerated(
     here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
     change = here_step - last_step
     gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
-    # Steps that grow in one direction lead away from what is almost a solution: extrapolate, do not return.
+    # Steps that grow in one direction lead away from a near solution: extrapolate, do not return.
     leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
     gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
-    # No extrapolation while warming up, when each step solves another problem, nor after many steps, when the
+    # No extrapolation while warming up, as each step solves another problem, nor after many steps, as the
     # iteration cycles.
     steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
     gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
@@ -220,13 +218,13 @@ def _accelerated(
 
 
 def _next(problem: _Problem, state: _State) -> _State:
-    """State after one step, and the phase that it leads to."""
+    """State after one step, and the next phase."""
     here, k = state.here, state.step + 1
     W = problem.design.whiten(here.covariance, here.mean, state.power_error, jnp.eye(len(problem.V))).values
     power, shape = _reweighted(problem, state, W)
     step = (power - here.power, shape - here.shape)
     new = problem.place(*_accelerated(problem, state, W, step))
-    # By how many standard deviations the curve was moved.
+    # Move of the curve in standard deviations.
     moved = jnp.linalg.norm(W @ (new.mean / here.mean - 1.0))
     at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
     (chi2, with_error), (_, log_det) = jax.vmap(lambda s: problem.misfit(new, s))(
@@ -237,7 +235,7 @@ def _next(problem: _Problem, state: _State) -> _State:
     # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
     excess = with_error / problem.dof
     settled = at_rest & ((jnp.abs(excess - 1.0) < 0.02) | _needless(problem, state.power_error, chi2))
-    # Where the first steps led far off, but the model suffices, its error is to go in the end.
+    # If the first steps led far off but the model suffices, its error must vanish in the end.
     late = state.step >= _DAMPING_AFTER_STEP
     change = jnp.where(late & _suffices(problem, chi2), _LESS_ERROR, jnp.sqrt(excess))
     phase, warmed, incomplete = _phase_after(problem, state, at_rest, settled, chi2)
@@ -268,10 +266,10 @@ def _next(problem: _Problem, state: _State) -> _State:
 def _phase_after(
     problem: _Problem, state: _State, at_rest: Array, settled: Array, chi2: Array
 ) -> tuple[Array, Array, Array]:
-    """Phase after a step, and whether it ended the warming up, or showed that the model is incomplete."""
+    """Phase after a step, and whether the step ended the warm-up or showed that the model is incomplete."""
     k = state.step + 1
     warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
-    # A model that is far off is not iterated further without an error.
+    # A model that is far off is not iterated further without a model error.
     hopeless = (chi2 > 4.0 * beyond_doubt(problem.dof)) & (k >= 5)
     plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
     incomplete = plain_ends & ~(at_rest & _suffices(problem, chi2))
@@ -283,7 +281,7 @@ def _phase_after(
 
 
 def _suffices(problem: _Problem, chi2: Array) -> Array:
-    """Whether the model follows the curve. The tail is heavier than that of χ² where few clusters remain."""
+    """Whether the model follows the curve; with few clusters the tail is heavier than that of χ²."""
     return chi2 < beyond_doubt(problem.dof)
 
 

@@ -1,4 +1,4 @@
-"""How long a sensor coasts: which model of the bias a filter may use, and for how long that model holds.
+"""Coasting of a sensor: the model of the bias that a filter may use, and how long that model holds.
 
 The filter has observed the sensor at rest for long, and has estimated the bias by a steady-state Kalman
 filter for samples z_k = b_k + v_k with b_{k+1} = φ b_k + w_k, variances R = N²·rate and Q. The bias is a
@@ -30,9 +30,9 @@ from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
-from allanjax.base.wording import finite_or_none, significant
+from allanjax.base.wording import finite_or_none, percent, significant
 from allanjax.estimate.as_json import in_both_units
 from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
@@ -49,15 +49,15 @@ Process = Literal["walk", "markov"]
 SCHEMA_VERSION = 1
 #: Exponents of time in the units of N and K, of the angle, and of the bias.
 EXPONENTS = {"white": 0.5, "walk": -0.5, "integral": 1.0, "bias": 0.0}
-# Share of the variance from which on a term is named.
+# Share of the variance above which a term is named.
 _NAMED = 0.05
 _SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
 _DRAWS = 400
-# Time at rest over which a filter by a data sheet has estimated the bias [s], if the horizon is no longer.
+# Time at rest [s] over which the bias is estimated for a data sheet, unless the horizon is longer.
 _AT_REST = 3600.0
 # Memories and correlation times of the Gauss–Markov filters that are compared.
 _MEMORIES, _TIMES = 25, 11
-# Filters whose true error is larger than the least by more than this factor are not chosen.
+# Filters whose true error exceeds the smallest one by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
 _LABELS = {
@@ -72,7 +72,7 @@ class Filters(NamedTuple):
 
     Attributes:
         memory: N/K [s], over which a filter without mean reversion averages.
-        correlation_time: that of the Gauss–Markov process [s], infinite of a walk.
+        correlation_time: that of the Gauss–Markov process [s], infinite for a walk.
         rate: sample rate [Hz].
     """
 
@@ -102,7 +102,7 @@ class Filters(NamedTuple):
         """The gain g."""
         half = (self.drive + np.expm1(-2.0 / (self.correlation_time * self.rate))) / 2.0
         root = np.sqrt(half**2 + self.drive)
-        # Of two forms the one without cancellation.
+        # The one of two forms that avoids cancellation.
         P = np.where(half > 0.0, half + root, self.drive / (root - np.minimum(half, 0.0)))
         return P / (P + 1.0)
 
@@ -139,18 +139,18 @@ def actual(
     """Variance of the integral's error [rad² or (m/s)²] after so many samples, of each term by itself.
 
     Args:
-        model: the noise that there is.
-        filters: whose error it is.
+        model: the true noise.
+        filters: the filters that are compared.
         steps: how many samples they integrate, in rising order.
         duration: how long the noise has gone on [s], for bias instability and the mean that is known.
-        known: variances of terms that other sets have, too, for the same filters and times; it is added to.
+        known: variances for the same filters and times of terms that other sets share; new ones are added.
 
     Raises:
         AllanjaxError: a term that has no state space.
     """
     labels = model.term_labels
     known = {} if known is None else known
-    # One term at a time, and what it becomes after the response.
+    # One term at a time, after the response.
     alone = [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
     for one in alone:
         if repr(one) not in known:
@@ -184,7 +184,7 @@ def _ramp(filters: Filters, steps: Float[np.ndarray, " t"], duration: float) -> 
     followed = (filters.gain / (1.0 - again))[:, None]
     # The estimate of a drifting bias lags behind.
     slope = steps * (steps + 1.0) / 2.0 + share * followed * (again / (1.0 - again))[:, None]
-    # A walk's filter follows in full, but for rounding.
+    # A walk's filter follows in full, except for rounding.
     missed = np.where(np.isinf(filters.correlation_time)[:, None], 0.0, steps - share * followed)
     return slope**2 + missed**2 * (duration * filters.rate) ** 2 / 12.0
 
@@ -198,8 +198,8 @@ def _of_block(
     observed = np.stack([transition[-1, :-1] for transition, _ in sums])
     added = np.array([noise[-1, -1] for _, noise in sums])
     A, n, found = block.transition, block.size, []
-    # About its mean over the record a walk has the variance of a process that is forgotten in a third of it;
-    # and so has, nearly, what is slower than the record.
+    # About its mean over the record a walk has the variance of a process with a correlation time of a third
+    # of it; so has, nearly, anything slower than the record.
     forgotten = np.append(np.full(n, np.exp(-3.0 / (duration * filters.rate))), 1.0)
     shares, again = filters.sums(steps)[0], filters.kept * (1.0 - filters.gain)
     for g, a, share, time in zip(filters.gain, again, shares, filters.correlation_time, strict=True):
@@ -224,7 +224,7 @@ def _of_block(
 def equal_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float, float]:
     """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
 
-    At the last time they are equal; closest is in the largest ratio, either way, at the others. `unit` are
+    At the last time they are equal; at the others the largest ratio, either way, is smallest. `unit` are
     the predictions for N = 1.
     """
     ratio = np.log(truth / unit)
@@ -236,7 +236,7 @@ def equal_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) 
 def bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
     """The filter whose prediction is nowhere below its true variance and least above it, and its N.
 
-    Least in the mean of the logarithm over the times of their predicted variance.
+    Least in the mean, over the times, of the logarithm of the predicted variance.
     """
     scale = (truth / unit).max(axis=1)
     mean = np.log(scale) + np.log(unit).mean(axis=1)
@@ -330,7 +330,7 @@ class AxisHorizon(ByValue):
     def causes(self) -> str:
         """The terms that make up the variance of the error at the horizon, in words."""
         named = {k: x for k, x in self.shares.items() if x >= _NAMED}
-        return ", ".join(f"{title_of(k, self.axis.sensor)} {x:.0%}" for k, x in named.items())
+        return ", ".join(f"{title_of(k, self.axis.sensor)} {percent(x)}" for k, x in named.items())
 
     def rows(self) -> list[tuple[str, ...]]:
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
@@ -348,7 +348,7 @@ class AxisHorizon(ByValue):
         errors = (self.error, self.error, self.bound, self.raw_prediction, self.raw_error)
         own, true, limit, raw, raw_true = (shown("integral", float(x[-1])) for x in errors)
         N, K = self.bounding_white, self.bounding_walk
-        # For want of width, N has no interval beside a correlation time.
+        # The table has no space for an interval of N beside a correlation time.
         white, walk = "" if time else interval("white", self.white), interval("walk", self.walk)
         equal = (shown("white", self.white.value), white, shown("walk", self.walk.value), walk)
         bounding = (shown("white", N), "", shown("walk", K), "")
@@ -409,11 +409,6 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         notes: for a data sheet, what was assumed and what it does not give.
     """
 
-    CALLED: ClassVar[str] = "the horizon"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "pair", "N", "95 %", "K", "95 %", "T", "bias\n1σ", "predicted\nerror", "true\nerror"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -439,29 +434,26 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         }
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         process = ", Gauss–Markov bias" if self.process == "markov" else ""
-        return f"{name}N and K for a filter that is corrected every {length(self.horizon)}{process}"
+        return f"N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        def units(sensor: Sensor) -> tuple[str, ...]:
-            names = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
-            own = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()} | {"time": "s"}
-            return ("", *(own[name] for name in names))
-
-        return by_sensor(self.results, units)
+    def _heads(self, sensor: Sensor) -> list[str]:
+        units = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()}
+        N, K, error = (f"({units[name]})" for name in ("white", "walk", "integral"))
+        pairs = [f"N {N}", f"95 % {N}", f"K {K}", f"95 % {K}", "T (s)", f"bias\n1σ ({units['bias']})"]
+        return ["axis", "pair", *pairs, f"predicted\nerror {error}", f"true\nerror {error}"]
 
     def _notes(self) -> list[str]:
         kinds = {"gyro": "angle", "accel": "velocity"}
         errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
         explained = (
-            f"error: 1σ of the {errors} after {length(self.horizon)}, as the filter predicts it, and true. "
-            f"equal: the prediction is right. bound: the true error is below it with {self.probability:.0%} "
-            "probability. fitted: N and K of the fit without its other terms"
+            f"error: 1σ of the {errors} after {length(self.horizon)}. equal: N and K that predict the true "
+            "error. bound: N and K that predict at least the true error, with a probability of "
+            f"{percent(self.probability)}. fitted: N and K of the fit without its other terms"
         )
         causes = [
-            f"{r.axis.name}: error from {r.causes()}"
-            + (f"; average over {r.sets} likely sets of terms" if r.sets > 1 else "")
+            f"{r.axis.name}: true error from {r.causes()}"
+            + (f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else "")
             for r in self.results
         ]
         return [explained, *causes, *(f"note: {note}" for note in self.notes)]
@@ -486,7 +478,7 @@ def horizon(
     probability: float = 0.95,
     seed: int = 0,
 ) -> Horizon:
-    """White noise and walk with which a filter predicts the error of the whole model, up to a horizon.
+    """White noise and random walk with which a filter predicts the whole model's error, up to a horizon.
 
     A filter with two parameters estimates the bias from the sensor at rest and integrates the samples, less
     the bias, for up to `seconds`. The error of the angle (or velocity) then comes from all terms, including
@@ -503,12 +495,12 @@ def horizon(
             the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
             well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
         rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
-        axes: names of axes, by default of all with a measurement. The axes of a data sheet are its sensors.
+        axes: names of axes; by default all that are a measurement. The axes of a data sheet are its sensors.
         probability: probability of the bounds.
         seed: seed of the draws of the coefficients.
 
     Raises:
-        FitError: a requested axis has no measurement, or no axis has one.
+        FitError: a requested axis, or every axis, is not a measurement of the sensor.
         AllanjaxError: a horizon, a process or a probability out of range; a term that has no state space.
     """
     if process not in get_args(Process):
@@ -516,20 +508,20 @@ def horizon(
     if isinstance(fit, DataSheet):
         rate, record = rate or RATE, max(_AT_REST, 2.0 * seconds)
     elif rate is not None:
-        raise AllanjaxError("a fit has its own sample rate: leave out rate")
+        raise AllanjaxError("rate= is for data sheets only, as a fit has its own sample rate; leave it out")
     else:
         rate, record = fit.curve.rate, fit.curve.n / fit.curve.rate
     if not 2.0 / rate <= seconds <= record / 2.0:
         raise AllanjaxError(
-            f"the horizon must be from {2.0 / rate:g} s (two samples) to {record / 2.0:g} s (half the "
-            f"record); got {seconds} s"
+            f"seconds (--horizon) must be from {2.0 / rate:g} s (two samples) to {record / 2.0:g} s "
+            f"(half the record), not {seconds:g} s"
         )
     if not 0.5 <= probability < 1.0:
-        raise AllanjaxError(f"the probability of a bound must be from 0.5 to below 1, got {probability}")
+        raise AllanjaxError(f"probability= (--probability) must be in [0.5, 1), not {probability}")
     asked = [axes] if isinstance(axes, str) else axes
     noises = _noises(fit, asked, seed)
     if not noises:
-        raise FitError("no axis has a measurement; the fit gives the reasons")
+        raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
     found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
@@ -559,11 +551,11 @@ def _of_axis(
     filters, last = _filters(noise, seconds, process, rate, record), max(round(seconds * rate), 1)
     # From a hundredth of the horizon on.
     steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
-    # N of the filter with the raw coefficients; without N, what the walk is over its memory.
+    # N of the filter with the fitted coefficients; without N, the walk over its memory.
     raw_size = raw_N if raw_N > 0.0 else raw_K * float(raw.memory[0])
     unit, known, draws, each = _variances(sets, filters, steps, record)
     _, of_raw, _, _ = _variances(sets, raw, steps, record)
-    # The prediction is to be right on average over what the coefficients may be.
+    # The prediction must be right on average over the likely coefficients.
     mean = known.mean(axis=0)
     good = np.arange(len(mean))
     if process == "markov":
@@ -606,7 +598,7 @@ def _filters(noise: _Noise, seconds: float, process: Process, rate: float, recor
     times = [float(term.correlation_time) for term in own]
     drives = [K, *(float(term.amplitude) for term in own)]
     memory = memories(record, rate, [N / q for q in drives if q > 0.0], _MEMORIES)
-    # What returns sooner is white noise to a filter up to the horizon.
+    # A process that returns sooner is white noise for a filter up to the horizon.
     grid = [*np.geomspace(max(seconds / 100.0, 2.0 / rate), record, _TIMES), *times]
     pairs = np.meshgrid(memory, np.unique(np.clip(grid, 2.0 / rate, record)), indexing="ij")
     return Filters(pairs[0].ravel(), pairs[1].ravel(), rate)
@@ -615,9 +607,9 @@ def _filters(noise: _Noise, seconds: float, process: Process, rate: float, recor
 def _variances(
     sets: Sequence[Likely], filters: Filters, steps: Float[np.ndarray, " t"], record: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Variances that filters predict with N = 1, and the true ones by draws: of what is known, of all.
+    """Variances that filters predict with N = 1, and draws of the true ones: of detected terms, and of all.
 
-    What is not known is only limited. The last are the true ones of each set, by terms of unit amplitude.
+    Undetected terms have limits only. Last comes the true variance of each set, by terms of unit amplitude.
     """
     shared: dict[str, np.ndarray] = {}
     each = [actual(s.model, filters, steps, record, shared) for s in sets]

@@ -1,4 +1,4 @@
-"""Inference from a solution: covariance, distance of hypothetical powers, and coefficients with intervals."""
+"""Inference from a solution: covariance, tests of hypothetical powers, and coefficients with intervals."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
 
-# Nearer to a bound than this share of what is between two of them a shape is at it.
+# A shape is at a bound if it is closer than this share of the distance between its bounds.
 _INSIDE = 0.0125
-# A limit so many times as far from a bound as the estimate is none.
+# A limit that is so many times as far from a bound as the estimate is not reported.
 _NOWHERE = 1e4
-# A line searched for is detected if noise would not have its like anywhere in the record, once in so many.
+# A line at an unknown frequency is detected if noise has a line as strong in at most one of so many records.
 _FALSE_LINE = 1.35e-3
 
 
@@ -36,9 +36,9 @@ class Inference(NamedTuple):
     """Covariance and hypothesis tests of one axis around its estimate.
 
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
-    and the data's distance from each as a normal score, positive where the data want more: up to `ESTIMATE`
-    those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that the term
-    alone rules out, see `ceiling`.
+    and the data's distance from each as a normal score, positive if the data favour a larger power: up to
+    `ESTIMATE` those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that is
+    excluded even without other terms, see `ceiling`.
     """
 
     covariance: Float[Array, "params params"]
@@ -51,7 +51,7 @@ class Inference(NamedTuple):
 class _Linearized(NamedTuple):
     """One-step estimates at a hypothesis, linear in the relative residuals of the Allan variances.
 
-    `weights` [params, m] are those of the residuals, `weighted` their product with the residuals' covariance.
+    `weights` [params, m] multiply the residuals; `weighted` is their product with the residuals' covariance.
     """
 
     covariance: Float[Array, "params params"]
@@ -64,7 +64,7 @@ class _Linearized(NamedTuple):
 def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
-    Few clusters make estimates skew, so that a positive t is less surprising than a negative one.
+    With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
     """
     g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
     return jnp.sign(g) * cube_root_score(jnp.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
@@ -72,15 +72,15 @@ def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Arra
 
 # Hypothetical powers, in standard deviations from the estimate; the first is zero power.
 _BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-# Where the scatter grows with the power, as of few long clusters, limits may be far up.
+# If the scatter grows with the power, as for few long clusters, limits may be far above.
 _NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
 _ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
 #: Indices of the estimate itself, of hypotheses below and above.
 ESTIMATE = len(_BELOW) - 1
 ABOVE = len(_BELOW)
-# Beyond this score no interval's end lies.
+# No interval ends beyond this score.
 _FAR_ENOUGH = -2.0
-# Of a ceiling: the chance that it is too low.
+# Probability that a ceiling is too low.
 _CHANCE = 0.025
 
 
@@ -92,11 +92,11 @@ def infer(
     active: Bool[ArrayLike, "axes terms"],
     solution: Solution,
 ) -> Inference:
-    """Covariance of the parameters, and for each term the data's distance from hypothetical powers.
+    """Covariance of the parameters, and for each term the distance of the data from hypothetical powers.
 
-    The first hypothesis is v = 0. Upwards, hypotheses go on until the data refuse one, and the other powers
-    are fitted to the data anew at each: far away, where they would have gone along with the term under test
-    says nothing. What is not looked at is NaN.
+    The first hypothesis is v = 0. Upwards, hypotheses continue until the data exclude one, and the other
+    powers are fitted anew at each, since far away a linear prediction of them is useless. Hypotheses that are
+    not tested are NaN.
 
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
@@ -107,7 +107,7 @@ def infer(
 
 
 def without_padding(inference: Inference, m: int, terms: int, shapes: int) -> Inference:
-    """Inference of so many estimates, terms and shapes, by a design with room for more."""
+    """Inference for so many estimates, terms and shapes, from that of a padded design."""
     places, first = np.arange(inference.covariance.shape[-1]), inference.power_at.shape[1]
     own = places[(places < terms) | (places >= first) & (places < first + shapes)]
     return Inference(
@@ -153,7 +153,7 @@ class _Axis(NamedTuple):
         owner: the term of each shape.
         means, products: what unit powers contribute at the solution's shapes.
         by_shape: derivatives of the means by the shapes, [terms, m, shapes].
-        has_shape: which shapes the data know: that of a term without power is nowhere in them.
+        has_shape: which shapes the data determine; a term without power has none.
     """
 
     design: Design
@@ -189,7 +189,7 @@ class _Axis(NamedTuple):
         D, residual = whitened[:, :-1], whitened[:, -1]
         size = jnp.sqrt(jnp.sum(D**2, axis=0))
         size = jnp.where(size > 0.0, size, 1.0)
-        # A zero column (not estimated) gets a unit on the diagonal, and no variance afterwards.
+        # A zero column (not estimated) gets a unit on the diagonal, and its variance is zeroed later.
         normal = (D / size).T @ (D / size) + jnp.diag(1.0 - estimated) + 1e-12 * jnp.eye(len(size))
         normal_inverse = inverse(normal) / (size[:, None] * size)
         return _Linearized(
@@ -201,18 +201,18 @@ class _Axis(NamedTuple):
         )
 
     def score(self, term: Array, v: Array, at: Array, fitted: Array) -> Float[Array, ""]:
-        """Distance of the data from these powers, of which that of the term is v, as a normal score."""
+        """Distance of the data from these powers as a normal score; the term's own power is v."""
         there = self.linearized(at, fitted)
         variance = there.covariance[term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
         third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
-        # An estimate that cannot be negative is no more skew than a χ² of its own mean and variance.
+        # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
         skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
         return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
 
     def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
-        """Powers of which the allowed ones are fitted to the data, weighted by the covariance at `power`."""
+        """Powers, the allowed ones fitted to the data with weights from the covariance at `power`."""
         mean = self.design.mean(power, self.means)
         covariance = self.design.covariance(power, self.products)
         columns = jnp.concatenate([self.means, self.V[None]]) / mean
@@ -229,13 +229,13 @@ class _Axis(NamedTuple):
         Args:
             fitted_too: terms that are fitted anew above the estimate.
             term: the term's index, and `alone`, `own_shape` the same as flags of terms and of shapes.
-            estimated: flags of the parameters that are estimated with it.
+            estimated: flags of the parameters that are estimated together with its power.
         """
         s, active, owner = self.s, self.active, self.owner
         terms = len(s.power)
         local = self.linearized(s.power, estimated).covariance
         sd = jnp.sqrt(local[term, term])
-        # A term that is alone cannot vanish altogether.
+        # The only term cannot vanish altogether.
         least = 1e-9 * s.power[term]
         slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
         down = jnp.maximum(s.power[term] + jnp.asarray(_BELOW) * sd, 0.0)
@@ -274,8 +274,8 @@ def ceiling(
     """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
     Other terms can only add to an estimate, so that V ≥ v·mean·e^(power_error·z)·χ²/ν, with a normal z. With
-    m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). The ν are those
-    of the term that scatters most.
+    m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). ν is that of the
+    term that scatters most.
     """
     each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
     relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
@@ -303,7 +303,7 @@ class Coefficients:
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
-    """Parameters of a model that are coefficients: not infinite ones, nor held ones without a value."""
+    """Parameters of a model that are coefficients: all but infinite ones and held ones without a value."""
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
 
 
@@ -314,7 +314,7 @@ class Estimates:
     Attributes:
         value, std: estimates and their standard deviations; NaN for the shape of an absent term.
         interval, interval_68: [axes, coefficients, 2] ends of the 95 and 68 % intervals.
-        upper_limit: one-sided 95 % limits of amplitudes; NaN for what has none.
+        upper_limit: one-sided 95 % limits of amplitudes; NaN where there is none.
         detected: whether the term's amplitude excludes zero.
         covariance: [axes, coefficients, coefficients].
     """
@@ -400,7 +400,7 @@ def coefficients_of(
 ) -> tuple[Coefficients, ...]:
     """Coefficients of several axes by their labels, from `estimates_of`.
 
-    Shapes that may be anywhere beyond what n samples at `rate` [Hz] can show have a limit, and no error.
+    Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
     """
     estimates = estimates_of(model, active, solution, inference)
     found: list[dict[str, Estimate]] = [{} for _ in axes]
@@ -425,7 +425,8 @@ def coefficients_of(
 
 
 def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
-    """Estimate of a shape, turned into a limit where its interval reaches beyond what the record can show."""
+    """Estimate of a shape, turned into a limit if its interval extends beyond the observable range of the
+    record."""
     if not (c.detected and c.std > 0.0):
         return c
     # Bounds are open, and searches keep a little away from them.
@@ -438,7 +439,7 @@ def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
         return c
     distance = c.value - p.lower
     ratio = float(np.exp(min(ONE_SIDED_95 * c.std / distance, 700.0)))
-    # At a bound itself the data say nothing of the logarithm of the distance from it.
+    # At a bound itself the data do not determine the logarithm of the distance from it.
     below, above = (True, True) if ratio > _NOWHERE else (below, above)
     ends = (p.lower if below else c.interval[0], p.upper if above else c.interval[1])
     ends_68 = (p.lower if below else c.interval_68[0], p.upper if above else c.interval_68[1])
@@ -471,12 +472,12 @@ def deterministic_coefficients(
 
     Args:
         model: the model, and `term` the index of the ramp or line in it.
-        axis: whose it is.
+        axis: the axis.
         square: squared estimate in units of its variance.
         unit: standard deviation of each component, SI.
         components: 1 of a ramp or a step, 2 of a line.
         line: where the line was found.
-        n: samples of the record: a line that was searched for competes with n/2 frequencies without one.
+        n: samples of the record; a line at an unknown frequency competes with n/2 frequencies without one.
         active: whether the term is in the model.
     """
     from scipy.special import ndtr
@@ -523,8 +524,8 @@ def deterministic_coefficients(
 def _around(
     p: Parameter, distance: Float[np.ndarray, " axes"], width: Float[np.ndarray, " axes"]
 ) -> Float[np.ndarray, "axes 2"]:
-    """Intervals of a parameter whose distance from its lower bound is known to this width in ln."""
-    # Beyond this they are anywhere.
+    """Intervals of a parameter, given the standard deviation of ln(distance from its lower bound)."""
+    # Wider ones are unbounded.
     ratio = np.exp(np.minimum(width, 300.0))
     return np.stack([p.lower + distance / ratio, np.minimum(p.lower + distance * ratio, p.upper)], axis=1)
 
@@ -539,16 +540,15 @@ def _crossings(
     """The hypothetical powers at which the data are `level` standard deviations away.
 
     Positive levels are sought below the estimate (zero if none is reached), negative ones above (the ceiling,
-    where a large model error lets the data refuse none of them).
+    if the model error is so large that the data exclude none).
     """
     below = level > 0.0
     side = slice(ESTIMATE, None, -1) if below else slice(ABOVE, None)
     power, pivot = power[:, side], pivot[:, side]
-    # Without this term the others may leave no noise at all: such a hypothesis is out of the question.
+    # Without this term the others may leave no noise at all: such a hypothesis is excluded.
     pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
-    # Where others' powers ended at zero the data may still pull at this one. It is taken as if they were
-    # content with the estimate; so is an absent term of which they would like less than nothing, lest its
-    # limit shrink.
+    # If other powers ended at zero, the score at the estimate may not be zero; it is then subtracted, and
+    # also for an absent term whose score is negative, so that its limit does not shrink.
     at_estimate = np.where(np.isfinite(pivot[:, 0]), pivot[:, 0], 0.0)
     pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
     # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.

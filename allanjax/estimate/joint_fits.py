@@ -1,4 +1,4 @@
-"""Fits by averaged and joint spectra: of a stream, and of a recording in several stretches."""
+"""Fits by averaged and joint spectra: of a stream, and of a recording with several segments."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from allanjax.noise.terms import NoiseTerm
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import Bins, SegmentSpectra, SpectralStatistics
 
-_JOINT = "joint fit of {count} segments, {n} samples, by Whittle's likelihood"
+_JOINT = "joint fit of {count} segments, {n:,} samples, by Whittle's likelihood"
 _ALONE = "only the longest segment was fitted: {why}"
 
 
@@ -107,17 +107,17 @@ def fit_statistics(
 def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
     """Raise AllanjaxError if there are not as many axes as columns of samples."""
     if len(axes) != spectra.last.shape[1]:
-        raise AllanjaxError(f"{len(axes)} names of axes for samples of {spectra.last.shape[1]} axes")
+        raise AllanjaxError(f"got {len(axes)} names of axes for {spectra.last.shape[1]} columns of samples")
 
 
 def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Recording:
-    """The quiet parts of a recording's longest stretch, with those of its other stretches."""
+    """The undisturbed parts of a recording's longest segment, with those of its other segments."""
     if not recording.others or as_is:
         return quiet
     others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]
-    stretches = [Recording(x, quiet.rate, quiet.axes) for x in others]
-    looks = [inspect(stretch, vibrating=True) for stretch in stretches]
-    calm = [x for look, stretch in zip(looks, stretches, strict=True) for x in _calm(look, stretch)]
+    segments = [Recording(x, quiet.rate, quiet.axes) for x in others]
+    looks = [inspect(segment, vibrating=True) for segment in segments]
+    calm = [x for look, segment in zip(looks, segments, strict=True) for x in _calm(look, segment)]
     notes = quiet.notes
     if touched := sum(bool(look.parts or look.refusal) for look in looks):
         note = "parts in which the sensor was touched are left out"
@@ -125,10 +125,10 @@ def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Re
     return dataclasses.replace(quiet, others=(*calm, *parts), notes=notes)
 
 
-def _calm(look: Inspection, stretch: Recording) -> list[Float[np.ndarray, "n axes"]]:
-    """What coefficients should be estimated from in a stretch, given what was seen there; perhaps nothing."""
-    quiet = stretch if look.refusal else look.quiet(stretch)
-    return [] if look.refusal or quiet.names != stretch.names else [quiet.values, *quiet.others]
+def _calm(look: Inspection, segment: Recording) -> list[Float[np.ndarray, "n axes"]]:
+    """The parts of a segment that its inspection leaves for the estimation; there may be none."""
+    quiet = segment if look.refusal else look.quiet(segment)
+    return [] if look.refusal or quiet.names != segment.names else [quiet.values, *quiet.others]
 
 
 def joined(

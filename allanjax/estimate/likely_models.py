@@ -1,8 +1,7 @@
-"""Noise models that a fit leaves likely: its own within its intervals, and rival sets of terms.
+"""Likely noise models given a fit: its own within its intervals, and rival sets of terms.
 
-What the fit chose is drawn from the normal law of the logarithms of its powers. Sets of terms that the data
-do not tell from it are fitted to the Allan variances anew, with powers that are not negative, and drawn in
-the same way.
+The powers of the fitted set are drawn from the normal law of their logarithms. Sets of terms that the data do
+not distinguish from it are fitted to the Allan variances with non-negative powers, and drawn in the same way.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ from allanjax.noise.terms import Markov
 
 # Widest standard deviation of the logarithm of a power that is drawn.
 _WIDEST = 1.5
-# Correlation times that are tried for a Markov process of a rival set.
+# Number of correlation times that are tried for a Markov process in a rival set.
 _TIMES = 15
 # Rounds in which the weights of a rival set's fit approach those of its own variances.
 _STEPS = 8
 
 
 class Likely(NamedTuple):
-    """A set of terms, of unit amplitude, and draws of their powers.
+    """A set of terms with unit amplitude, and draws of their powers.
 
     Attributes:
         model: the terms with unit amplitudes.
         labels: names of the terms.
         power: draws of the squared amplitudes, SI.
-        limited: draws of what is only known to be below a limit are in the last so many columns.
+        limited: number of columns at the end for terms that are known only to be below a limit.
     """
 
     model: Model
@@ -44,13 +43,13 @@ class Likely(NamedTuple):
 
 
 def exact_model(model: Model) -> Likely:
-    """A model with its own amplitudes as the only draw."""
+    """A model whose own amplitudes are the only draw."""
     unit = Model(tuple(t.with_unit_amplitude() for t in model.terms), model.response, model.inside)
     return Likely(unit, model.term_labels, np.square([[_amplitude(term) for term in model.terms]]), 0)
 
 
 def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
-    """Sets of terms with draws shared out by probability; the first is that of the fit."""
+    """Sets of terms, with draws in proportion to their probabilities; the first set is that of the fit."""
     found = fit[axis]
     if fit.selection is None or found.own_template is not None:
         return [_of_fit(found, draws, rng, with_limits=found.own_template is None)]
@@ -68,7 +67,7 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
 
 
 def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
-    """The fitted model, and terms that are below a limit if these are asked for."""
+    """The fitted model, with the terms below a limit on request."""
     model, labels = found.model, found.term_labels
     estimates = [c for c in found.coefficients.values() if c.is_amplitude]
     rows = [list(found.coefficients).index(c.label) for c in estimates if c.term in labels]
@@ -133,14 +132,15 @@ class _Powers(NamedTuple):
 
     @property
     def there(self) -> Bool[np.ndarray, " terms"]:
-        """Which terms have a power."""
+        """Which terms have power above zero."""
         return self.value > 0.0
 
     def drawn(self, draws: int, rng: np.random.Generator) -> Float[np.ndarray, "draws terms"]:
-        """Draws: of the normal law of the logarithms of what is there, and of what the rest may be."""
+        """Draws: of detected terms by the normal law of their logarithms, and of the others within their
+        limits."""
         there, value = self.there, self.value
         precision = (self.information * np.outer(value, value))[np.ix_(there, there)]
-        # No logarithm is known worse than so.
+        # Widest standard deviation of a logarithm.
         covariance = np.linalg.inv(precision + np.eye(len(precision)) / _WIDEST**2)
         log = rng.multivariate_normal(np.zeros(len(precision)), covariance, draws)
         found = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(self.information))
@@ -160,7 +160,7 @@ def _powers(
     for _ in range(_STEPS):
         weight = np.sqrt(degrees / 2.0) / mean
         power = nnls(columns / size * weight[:, None], variance * weight)[0] / size
-        # Half the way in logarithms, for the weights of a mean far below its estimate are large.
+        # Half the way in logarithms, as the weights of a mean far below its estimate are large.
         mean = np.sqrt(mean * np.maximum(columns @ power, 1e-3 * mean))
     mean = np.maximum(columns @ power, 1e-3 * mean)
     scaled = columns / mean[:, None]

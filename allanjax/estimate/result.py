@@ -1,9 +1,9 @@
-"""Results of a fit: coefficients with their intervals, axis by axis, what was corrected, and the misfit.
+"""Results of a fit: coefficients with their intervals for each axis, corrections, and the misfit.
 
-The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals rightly
-while it is small. Of a model that misses by a factor it says nothing: it is counted in units of the model,
-below which nothing is farther than one. For the misfit the two curves are compared as a ratio, place by
-place.
+The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals correctly
+while it is small. It does not describe a model that is off by a factor, as it is relative to the model and
+data below the model are off by one at most. The misfit therefore compares the ratio of the two curves, place
+by place.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -22,9 +22,10 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration, plain, significant
-from allanjax.estimate.tables import as_html, as_text, details, overview
+from allanjax.base.renamed import renamed
+from allanjax.base.tables import Column, PerAxis
+from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
+from allanjax.estimate.tables import details, overview, remarks
 from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
@@ -42,11 +43,11 @@ if TYPE_CHECKING:
     from allanjax.estimate.selection import TermSelection
 
 LIMIT, OCTAVE = 0.3, 0.5
-"""Deviations beyond which coefficients are no measurement: root mean square, and over an octave.
+"""Deviations beyond which coefficients are not a measurement: root mean square, and over an octave.
 
-Of 30 % in the deviation, 69 % in the variances, which are what is fitted. Standard deviations propagate the
-model's error to first order, as small and of either sign; of one so large nothing that is linear in it holds.
-A coefficient is read from an octave or two, of which one off by a factor 1.5 leaves none. (Static sensors
+30 % in the deviation is 69 % in the variances, which are fitted. Standard deviations propagate the model's
+error to first order, which does not hold for one so large. A coefficient is determined by one or two octaves,
+and is lost if one of these is off by a factor of 1.5. (Static sensors
 with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 """
 
@@ -54,40 +55,25 @@ with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
-# Parts of an octave that the levels of a spectrum are averaged over.
+# Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
-# Deviations from this ratio on are told as a factor.
+# Deviations above this ratio are reported as a factor.
 _FACTOR = 1.5
-# Root mean square deviations from which on one is mentioned beside another curve's, and where that one has
-# none, so that chance hardly ever does: judgements.
+# Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
+# one; chance hardly ever exceeds them: judgements.
 _NOTABLE, _CLEAR = 0.02, 0.06
-# Scatter that is so large a share of a deviation is told with it.
+# Scatter is reported with a deviation if it is a larger share of it than this.
 _MUCH = 0.3
-_COLUMNS: dict[str, Callable[[Estimate], Any]] = {
-    "axis": lambda c: c.axis.name,
-    "coefficient": lambda c: c.label,
-    "value": lambda c: c.value,
-    "median": lambda c: c.value,
-    "std": lambda c: c.std,
-    "lower_68": lambda c: c.interval_68[0],
-    "upper_68": lambda c: c.interval_68[1],
-    "lower_95": lambda c: c.interval[0],
-    "upper_95": lambda c: c.interval[1],
-    "unit": lambda c: c.unit,
-    "detected": lambda c: c.detected,
-    "upper_limit_95": lambda c: c.upper_limit,
-    "measured": lambda c: c.measured,
-}
-# Ratio of a limit of the bandwidth to its value within which the limit is told.
+# Ratio of a limit of the bandwidth to its value within which the limit is reported.
 _NEAR = 3.0
-# Places that are named; of more the strongest.
+# Largest number of places that are named, the strongest ones.
 _NAMED = 3
 #: What to do about a curve that is far off.
 NEXT = (
     "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
     "at rest, --terms selects other terms"
 )
-# Least share of N that is white noise.
+# Least share of N that counts as white noise.
 _LITTLE = 1e-6
 
 
@@ -101,8 +87,8 @@ class Misfit:
         at: that place, a cluster time [s] or a frequency [Hz]; nan if there is none.
         unit: its unit: "s" of an Allan deviation, "Hz" of a root PSD.
         rms: root mean square of ln(measured/model) over all places, less scatter, as a relative deviation.
-        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation is an
-            average over one), in a root PSD over most of one.
+        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation averages
+            over one), in a root PSD over most of an octave.
         scatter: relative deviation that chance may cause at that place.
     """
 
@@ -115,7 +101,7 @@ class Misfit:
 
     @property
     def excessive(self) -> bool:
-        """Whether the curve is so far off that its coefficients are not a measurement."""
+        """Whether the curve is so far off that the coefficients are not a measurement."""
         return self.rms > LIMIT or self.sustained > OCTAVE
 
     def beside(self, other: Misfit | None) -> Misfit | None:
@@ -172,11 +158,10 @@ def misfit_of(
 def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     """Solutions [axes] whose discrepancy is no less than their curves' rms deviation.
 
-    That brings χ² to its degrees of freedom which bends to what it cannot follow; scatter that is said of
-    coefficients must not bend.
+    The discrepancy alone would be too small, as the fit bends towards data that it cannot follow.
     """
     rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
-    # Of powers it is twice that of deviations.
+    # The error of powers is twice that of deviations.
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
 
 
@@ -213,15 +198,15 @@ def spectral_misfit(
 
 
 def deviation(relative: float) -> str:
-    """A relative deviation in words: "47 %", or the factor of a large one, whichever way, as "×18"."""
+    """A relative deviation in words: "47 %", or a large one as a factor in either direction, "×18"."""
     factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
     if factor < _FACTOR:
-        return f"{100.0 * abs(relative):.2g} %"
+        return percent(abs(relative))
     return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
 class AxisEstimates:
-    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and in two lines.
+    """Base of the fit and of the posterior of one axis: estimates by name, as a table, and as text.
 
     Attributes:
         axis: the axis.
@@ -230,19 +215,19 @@ class AxisEstimates:
 
     #: Columns of the table, each in the usual unit.
     COLUMNS: ClassVar[tuple[str, ...]] = ()
-    #: What is raised for a coefficient that there is not.
+    #: Error for an unknown coefficient.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     axis: Axis
 
-    if TYPE_CHECKING:  # A property here would be taken for the default of a dataclass's field.
+    if TYPE_CHECKING:  # A property here would be taken as the default of a dataclass field.
 
         @property
         def coefficients(self) -> Mapping[str, Estimate]: ...
 
     @TextProperty
     def verdict(self) -> str:
-        """How far the estimates can be trusted, in one line."""
+        """Whether the estimates can be trusted, in one line."""
         raise NotImplementedError
 
     def __getitem__(self, name: str) -> Estimate:
@@ -258,8 +243,7 @@ class AxisEstimates:
         """One row per coefficient, in its usual unit."""
         import pandas as pd
 
-        shown = [c.in_unit() for c in self.coefficients.values()]
-        rows = [{name: _COLUMNS[name](c) for name in self.COLUMNS} for c in shown]
+        rows = [c.row() for c in self.coefficients.values()]
         return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
 
     def __repr__(self) -> str:
@@ -303,7 +287,7 @@ def correction_of(
 
 
 def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
-    """The response in words: a limit is no bandwidth, and a value that the data do not determine is none."""
+    """The response in words: its bandwidth, a limit of it, or that the data do not determine it."""
     if found.response is None or estimate is None:
         return []
     if np.isfinite(estimate.std) or estimate.held:
@@ -343,9 +327,9 @@ def fitted_model(
 def extended_model(
     template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
 ) -> Model:
-    """The model of an extension: of white noise it has what wide resonances and short processes leave."""
+    """The model of an extension; its white noise excludes the part of wide resonances and short processes."""
     N, left = coefficients["angle_random_walk"], template.values["angle_random_walk"] or 0.0
-    # The term stays where it is detected.
+    # The term stays if it is detected.
     value = max(float(left), _LITTLE * N.value)
     own = {**coefficients, "angle_random_walk": dataclasses.replace(N, value=value)}
     return fitted_model(template, own, inactive)
@@ -414,12 +398,12 @@ class AxisFit(ByValue, AxisEstimates):
     own_template: Model | None = None
     plain: AxisFit | None = None
     widening: float = 1.0
-    # The fit that it is part of, whose curve its picture has.
+    # The fit of which it is a part; the figure needs its curve.
     _fit: ClassVar[Fit | None] = None
 
     def __post_init__(self) -> None:
         if not self.converged:
-            # The numbers mean nothing, and no file has them.
+            # The numbers are meaningless, and no file contains them.
             nothing = {"_coefficients": {}, "_covariance": np.zeros((0, 0)), "_model": Model(())}
             nothing |= dict.fromkeys(("chi2", "p_value", "discrepancy"), np.nan)
             for name, value in nothing.items():
@@ -431,7 +415,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def measured(self) -> bool:
-        """Whether the coefficients are a measurement of the sensor, by the facts and the misfit."""
+        """Whether the coefficients are a measurement of the sensor, according to the facts and the misfit."""
         return self.converged and not self.not_measured and not self.is_far_off
 
     @property
@@ -446,7 +430,7 @@ class AxisFit(ByValue, AxisEstimates):
 
     @property
     def doubtful(self) -> bool:
-        """Whether the p-value is below 0.001, which does not suffice to refuse the model."""
+        """Whether the p-value is below 0.001 but not low enough to reject the model."""
         return self.p_value < _DOUBTFUL
 
     @property
@@ -479,7 +463,7 @@ class AxisFit(ByValue, AxisEstimates):
         """A copy with intervals widened for errors of the record.
 
         Args:
-            share: relative error of the Allan deviation, and so of every amplitude.
+            share: relative error of the Allan deviation, and thus of every amplitude.
             foreign: density of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
         """
 
@@ -497,7 +481,8 @@ class AxisFit(ByValue, AxisEstimates):
         return dataclasses.replace(self.with_estimates(found), plain=plain)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
-        """A copy with other estimates of its coefficients, and a covariance of their standard deviations."""
+        """A copy with these estimates of its coefficients, and a covariance rescaled to their standard
+        deviations."""
         pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
         by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
         covariance = self._covariance * by[:, None] * by
@@ -548,7 +533,7 @@ class AxisFit(ByValue, AxisEstimates):
         there = [
             c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
         ]
-        # N is the white noise of all terms at low frequencies, of which none need be white noise itself.
+        # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
 
@@ -578,13 +563,11 @@ class AxisFit(ByValue, AxisEstimates):
         """How well the model fits, in one line."""
         if not self.converged:
             return f"no result: {self.reason}"
-        text = f"χ² = {self.chi2:.1f} for {self.dof} degrees of freedom"
-        if np.isfinite(self.p_value):
-            text += f" (p = {significant(self.p_value, 2)})" if self.p_value > 1e-300 else " (p < 1e-300)"
+        text = chi_squared(self.chi2, self.dof, self.p_value)
         if self.is_far_off:
             return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
         if self.not_measured:
-            return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}; {text}"
+            return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}"
         if not self.incomplete:
             return f"fits: {text}"
         return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))
@@ -613,7 +596,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
         parts: the parts of the recording that were used, in s from its first sample; empty for all of it.
     """
 
-    CALLED: ClassVar[str] = "the fit"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -635,9 +617,11 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return (*warnings_of(self.facts), *([far_off] if names else []))
 
     @property
-    def stretch(self) -> tuple[float, float] | None:
+    def longest_part(self) -> tuple[float, float] | None:
         """The longest part of the recording that was used, in s from its first sample; None: all of it."""
         return max(self.parts, key=lambda part: part[1] - part[0], default=None)
+
+    stretch = renamed("longest_part")
 
     @property
     def not_measured(self) -> dict[str, str]:
@@ -715,16 +699,14 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def details(self) -> str:
         """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
-        return details(self._title(), self.results)
+        notes = () if self.selection is None else self.selection.ambiguities()
+        return details(self._printed()[0], self.results, notes)
 
-    def __str__(self) -> str:
-        return as_text(self._title(), *overview(self))
+    def _tables(self) -> list[list[Column]]:
+        return overview(self)
 
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), *overview(self))
+    def _notes(self) -> Iterator[str]:
+        return remarks(self)
 
     def _title(self) -> str:
-        length = duration(self.curve.n / self.curve.rate)
-        name = f"{self.name}: " if self.name else ""
-        others = self.curve.describe_others()
-        return f"{name}{self.curve.n:,} samples at {self.curve.rate:g} Hz ({length}){others}"
+        return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()

@@ -1,4 +1,4 @@
-"""The choice of noise terms: the evidence of every subset of the candidates, ranked and averaged over.
+"""The choice of noise terms: every subset of the candidates, ranked by its evidence, and their average.
 
 Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
 the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
@@ -18,12 +18,12 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.wording import duration
+from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
+from allanjax.base.wording import duration, plain
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
-from allanjax.estimate.tables import SYMBOLS, Column, Number, as_html, as_text, column, tables_of
+from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
@@ -45,27 +45,28 @@ from allanjax.spectrum.cosine import (
 if TYPE_CHECKING:
     import pandas as pd
 
-# Draws of sets and powers, and the shortest cluster of the drift, in samples.
+# Number of draws of sets and powers, and the shortest cluster of the drift, in samples.
 _DRAWS = 2000
 _SHORTEST = 10
-# The drift is printed at so many decades of the cluster time from 1 s on.
+# Number of decades of the cluster time, from 1 s on, at which the drift is printed.
 _DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
-# Subsets that are less probable are not drawn from.
+# Probability below which subsets are not drawn.
 _IMPROBABLE = 1e-4
 _QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
-# Bayes factor of the best set below which another is not told from it (Kass & Raftery 1995: 20 is "strong").
+# Bayes factor of the best set against another below which they cannot be distinguished (Kass & Raftery 1995:
+# 20 is "strong").
 _ODDS = 20.0
-# A fit takes the simplest of the sets against which the best one has a smaller Bayes factor than this.
+# A fit takes the simplest of the sets against which the best one has a Bayes factor below this.
 _PARSIMONY = 5.0
-# Posterior probability of a chosen term, summed over the sets that have it, from which on it is detected.
+# Posterior probability of a chosen term, summed over its sets, above which it is detected.
 _CERTAIN = 0.95
-# Probability below which a further term is not mentioned as an ambiguity: any might be there, unseen.
+# Probability below which a further term is not reported as undecided: any term may be there undetected.
 _WORTH_SAYING = 0.1
-# Number of times that the evidence is computed anew with the error of the best set.
+# Number of times that the evidence is recomputed with the model error of the best set.
 _ROUNDS = 2
-# Sets so many nats behind the best one are not tried with a second free time.
+# Sets more nats than this behind the best one are not tried with a second free time.
 _FAR = 7.0
 
 
@@ -96,7 +97,7 @@ class Averaged(ByValue):
 
 def percent(probabilities: Sequence[float]) -> str:
     """Range of probabilities, e.g. "19 %" or "19–30 %"."""
-    ends = dict.fromkeys(f"{100.0 * p:.2g}" for p in (min(probabilities), max(probabilities)))
+    ends = dict.fromkeys(plain(100.0 * p, 2) for p in (min(probabilities), max(probabilities)))
     return f"{'–'.join(ends)} %"
 
 
@@ -161,7 +162,7 @@ def _powers(
     draws: int,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "draws some"]:
-    """Draws of a subset's powers, given what unit powers contribute to the mean, relative to it."""
+    """Draws of a subset's powers, given the contributions of unit powers relative to the mean."""
     there, covariance = _covariance(relative, power, weight)
     found, root = np.zeros((draws, len(power))), np.linalg.cholesky(covariance)
     found[:, there] = power[there] * np.exp(rng.standard_normal((draws, len(root))) @ root.T)
@@ -173,7 +174,7 @@ def _covariance(
 ) -> tuple[Bool[np.ndarray, " some"], Float[np.ndarray, "there there"]]:
     """Which powers of a subset are above zero, and the covariance of their logarithms."""
     there = power > 0.0
-    # A power that few coefficients know is as likely half as large as twice as large.
+    # A power that few coefficients determine is as likely half as large as twice as large.
     scaled = relative[there] * power[there, None]
     information = (scaled * (0.5 * weight)) @ scaled.T
     return there, np.linalg.inv(information + np.diag(np.full(len(information), 1.0 / _WIDEST**2)))
@@ -216,7 +217,7 @@ class TermSet:
         return " + ".join(self.terms)
 
     def __repr__(self) -> str:
-        return f"<TermSet {self}: {100.0 * self.probability:.3g} %, {self.parameters} parameters>"
+        return f"<TermSet {self}: {plain(100.0 * self.probability, 3)} %, {self.parameters} parameters>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -313,25 +314,25 @@ class AxisSelection(ByValue):
         )
 
     def __repr__(self) -> str:
-        chosen, best = (f"{s} ({100.0 * s.probability:.3g} %)" for s in (self.chosen, self.best))
+        chosen, best = (f"{s} ({plain(100.0 * s.probability, 3)} %)" for s in (self.chosen, self.best))
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
     def ambiguities(self) -> tuple[str, ...]:
         """What the data leave undecided, in words, the most probable first."""
         return tuple(
-            f"{question} (probability {words.format(percent([one]), percent([other]))})"
+            f"{question} (probabilities of the best sets: {words.format(percent([one]), percent([other]))})"
             for question, words, one, other in self.undecided()
         )
 
     def _title(self, term: str) -> str:
-        return title_of(term, self.axis.sensor).replace("markov", "Markov process")
+        return title_of(term, self.axis.sensor)
 
     def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
         """At most three questions that the data leave undecided, the most probable first.
 
-        Each has its words, those for two probabilities, and these: of a term, without it and with it; of
-        "one or another", of the chosen one and of the other.
+        Each has its text, a text for two probabilities, and these probabilities: for a term, of a set without
+        it and one with it; for "one or another", of the chosen set and the other.
         """
         found = []
         for other in self.indistinguishable:
@@ -357,7 +358,6 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         facts: what the inspection of the recording detected, the gravest first.
     """
 
-    CALLED: ClassVar[str] = "the selection"
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     name: str
@@ -369,8 +369,25 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         """Warnings about the ranking, the gravest first."""
         return warnings_of(self.facts)
 
+    def undecided(self) -> dict[tuple[str, str], list[tuple[str, float, float]]]:
+        """Questions that the data leave undecided, as for an axis, and for which axes, with probabilities."""
+        found: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
+        for axis in self.results:
+            for question, words, one, other in axis.undecided():
+                found.setdefault((question, words), []).append((axis.axis.name, one, other))
+        return found
+
+    def ambiguities(self) -> tuple[str, ...]:
+        """Notes on what the data leave undecided: one per question, with its axes and probabilities."""
+        notes = []
+        for (question, words), of in self.undecided().items():
+            names = ", ".join(name for name, *_ in of)
+            odds = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
+            notes.append(f"undecided: {question} on {names} (probabilities of the best sets: {odds})")
+        return tuple(notes)
+
     def _title(self) -> str:
-        return f"{self.name}: noise terms by evidence".lstrip(": ")
+        return "noise terms by evidence"
 
     def _tables(self) -> list[list[Column]]:
         """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
@@ -379,10 +396,10 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
             for s in axis.ranking[: max(3, len(axis.indistinguishable))]:
                 verdict = "chosen" if s == axis.chosen else "undecided" if s in axis.indistinguishable else ""
                 terms = " + ".join(SYMBOLS.get(term, term) for term in s.terms)
-                behind = f"{axis.best.log_evidence - s.log_evidence:11.1f}"
-                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:9.1f} %", behind, verdict))
-        heads = ("axis", "noise terms", "probability", "nats behind", "verdict")
-        tables = [[Column(*pair) for pair in zip(heads, map(list, zip(*rows, strict=True)), strict=True)]]
+                behind = f"{axis.best.log_evidence - s.log_evidence:.1f}"
+                rows.append((axis.axis.name, terms, f"{100.0 * s.probability:.1f}", behind, verdict))
+        heads = ("axis", "noise terms", "probability (%)", "nats behind", "verdict")
+        tables = [columns_from(heads, rows)]
         for sensor in SENSORS:
             drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
             unit = default_coefficient_unit(sensor, 0.0)
@@ -395,18 +412,12 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
             tables += tables_of([Column("axis", list(drifts))], [], columns) if columns else []
         return tables
 
-    def _lines(self) -> list[str]:
+    def _notes(self) -> list[str]:
         terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
         sensor = self.results[0].axis.sensor
         names = [f"{symbol}: {title_of(term, sensor)}" for term, symbol in SYMBOLS.items() if term in terms]
         drift = "σ: Allan deviation averaged over all sets by their probabilities, ± 1σ"
-        return [", ".join(names), drift, *(f"warning: {warning}" for warning in self.warnings)]
-
-    def __str__(self) -> str:
-        return as_text(self._title(), self._tables(), self._lines())
-
-    def _repr_html_(self) -> str:
-        return as_html(self._title(), self._tables(), self._lines())
+        return [", ".join(names), drift]
 
 
 def select_terms(
@@ -455,13 +466,13 @@ def select_terms(
 
 
 def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
-    """Ranking of the terms of all of a recording; see `select_terms`."""
+    """Ranking of the terms for a whole recording; see `select_terms`."""
     model = candidates_of(candidates, recording.rate)
     ramps = sorted_terms(model)[2]
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
-            "record at least 64 samples"
+            "record at least 64 samples, or fit given terms (--terms)"
         )
     if recording.others:
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
@@ -508,7 +519,7 @@ def _rows(
     statistics: SpectralStatistics,
     share: Float[np.ndarray, "axes m"],
 ) -> list[list[Row]]:
-    """Some subsets as each axis sees them."""
+    """Some subsets for each axis."""
     found = candidates.evidence(subsets, statistics, share)
     return [candidates.rows(subsets, found, k) for k in range(len(share))]
 
@@ -516,13 +527,13 @@ def _rows(
 def _with_error(
     candidates: Candidates, statistics: SpectralStatistics, rows: list[list[Row]]
 ) -> tuple[list[list[Row]], Float[np.ndarray, "axes m"], Float[np.ndarray, " axes"]]:
-    """The rows, the weights of the bins and the model's error, where no subset follows the spectrum.
+    """The rows, the weights of the bins and the model's error, if no subset fits the spectrum.
 
-    All are given the error that makes the best one follow it, and those with a free time are left out.
+    All are given the error that makes the best one fit, and those with a free time are left out.
     """
     rows, size, per_octave = list(rows), candidates.size, candidates.bins.per_octave()
     subsets = candidates.subsets()
-    # Without other terms there is nothing to prefer to a free time.
+    # Without other terms, those with a free time are kept.
     plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets)) if candidates.fixed else subsets
 
     def error_of(k: int) -> float:
@@ -549,7 +560,7 @@ def _with_error(
 
 
 def _pairs(candidates: Candidates, rows: Sequence[Sequence[Row]]) -> TermSubset:
-    """Subsets with two free times, beside the sets that are not far behind the best one of some axis."""
+    """Subsets with two free times, from the sets that are not far behind the best one of any axis."""
     cut, near = len(candidates.fixed), set()
     for some in rows:
         shaped = [row for row in some if len(row.members) and row.members[-1] >= cut]

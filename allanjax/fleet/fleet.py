@@ -3,31 +3,50 @@
 from __future__ import annotations
 
 import csv
+import functools
+import logging
 import os
+import signal
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from allanjax.base.cache import enable_compilation_cache
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.late import presented
+from allanjax.base.tables import Column, Tabled
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.fit import Objective
-from allanjax.estimate.result import Fit
-from allanjax.estimate.tables import as_html, as_text
-from allanjax.fleet.cluster import Call, connected, outcomes, submitted
-from allanjax.fleet.files import matching_files, recording_names
-from allanjax.fleet.groups import Groups, group_names
+from allanjax.fleet.files import (
+    Groups,
+    earlier,
+    group_names,
+    key_of,
+    matching_files,
+    recording_names,
+    store,
+    stored,
+)
 from allanjax.fleet.options import FitOptions
-from allanjax.fleet.remarks import AxisStructure, structures, why_not_measured
-from allanjax.fleet.store import earlier, key_of, store, stored
 from allanjax.fleet.stream import AllanAccumulator, accumulate
-from allanjax.fleet.summary import judged, left_out, printed
-from allanjax.fleet.table import rows_of, table_of, write_table
+from allanjax.fleet.table import (
+    AxisStructure,
+    judged,
+    left_out,
+    lines_of,
+    rows_of,
+    structures,
+    table_of,
+    tables,
+    why_not_measured,
+    write_table,
+)
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
 from allanjax.record.io import ReadOptions, read_recording
@@ -35,20 +54,25 @@ from allanjax.record.io.assembly import open_chunks
 
 if TYPE_CHECKING:
     import pandas as pd
-    from distributed import Client
+    from distributed import Client, Future
     from matplotlib.figure import Figure
 
 Progress = Callable[[int, int, int], None]
 """Called with the numbers of recordings done, failed, and in total."""
 
+Call = tuple[Callable[..., Any], Sequence[Any]]
+"""A function that the workers can import, and its positional arguments; futures among them are waited for."""
+
+# Time in s for a scheduler to answer.
+_CONNECT_SECONDS = 10
 _RECORDINGS = "recordings"
 _SHORTEST_PIECE = 100_000
-# Of text, which does not say how many rows it has.
+# Bytes of a row of text, whose number of rows is unknown.
 _ROW_BYTES = 40
 
 
-@dataclass(frozen=True, eq=False)
-class FleetResult(ByValue):
+@dataclass(frozen=True, eq=False, repr=False)
+class FleetResult(ByValue, Tabled):
     """The coefficients of a fleet.
 
     Attributes:
@@ -87,15 +111,11 @@ class FleetResult(ByValue):
             f"{self.resumed} from an earlier run"
         )
 
-    def __str__(self) -> str:
-        tables, lines = printed(self.table)
-        return as_text(self._title(), tables, [*lines, *self.notes])
+    def _tables(self) -> list[list[Column]]:
+        return tables(self.table)
 
-    __repr__ = __str__
-
-    def _repr_html_(self) -> str:
-        tables, lines = printed(self.table)
-        return as_html(self._title(), tables, [*lines, *self.notes])
+    def _notes(self) -> list[str]:
+        return [*lines_of(self.table), *self.notes]
 
 
 def characterize_fleet(
@@ -113,12 +133,14 @@ def characterize_fleet(
     scheduler: str | None = None,
     piece: int = 20_000_000,
     progress: Progress | None = None,
+    figure_format: str = "png",
     **reading: Any,
 ) -> FleetResult:
     """Estimate the noise coefficients of many recordings on a Dask cluster, with one task per recording.
 
     A recording longer than `piece` is read in pieces of that many samples in parallel, so that it is never in
-    memory as a whole; its coefficients are those of an `AllanAccumulator`.
+    memory as a whole; its coefficients are those of an `AllanAccumulator`. Sensors of one recording that have
+    different rates are fitted separately.
 
     Writes `fleet.parquet` (the table), `fleet.png` (distribution of each coefficient over the fleet),
     `errors.csv` (file, message) and `notes.txt` (one remark on the table per line) to `out`, and the fit of
@@ -138,10 +160,11 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.groups.group_names`.
+            file and group, a mapping, or a function of the path; see `fleet.files.group_names`.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
+        figure_format: png, svg or pdf.
         progress: called with the numbers of recordings done, failed, and in total.
         **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, ...
 
@@ -166,18 +189,18 @@ def characterize_fleet(
     resumed, others = earlier(folder, recordings, keys)
     for name in resumed:
         done.take(name, stored(folder, name))
-    tell = progress or (lambda done, failed, total: None)
-    tell(*done.counts, len(paths))
+    report = progress or (lambda done, failed, total: None)
+    report(*done.counts, len(paths))
     todo = [name for name in recordings if name not in resumed]
     if todo:
-        with connected(scheduler, workers, len(todo)) as client:
+        with _connected(scheduler, workers, len(todo)) as client:
             calls = {name: _call_for(client, recordings[name].absolute(), options, piece) for name in todo}
-            for name, outcome in outcomes(client, calls):
+            for name, outcome in _outcomes(client, calls):
                 if not isinstance(outcome, Exception):
-                    store(folder, name, {"key": keys[name], "fit": outcome})
+                    store(folder, name, keys[name], outcome)
                 done.take(name, outcome)
-                tell(*done.counts, len(paths))
-    return _written(done, len(resumed), (left_out(others, folder),) if others else (), out)
+                report(*done.counts, len(paths))
+    return _written(done, len(resumed), (left_out(others, folder),) if others else (), out, figure_format)
 
 
 @dataclass(frozen=True)
@@ -190,14 +213,15 @@ class _Done:
     structures: dict[str, list[AxisStructure]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
 
-    def take(self, name: str, outcome: Mapping[str, Any] | Exception) -> None:
-        """Take in the fit of a recording, or why it has none."""
+    def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
+        """Add the fits of a recording, or the error that prevented them."""
         if isinstance(outcome, Exception):
             self.errors[name] = [_reason(self.recordings[name], outcome)]
         else:
-            self.rows[name] = rows_of(outcome, name, str(self.recordings[name]), self.groups[name])
-            self.structures[name] = structures(outcome)
-            self.errors[name] = _axes_without_result(outcome)
+            file, group = str(self.recordings[name]), self.groups[name]
+            self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
+            self.structures[name] = [axis for fit in outcome for axis in structures(fit)]
+            self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -217,11 +241,6 @@ class _Done:
         )
 
 
-def characterize_recording(path: str | os.PathLike[str], options: FitOptions) -> Fit:
-    """Read and fit one recording of a fleet."""
-    return options.fit(read_recording(path, options.reading))
-
-
 def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> None:
     if piece < _SHORTEST_PIECE:
         raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
@@ -234,17 +253,21 @@ def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> 
         )
 
 
-def _characterize(path: Path, options: FitOptions) -> dict[str, Any]:
-    """Task of a worker: one recording."""
-    return to_dict(characterize_recording(path, options))
+def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
+    """Task of a worker: the fit of one recording, or one fit per sensor if their rates differ."""
+    try:
+        return [to_dict(options.fit(read_recording(path, options.reading)))]
+    except MixedRatesError as mixed:
+        readings = [replace(options.reading, columns=sensor) for sensor in mixed.sensors]
+        return [to_dict(options.fit(read_recording(path, reading))) for reading in readings]
 
 
 def _call_for(client: Client, path: Path, options: FitOptions, piece: int) -> Call:
     """Task for a recording: one function, or the one that puts the pieces of a long recording together."""
-    stretches = _pieces(path, options, piece)
-    if not stretches:
+    parts = _pieces(path, options, piece)
+    if not parts:
         return _characterize, (path, options)
-    pieces = [submitted(client, (_accumulate, (path, reading, first))) for first, reading in stretches]
+    pieces = [_submitted(client, (_accumulate, (path, reading, first))) for first, reading in parts]
     return _characterize_pieces, (pieces, options)
 
 
@@ -252,14 +275,14 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
     """First sample, and how to read it, of each piece of a long recording; none of another."""
     try:
         size = path.stat().st_size
-        # A sample takes a byte at least.
+        # A sample takes at least one byte.
         if size < piece or options.regressors:
             return []
         recording = open_chunks(path, options.reading)
     except (AllanjaxError, OSError):
-        # The worker that reads it as a whole will say what is wrong.
+        # The worker that reads it as a whole reports the error.
         return []
-    # Time stamps would give each piece a rate of its own.
+    # With its own time stamps, each piece would have a slightly different rate.
     reading = replace(options.reading, rate=recording.rate)
     if recording.n is None:
         return [(0, reading)] if size > _ROW_BYTES * piece else []
@@ -268,10 +291,10 @@ def _pieces(path: Path, options: FitOptions, piece: int) -> list[tuple[int, Read
     begin, end = reading.start, reading.stop
     firsts = range(0, recording.n, piece)
     origin = rows_between(sys.maxsize, recording.rate, begin, None).start
-    # Half-way between two samples: time stamps need not be exact.
+    # Half-way between two samples, since time stamps need not be exact.
     times = [(origin + first - 0.5) / recording.rate for first in firsts[1:]]
-    stretches = zip(firsts, [begin, *times], [*times, end], strict=True)
-    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in stretches]
+    parts = zip(firsts, [begin, *times], [*times, end], strict=True)
+    return [(first, replace(reading, start=start, stop=stop)) for first, start, stop in parts]
 
 
 def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulator:
@@ -279,13 +302,13 @@ def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulato
     return accumulate(open_chunks(path, reading), start=first)
 
 
-def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> dict[str, Any]:
+def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> list[dict[str, Any]]:
     """Task of a worker: all pieces of a recording together."""
-    return to_dict(options.fit_accumulated(reduce(AllanAccumulator.merge, pieces)))
+    return [to_dict(options.fit_accumulated(functools.reduce(AllanAccumulator.merge, pieces)))]
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
-    """Why axes have no result, or one that is not a measurement of the sensor, as `characterize` says it."""
+    """Reasons why axes have no result or no measurement of the sensor, as `characterize` reports them."""
     missing = [axis for axis in fit["axes"] if not axis["converged"]]
     wrong = [axis for axis in fit["axes"] if axis["converged"] and not axis["measured"]]
     return [
@@ -304,13 +327,13 @@ def _reason(path: Path, error: Exception) -> str:
         )
     if isinstance(error, CancelledError):
         return "the scheduler was lost; restart it and run again: finished results are kept"
-    # What a reader or a fit says begins with the file that the worker was given.
+    # Messages of a reader or a fit begin with the path that the worker was given.
     text = str(error).removeprefix(f"{path.absolute()}: ")
     return text if isinstance(error, AllanjaxError | OSError) else f"{type(error).__name__}: {text}"
 
 
-def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> FleetResult:
-    """Result of all that is done, after these notes; its table, errors, notes and picture are in `out`."""
+def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figure_format: str) -> FleetResult:
+    """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
     table, more = judged(done.table(), done.structures)
     paths = tuple(done.recordings.values())
     result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
@@ -320,5 +343,108 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path) -> Fl
         writer.writeheader()
         writer.writerows(result.errors)
     (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
-    result.plot(out / "fleet.png")
+    result.plot(out / f"fleet.{figure_format}")
     return result
+
+
+@contextmanager
+def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterator[Client]:
+    """Client of the cluster at the address `scheduler`, or of a local one that is closed after the tasks.
+
+    By default the local cluster has one worker per core, but no more than tasks.
+
+    Raises:
+        AllanjaxError: Dask is not installed, or the scheduler does not answer.
+    """
+    try:
+        from dask.system import CPU_COUNT
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise AllanjaxError('a fleet needs Dask: pip install "allanjax[fleet]"') from error
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout=_CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise AllanjaxError(
+                f"no Dask scheduler answers at {scheduler!r}; check that it runs, and the address in "
+                "scheduler= (--scheduler), e.g. tcp://host:8786"
+            ) from error
+        with client:
+            yield client
+        return
+    with _interrupts_blocked():
+        cluster = LocalCluster(
+            n_workers=min(workers or CPU_COUNT, tasks),
+            threads_per_worker=1,
+            processes=True,
+            dashboard_address="localhost:0",
+            # A worker that dies is reported with its recording, or does no harm.
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, Client(cluster, set_as_default=False) as client:
+        yield client
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Make processes that are started now ignore Ctrl-C, which they would answer with a traceback each."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started with the first process, the tracker would unblock the signal.
+    resource_tracker.ensure_running()
+    earlier = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
+
+
+def _submitted(client: Client, call: Call) -> Future:
+    """Future of a call on the cluster."""
+    return client.submit(_call, *call, pure=False)
+
+
+def _outcomes(client: Client, calls: Mapping[str, Call]) -> Iterator[tuple[str, Any]]:
+    """Make calls on the cluster; yield the name and result of each as they end, or the exception it raised.
+
+    The exception is `distributed.KilledWorker` if several workers died over the call.
+    """
+    from distributed import KilledWorker, as_completed
+
+    names = {_submitted(client, call): name for name, call in calls.items()}
+    blamed = []
+    for future in as_completed(list(names), loop=client.loop):
+        name = names.pop(future)
+        outcome = _result_of(future)
+        if isinstance(outcome, KilledWorker):
+            blamed.append(name)
+        else:
+            yield name, outcome
+    # If a worker dies, all its tasks are blamed. Tried again one by one, only the guilty task fails.
+    for name in blamed:
+        yield name, _result_of(_submitted(client, calls[name]))
+
+
+def _result_of(future: Any) -> Any:
+    """Result of a future, or the exception that it raised."""
+    try:
+        return future.result()
+    except Exception as error:
+        return error
+
+
+def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
+    """Make a call in a worker process."""
+    _prepare_worker()
+    return function(*arguments)
+
+
+@functools.cache
+def _prepare_worker() -> None:
+    """Let the workers share compiled programs, and limit JAX's threads to this worker's cores."""
+    from distributed import get_worker
+
+    # Number of threads of XLA, which reads it when it first computes, after this.
+    os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
+    enable_compilation_cache()

@@ -39,25 +39,25 @@ class FitOptions:
         own = {option.name: getattr(self, option.name) for option in fields(self) if option.name != "reading"}
         return own | self.reading.given()
 
-    def fit(self, recording: Recording, seen: Inspection | None = None) -> Fit:
-        """Fit of a recording with these options; `seen` is its inspection if that is known."""
+    def fit(self, recording: Recording, inspection: Inspection | None = None) -> Fit:
+        """Fit of a recording with these options, given its inspection if that is known."""
         from allanjax.estimate.fit import fit_inspected
 
-        seen = self.inspect(recording) if seen is None else seen
+        inspection = self.inspect(recording) if inspection is None else inspection
         options = self.model, self.objective, self.regressors, self.plain
-        return fit_inspected(recording, seen, *options, as_is=self.as_is)
+        return fit_inspected(recording, inspection, *options, as_is=self.as_is)
 
-    def fit_accumulated(self, accumulator: AllanAccumulator, seen: Inspection | None = None) -> Fit:
+    def fit_accumulated(self, accumulator: AllanAccumulator, inspection: Inspection | None = None) -> Fit:
         """Fit of an accumulated stream, which has no channels to regress on.
 
-        It covers the recording, or the stretch of it that the inspection `seen` of the whole selects.
+        It covers the recording, or the part of it that the inspection of the whole selects.
         """
-        if seen is None or seen.stretch is None:
+        if inspection is None or inspection.longest_part is None:
             return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
-        return accumulator.fit_inspected(seen, self.model, self.objective)
+        return accumulator.fit_inspected(inspection, self.model, self.objective)
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
-        """Inspection of a recording, or of what was accumulated of one, as used by its fit."""
+        """Inspection of a recording or of accumulated samples, as used by its fit."""
         from allanjax.estimate.fit import inspected
         from allanjax.fleet.stream import AllanAccumulator
 
@@ -66,12 +66,12 @@ class FitOptions:
         return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
 
     def to_dict(self) -> dict[str, Any]:
-        """All options in JSON's types; equal if and only if the options are equal."""
+        """All options in types of JSON; equal if and only if the options are equal."""
         return {option.name: _plain(getattr(self, option.name)) for option in fields(self)}
 
 
 def _plain(value: Any) -> Any:
-    """A value in JSON's types: an object as its type and all its fields, numbers as text, for infinity."""
+    """A value in types of JSON: an object as its type and fields, and numbers as text, to allow infinity."""
     if value is None or isinstance(value, bool | str):
         return value
     if is_dataclass(value) and not isinstance(value, type):

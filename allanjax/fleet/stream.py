@@ -21,7 +21,6 @@ from allanjax.base.errors import AllanjaxError, FitError, RecordingError
 from allanjax.estimate.axis_fits import fit_allan, with_curve
 from allanjax.estimate.fit import (
     Objective,
-    ambiguities,
     check_length,
     terms_to_fit,
     with_what_was_seen,
@@ -201,8 +200,8 @@ class AllanAccumulator:
     def inspect(self, *, as_is: bool = False, vibrating: bool = False) -> Inspection:
         """Inspection of the samples so far, as `allanjax.inspect` does for a recording.
 
-        Its `stretch` is the undisturbed part. Single outlying samples, lines and interpolated samples cannot
-        be detected without the samples themselves, which a fact reports.
+        Its `longest_part` is the undisturbed part. Single outlying samples, lines and interpolated samples
+        cannot be detected without the samples themselves, which a fact reports.
 
         Raises:
             AllanjaxError: there are no samples yet.
@@ -245,30 +244,30 @@ class AllanAccumulator:
         """
         return self.fit_inspected(self.inspect(as_is=as_is, vibrating=vibrating).uncut(), model, objective)
 
-    def fit_inspected(self, seen: Inspection, model: ModelLike | None, objective: Objective) -> Fit:
-        """Fit of these samples, of which `seen` is the inspection; see `fit`."""
+    def fit_inspected(self, inspection: Inspection, model: ModelLike | None, objective: Objective) -> Fit:
+        """Fit of these samples, given their inspection; see `fit`."""
         if objective in ("wavelet", "exact"):
             raise FitError(f'objective="{objective}" needs the samples themselves; use "allan" or "whittle"')
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
-        choose = model is None and not seen.refusal
+        choose = model is None and not inspection.refusal
         selection = select_stream_terms(spectra, axes, name=self.name) if choose else None
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template)
         check_length(curve, template, self.name)
-        notes = ambiguities(selection)
-        if seen.refusal:
-            return without_coefficients(seen, curve, template, objective, notes, dead)
+        notes = selection.ambiguities() if selection else ()
+        if inspection.refusal:
+            return without_coefficients(inspection, curve, template, objective, notes, dead)
         if objective == "allan":
             results, fitted = fit_allan(curve, axes, template, active)
             if all(result.converged for result in results):
-                found = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
-                return with_what_was_seen(found, seen)
+                fit = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
+                return with_what_was_seen(fit, inspection)
             notes += (_TOO_FINE,)
         results = fit_stream(spectra, template, axes, active)
         results, curve = with_curve(curve, template, results)
-        found = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
-        return with_what_was_seen(found, seen)
+        fit = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
+        return with_what_was_seen(fit, inspection)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:
         """Write the state to a file, completely or not at all; `restore` continues from it.

@@ -58,7 +58,7 @@ def lines_of(
     timed, rate = recording.jitter is not None, f"{recording.rate:.6g} Hz"
     unknown = "cannot be checked without time stamps"
     stated = "; ".join(note for note in recording.notes if note.startswith("sample rate")) or rate
-    yield line("rate", stated) if timed else line("rate", f"{rate} as given, {unknown}", "look")
+    yield line("rate", stated) if timed else line("rate", f"{rate} as given; it {unknown}", "look")
     yield line("jitter", describe_jitter(recording)) if timed else line("jitter", unknown, "look")
     yield line("gaps", unknown, "look") if recording.gaps is None else line("gaps", "none")
     yield line("repeated samples", "no more than rounding explains")
@@ -68,7 +68,7 @@ def lines_of(
     yield line("dead axes", "every axis changes")
     yield line("at rest", "no axis moves more than a sensor at rest")
     yield line("disturbances", "; ".join(inspection.notes) or "none")
-    yield line("spikes", "no single outlying samples")
+    yield line("spikes", "no outlying samples")
     yield line("lines", "no spectral lines")
     sensors = {axis.sensor for axis in recording.axes}
     if "accel" in sensors:
@@ -126,7 +126,7 @@ def _temperature(recording: Recording) -> tuple[str, Verdict]:
 
 def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:
     """Return the check of the sample rate against the bandwidth of the axes."""
-    name, wanted = "bandwidth", "three to five times the bandwidth is right"
+    name, wanted = "bandwidth", "three to five times the bandwidth suffices"
     known = {axis: value for axis, value in widths.items() if value is not None}
     below = {axis: value for axis, value in known.items() if np.isfinite(value)}
     if not known:
@@ -137,10 +137,10 @@ def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:
         return Line(name, "look", f"{unlimited}; {aliased}")
     axis = max(below, key=below.__getitem__)
     widest = below[axis]
-    ratio = f"{plain(widest, 3)} Hz ({axis}), the rate is {plain(rate / widest, 2)} times that"
+    ratio = f"{plain(widest, 3)} Hz ({axis}); the rate is {plain(rate / widest, 2)} times that"
     if rate < _LEAST_RATIO * widest:
         return Line(name, "look", f"{ratio}; aliased noise adds to N ({wanted})")
-    return Line(name, "fine", f"{ratio}; {'more than needed, ' * (rate > _MOST_RATIO * widest)}{wanted}")
+    return Line(name, "fine", f"{ratio}; {'more than needed, as ' * (rate > _MOST_RATIO * widest)}{wanted}")
 
 
 def worst(lines: Sequence[Line]) -> Verdict:

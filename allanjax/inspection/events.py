@@ -1,18 +1,24 @@
-"""Events in a recording: stretches that differ from the rest; their effect, and the quiet parts between."""
+"""Events, in which a recording differs from its rest: their effect, and the quiet parts between them.
+
+Events are cut out, filled in on one axis, or kept, or the recording is refused.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.scores import (
+from allanjax.base.wording import plain
+from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
+from allanjax.inspection.windows import (
     LENGTHS,
     Scores,
     Steps,
+    Windows,
     groups_of,
     mean_squares,
     noise_scores,
@@ -20,15 +26,16 @@ from allanjax.inspection.scores import (
     shortest_half,
     steps_of,
 )
-from allanjax.inspection.windows import Windows
+from allanjax.record.completion import MOST_MISSING
+from allanjax.record.recording import Axis
 
-# Scores beyond which a stretch differs from the rest. In the clean records on which they were set (see
+# Scores beyond which windows differ from the rest. In the clean records on which they were set (see
 # benchmarks/studies/first_look.py) the largest were 6.8 except for telegraph noise, and 10.2 for steps.
 _UNLIKE = 8.0
 _STEP = 11.0
-# The same beside a stretch that differs from the rest, where few averages are compared.
+# The same beside windows that differ from the rest, where few averages are compared.
 _BESIDE_UNLIKE = 5.0
-# Scores down to which such a stretch is extended.
+# Score down to which a run of such windows is extended.
 _STILL = 3.0
 # Standard deviations of a step down to which a slow change is extended.
 _STILL_MOVING = 4.0
@@ -39,23 +46,23 @@ _TELEGRAPH = 3
 _SAME_SIZE = 0.7
 # So many constant windows are not chance on an axis whose samples repeat less often than this share.
 _STUCK, _MOSTLY_NEW = 3, 0.5
-# Stretches at most so many windows apart are joined.
+# Runs at most so many windows apart are joined.
 _GAP = 3
-# Quiet windows on either side of a stretch over which the mean is taken.
+# Quiet windows on either side of a run over which the mean is taken.
 _BESIDE = 16
 # An event matters if it changes the Allan variance by more than this, in standard deviations of the estimate.
 _MATTERS = 1.0
 # Many small events matter if their changes add up to the first number; then each above the second matters.
 _TOGETHER, _COUNTS = 2.0, 0.1
-# Standard deviations of a stretch's own excess beyond which it is not chance on an axis.
+# Standard deviations of a run's own excess beyond which it is not chance on an axis.
 _CHANCE = 3.0
-# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
-_TRIFLE = 0.005
+#: An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
+TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
 # Rounds of search, each in the quiet parts that remain after the previous one.
 _ROUNDS = 8
-# A stretch whose noise differs by less than this factor is kept.
+# A run whose noise differs by less than this factor is kept.
 _MUCH_NOISIER = 1.5
 # Ratio of mean square differences up to which the noise is unchanged and only the mean has moved.
 _SAME_NOISE = 1.5
@@ -67,13 +74,29 @@ _CHANGED = 8.0
 _ONE_WAY = 0.6
 # Number of windows up to which an event is sudden, and share of the record up to which it is short.
 _SUDDEN, _SHORT = 6, 0.02
+# Least share of the recording that coefficients may be estimated from.
+_LEAST_SHARE = 0.3
+# A part that is quieter by this factor and has this share of the recording may be the sensor at rest.
+_MUCH, _LONG = 1.5, 0.1
+# An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
+_SLIGHT = 0.1
+# Ways to obtain coefficients nevertheless.
+_REMEDY = (
+    "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
+    "(as_is=True), or run allanjax critique for the causes"
+)
+# Kinds of events in the order in which they are reported.
+_KINDS = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
 
-#: Kinds of events.
+#: Samples by axis name: ranges from the first index up to but not including the last.
+Places = Mapping[str, tuple[tuple[int, int], ...]]
+#: Kinds of events, and those that change the mean only.
 Kind = Literal["noisier", "quieter", "silent", "knock", "spike", "step", "warm-up", "shift"]
+MOVES = ("step", "shift", "warm-up")
 
 
 @dataclasses.dataclass(frozen=True)
-class Stretch:
+class Run:
     """Run of windows, `first` up to but not including `last`, that differ from the rest.
 
     Attributes:
@@ -94,30 +117,30 @@ class Stretch:
         return bool(self.axes)
 
 
-def unusual(windows: Windows, sensors: Sequence[str]) -> list[Stretch]:
-    """Return stretches with unusual noise or an unusual change of the mean, in order, without overlap."""
-    found = [Stretch(a, b, "silent") for a, b in _silent(windows)]
-    # Stretches found from few windows are left out of the averages over more.
+def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
+    """Return runs with unusual noise or an unusual change of the mean, in order, without overlap."""
+    disturbed = [Run(a, b, "silent") for a, b in _silent(windows)]
+    # Runs detected over few windows are left out of the averages over more.
     for length in LENGTHS:
-        touched = touched_by(windows, found)
+        touched = touched_by(windows, disturbed)
         scores = list(noise_scores(windows, sensors, length, touched))
         louder, quieter = (_runs([sign * x for x in scores], length, touched) for sign in (1.0, -1.0))
-        found += [Stretch(a, b, "noisier") for a, b in louder]
-        found += [Stretch(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, found)]
-    steps = list(steps_of(windows, sensors, touched_by(windows, found)))
-    moved: list[Stretch] = []
+        disturbed += [Run(a, b, "noisier") for a, b in louder]
+        disturbed += [Run(a, b, "quieter") for a, b in quieter if not _overlaps(a, b, disturbed)]
+    steps = list(steps_of(windows, sensors, touched_by(windows, disturbed)))
+    moved: list[Run] = []
     for k, of in enumerate(steps):
         for a, b in _moves(steps[: k + 1], groups_of(sensors)):
             # A change detected over few windows is detected over more windows, too.
             if not _overlaps(a - of.lag, b + of.lag, moved):
-                moved.append(Stretch(a, b, "moved"))
-    return _merged(sorted(found + moved, key=lambda s: s.first))
+                moved.append(Run(a, b, "moved"))
+    return _merged(sorted(disturbed + moved, key=lambda s: s.first))
 
 
-def touched_by(windows: Windows, stretches: Sequence[Stretch]) -> Bool[np.ndarray, " w"]:
-    """Return which windows are in one of the stretches."""
+def touched_by(windows: Windows, disturbed: Sequence[Run]) -> Bool[np.ndarray, " w"]:
+    """Return which windows are in one of these runs."""
     touched = np.zeros(len(windows), bool)
-    for s in stretches:
+    for s in disturbed:
         touched[s.first : s.last] = True
     return touched
 
@@ -129,29 +152,20 @@ def _silent(windows: Windows) -> list[tuple[int, int]]:
     return [(a, b) for a, b in runs((constant & usual).any(axis=1), _GAP) if b - a >= _STUCK]
 
 
-def _runs(scores: Sequence[Scores], length: int, found: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
+def _runs(scores: Sequence[Scores], length: int, unusual: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
     """Return runs of windows with a score beyond the threshold, extended by neighbours beyond a lower one.
 
-    Beside windows that are known to be unusual, `found`, the threshold is lower.
+    Beside windows that are known to be unusual, the threshold is lower.
     """
-    count = len(found)
-    peak, likely, still = np.zeros((3, count), bool)
-    # The middle window of an average: the loud part is about there.
-    inner = (length - 1) // 2
-    for score in scores:
-        for limit, windows in ((_UNLIKE, peak), (_BESIDE_UNLIKE, likely)):
-            alarmed = score.max(axis=1) > limit
-            if not alarmed.any():
-                continue
-            high, low = (score[alarmed] > limit).any(axis=0), (score[alarmed] > _STILL).any(axis=0)
-            windows[inner : inner + len(high)] |= high
-            if limit == _UNLIKE:
-                still[inner : inner + len(low)] |= low
-            if length > 1:
-                # At the ends of the record no average has these windows in its middle.
-                windows[: inner + 1] |= high[0]
-                windows[inner + len(high) - 1 :] |= high[-1]
-    near = np.convolve(found, np.ones(2 * _GAP + 1), "same") > 0.5
+    if not scores:
+        return []
+    score = np.concatenate(scores)
+    # The loud part is about in the middle window of an average. At the ends of the record, no average has
+    # the first and last windows in its middle.
+    ends = (length - 1) // 2, length // 2
+    peak, likely = (np.pad((score > x).any(axis=0), ends, "edge") for x in (_UNLIKE, _BESIDE_UNLIKE))
+    still = np.pad((score[score.max(axis=1) > _UNLIKE] > _STILL).any(axis=0), ends)
+    near = np.convolve(unusual, np.ones(2 * _GAP + 1), "same") > 0.5
     beside = [(a, b) for a, b in runs(likely, _GAP) if near[a:b].any()]
     return [(a, b) for a, b in runs(peak | still, _GAP) if peak[a:b].any()] + beside
 
@@ -201,37 +215,37 @@ def _where(steps: Sequence[Steps], first: int, last: int, place: int) -> tuple[i
     return max(middle - lag, 0), min(middle + lag, end)
 
 
-def _overlaps(first: int, last: int, others: Sequence[Stretch]) -> bool:
-    """Return whether a run of windows overlaps one of the stretches."""
+def _overlaps(first: int, last: int, others: Sequence[Run]) -> bool:
+    """Return whether a run of windows overlaps one of the others."""
     return any(o.first < last and first < o.last for o in others)
 
 
-def _merged(found: Sequence[Stretch]) -> list[Stretch]:
-    """Stretches with overlapping ones joined, of the first kind of silent, noisier, quieter, moved."""
-    merged: list[Stretch] = []
-    for s in found:
+def _merged(disturbed: Sequence[Run]) -> list[Run]:
+    """Runs with overlapping ones joined, of the first kind of silent, noisier, quieter, moved."""
+    merged: list[Run] = []
+    for s in disturbed:
         if merged and s.first <= merged[-1].last:
             o = merged[-1]
             kinds = [k for k in ("silent", "noisier", "quieter", "moved") if k in (o.kind, s.kind)]
-            merged[-1] = Stretch(o.first, max(o.last, s.last), kinds[0])
+            merged[-1] = Run(o.first, max(o.last, s.last), kinds[0])
         else:
             merged.append(s)
     return merged
 
 
 def excesses(
-    windows: Windows, stretches: Sequence[Stretch]
-) -> tuple[Float[np.ndarray, "stretches axes"], Float[np.ndarray, "stretches axes"]]:
-    """Effect of each stretch on the Allan variance of each axis, in standard errors and as a share.
+    windows: Windows, disturbed: Sequence[Run]
+) -> tuple[Float[np.ndarray, "runs axes"], Float[np.ndarray, "runs axes"]]:
+    """Effect of each run on the Allan variance of each axis, in standard errors and as a share.
 
     Returns:
         The excess of the mean square difference (twice the Allan variance) in standard deviations of its
         estimate, at the cluster time where that is largest; and, at that time, as a share of the mean square.
     """
-    touched = touched_by(windows, stretches)
-    sigmas, shares = np.zeros((2, len(stretches), windows.mean.shape[1]))
+    touched = touched_by(windows, disturbed)
+    sigmas, shares = np.zeros((2, len(disturbed), windows.mean.shape[1]))
     for square, weight, width in _squares(windows):
-        # A place counts as touched if one of its windows is in a stretch.
+        # A place counts as touched if one of its windows is in a run.
         count = np.concatenate([[0], np.cumsum(touched)])
         places = count[width:] > count[: len(count) - width]
         quiet = ~places & (weight > 0)
@@ -244,7 +258,7 @@ def excesses(
         scatter = np.sqrt(np.average((square[quiet] / level - 1.0) ** 2, axis=0, weights=weight[quiet]))
         error = np.maximum(scatter / np.sqrt(independent), 1e-12)
         gain = (square / level - 1.0) * (weight / weight.sum())[:, None]
-        for k, s in enumerate(stretches):
+        for k, s in enumerate(disturbed):
             part = gain[max(s.first - width + 1, 0) : s.last].sum(axis=0)
             shares[k] = np.where(abs(part) / error > sigmas[k], abs(part), shares[k])
             sigmas[k] = np.maximum(sigmas[k], abs(part) / error)
@@ -261,28 +275,28 @@ def _squares(
         yield (steps.step**2).T, np.ones(steps.step.shape[1]), 2 * steps.lag
 
 
-def quiet_runs(count: int, stretches: Sequence[Stretch]) -> list[tuple[int, int]]:
-    """Return the runs of `count` windows outside all stretches, at least one window away from each."""
+def quiet_runs(count: int, disturbed: Sequence[Run]) -> list[tuple[int, int]]:
+    """Return the runs of `count` windows outside all disturbed runs, at least one window away from each."""
     edges = [0]
-    for s in stretches:
+    for s in disturbed:
         edges += [max(s.first - 1, 0), min(s.last + 1, count)]
     edges.append(count)
     return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
 
 def beside(
-    windows: Windows, stretch: Stretch, others: Sequence[Stretch]
+    windows: Windows, run: Run, others: Sequence[Run]
 ) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Change of the mean across a stretch, and its usual scatter; zero at the ends of the record."""
-    before = max([s.last for s in others if s.last <= stretch.first], default=0)
-    after = min([s.first for s in others if s.first >= stretch.last], default=len(windows))
-    left = windows.mean[max(before, stretch.first - _BESIDE) : stretch.first]
-    right = windows.mean[stretch.last : min(after, stretch.last + _BESIDE)]
+    """Change of the mean across a run, and its usual scatter; zero at the ends of the record."""
+    before = max([s.last for s in others if s.last <= run.first], default=0)
+    after = min([s.first for s in others if s.first >= run.last], default=len(windows))
+    left = windows.mean[max(before, run.first - _BESIDE) : run.first]
+    right = windows.mean[run.last : min(after, run.last + _BESIDE)]
     zero = np.zeros(windows.mean.shape[1])
     if len(left) == 0 or len(right) == 0:
         return zero, zero
     # The same difference of means wherever it exists.
-    apart, k = stretch.last - stretch.first, min(len(left), len(right))
+    apart, k = run.last - run.first, min(len(left), len(right))
     total = np.concatenate([[zero], np.cumsum(windows.mean, axis=0)])
     level = (total[k:] - total[:-k]) / k
     usual = level[k + apart :] - level[: len(level) - k - apart]
@@ -291,7 +305,7 @@ def beside(
 
 
 @dataclasses.dataclass(frozen=True)
-class Event:
+class Event(Run):
     """Disturbance of a recording: handling, motion, a fault, or a change of the bias.
 
     Attributes:
@@ -299,22 +313,11 @@ class Event:
         kind: its kind.
         axis: index of the axis where it is largest.
         size: ratio of the deviations if the noise changes; else the excursion [rad/s or m/s²].
-        shares: for each axis, the clearest excess of the Allan variance due to it, as a share.
-        axes: indices of the axes where that exceeds the error of the estimate.
     """
 
-    first: int
-    last: int
     kind: Kind
-    axis: int
-    size: float
-    shares: tuple[float, ...]
-    axes: tuple[int, ...]
-
-    @property
-    def matters(self) -> bool:
-        """Whether it changes an Allan variance by more than the error of the estimate."""
-        return bool(self.axes)
+    axis: int = 0
+    size: float = 0.0
 
     @property
     def is_slight(self) -> bool:
@@ -337,10 +340,6 @@ class Event:
         return self.matters and not self.is_slight and not self.is_of_one_axis
 
 
-#: Kinds of events that change the mean only.
-MOVES = ("step", "shift", "warm-up")
-
-
 def quiet_parts(
     windows: Windows, sensors: Sequence[str], may_move: bool = False
 ) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
@@ -350,21 +349,21 @@ def quiet_parts(
     searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
     move, as in a model with a step, changes of the mean are not events.
     """
-    out: list[Stretch] = []
-    found: list[Stretch] = []
+    cut: list[Run] = []
+    kept: list[Run] = []
     pending, parts = [(0, len(windows), 0)], []
     while pending:
         first, last, rounds = pending.pop()
         part = windows.between(first, last)
-        stretches = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
-        events = list(zip(stretches, _events(part, stretches), strict=True))
+        disturbed = _of_part(part, sensors, may_move) if len(part) >= _FEWEST else []
+        events = list(zip(disturbed, _events(part, disturbed), strict=True))
         cuts = [s for s, e in events if e.is_cut]
         split = bool(cuts) and rounds < _ROUNDS
-        # Harmless events may be found again in a part; one that is kept is not, if it fills the part.
+        # Harmless events may be detected again in a part; one that is kept is not, if it fills the part.
         for s, e in events:
             if not split or e.matters:
                 moved = dataclasses.replace(s, first=first + s.first, last=first + s.last)
-                (out if e.is_cut else found).append(moved)
+                (cut if e.is_cut else kept).append(moved)
         if not split:
             parts.append((first, last))
             continue
@@ -373,41 +372,41 @@ def quiet_parts(
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     edges = windows.edges
     quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
-    joined = sorted(_joined(out) + _joined(found), key=lambda s: s.first)
+    joined = sorted(_joined(cut) + _joined(kept), key=lambda s: s.first)
     return tuple(_events(windows, joined)), quiet
 
 
-def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Stretch]:
-    """Return the unusual stretches of a part, with the axes where they matter."""
-    stretches = unusual(part, sensors)
+def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]:
+    """Return the unusual runs of a part, with the axes where they matter."""
+    disturbed = unusual(part, sensors)
     if may_move:
-        stretches = [s for s in stretches if _what(part, s, stretches)[0] not in MOVES]
-    sigmas, shares = excesses(part, stretches)
-    limit, found = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
-    for s, sigma, share in zip(stretches, sigmas, shares, strict=True):
-        # By chance, the excess of a stretch is the root of its share of the part.
+        disturbed = [s for s in disturbed if _what(part, s, disturbed)[0] not in MOVES]
+    sigmas, shares = excesses(part, disturbed)
+    limit, described = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
+    for s, sigma, share in zip(disturbed, sigmas, shares, strict=True):
+        # By chance, the excess of a run is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
-        axes = (share > _TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
-        found.append(
+        axes = (share > TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
+        described.append(
             dataclasses.replace(s, shares=tuple(share.tolist()), axes=tuple(np.flatnonzero(axes).tolist()))
         )
-    return found
+    return described
 
 
-def _events(windows: Windows, stretches: Sequence[Stretch]) -> list[Event]:
-    """Return the stretches as events."""
+def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
+    """Return disturbed runs as events."""
     edges, events = windows.edges, []
-    for s in stretches:
-        kind, axis, size = _what(windows, s, stretches)
+    for s in disturbed:
+        kind, axis, size = _what(windows, s, disturbed)
         axes = tuple(sorted({axis, *s.axes})) if s.matters else ()
-        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, axis, size, s.shares, axes))
+        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, s.shares, axes, axis, size))
     return events
 
 
-def _joined(found: Sequence[Stretch]) -> list[Stretch]:
-    """Return the stretches in order, with adjacent ones that matter joined."""
-    joined: list[Stretch] = []
-    for s in sorted(found, key=lambda s: s.first):
+def _joined(disturbed: Sequence[Run]) -> list[Run]:
+    """Return the runs in order, with adjacent ones that matter joined."""
+    joined: list[Run] = []
+    for s in sorted(disturbed, key=lambda s: s.first):
         o = joined[-1] if joined else None
         if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
             larger = max((o, s), key=lambda x: max(x.shares))
@@ -418,7 +417,7 @@ def _joined(found: Sequence[Stretch]) -> list[Stretch]:
     return joined
 
 
-def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float]:
+def _what(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float]:
     """Return the kind of an event, the axis where it is largest, and its size there."""
     inside = slice(s.first, s.last)
     if s.kind == "silent":
@@ -446,7 +445,7 @@ def _what(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind
 
 
 def _levels(
-    windows: Windows, inside: slice, events: Sequence[Stretch]
+    windows: Windows, inside: slice, events: Sequence[Run]
 ) -> tuple[Float[np.ndarray, "scales axes"], Float[np.ndarray, "scales axes"]]:
     """Return typical mean square differences, and the factor by which those inside are larger (1 if unknown).
 
@@ -469,7 +468,7 @@ def _single(windows: Windows, inside: slice) -> float:
     return float(np.max(windows.peak[inside].max(axis=0) ** 2 / np.where(power > 0.0, power, np.inf)))
 
 
-def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kind, int, float] | None:
+def _moved(windows: Windows, s: Run, events: Sequence[Run]) -> tuple[Kind, int, float] | None:
     """Return a step, warm-up or other change of the mean; None if the mean is the same before and after."""
     usual = np.maximum(abs(np.diff(windows.mean, axis=0)).mean(axis=0), 1e-300)
     span = np.ptp(windows.mean[s.first : s.last], axis=0)
@@ -491,3 +490,156 @@ def _moved(windows: Windows, s: Stretch, events: Sequence[Stretch]) -> tuple[Kin
     span = np.ptp(windows.mean[max(s.first - 1, 0) : s.last + 1], axis=0)
     axis = int(np.argmax(span / usual))
     return "shift", axis, float(span[axis])
+
+
+class Treatment:
+    """How the events of a recording of n samples of these axes at this rate [Hz] are handled.
+
+    Attributes:
+        as_is: whether all samples are used in any case.
+        quiet: parts without the events that must be cut out, as sample indices.
+        cut, alone, kept, harmless: the events that are cut out; that affect a single axis; that are kept and
+            widen the intervals; that change no coefficient.
+        possible: whether enough remains without the events that must be cut out.
+        unclear: whether the disturbance lasts so long that the quiet part may not be the sensor at rest.
+    """
+
+    def __init__(
+        self,
+        events: Sequence[Event],
+        quiet: Sequence[tuple[int, int]],
+        axes: Sequence[Axis],
+        rate: float,
+        n: int,
+        as_is: bool,
+    ) -> None:
+        self.axes, self.rate, self.n, self.as_is, self.quiet = axes, rate, n, as_is, quiet
+        matter = [e for e in events if e.matters]
+        self.cut = [e for e in matter if e.is_cut]
+        self.alone = [e for e in matter if e.is_of_one_axis and not e.is_slight]
+        self.kept = [e for e in matter if e.is_slight]
+        self.harmless = [e for e in events if not e.matters]
+        quieter = sum(e.last - e.first for e in self.cut if e.kind == "quieter" and e.size > _MUCH)
+        self.unclear = quieter > _LONG * n
+        self.possible = sum(b - a for a, b in quiet) >= _LEAST_SHARE * n and not self.unclear
+        if self.cut and not (self.possible or self.unclear) and sum(e.share for e in self.cut) < _SLIGHT:
+            self.cut, self.kept, self.possible = [], [*self.kept, *self.cut], True
+
+    @property
+    def parts(self) -> tuple[tuple[float, float], ...]:
+        """Start and end [s] of the parts that are used, rounded inwards; empty if all samples are used."""
+        if not self.cut or not self.possible or self.as_is:
+            return ()
+        step, whole = grid(self.n / self.rate), self.n / self.rate
+        starts = [np.ceil(a / self.rate / step - 1e-9) * step if a else 0.0 for a, _ in self.quiet]
+        stops = [np.floor(b / self.rate / step + 1e-9) * step if b < self.n else whole for _, b in self.quiet]
+        return tuple((round(float(a), 9), round(float(b), 9)) for a, b in zip(starts, stops, strict=True))
+
+    @property
+    def lost(self) -> dict[str, tuple[tuple[int, int], ...]]:
+        """Samples of a single axis that are filled in from its other samples, if enough of these remain."""
+        ranges = {name: tuple((e.first, e.last) for e in of) for name, of in self._alone().items()}
+        most = 0.0 if self.as_is else MOST_MISSING * self.n
+        return {name: of for name, of in ranges.items() if sum(b - a for a, b in of) < most}
+
+    @property
+    def disturbance_error(self) -> Float[np.ndarray, " axes"]:
+        """Relative error of the Allan deviation of each axis due to the events that are kept."""
+        error = np.zeros(len(self.axes))
+        for e in self.kept:
+            error[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
+        return error
+
+    def describe(self, events: Sequence[Event]) -> str:
+        """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
+        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
+        return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
+
+    @property
+    def refusal(self) -> str:
+        """Reason why there are no coefficients, in words; "" if there are."""
+        if self.possible or not self.cut or self.as_is:
+            return ""
+        events = self.describe(self.cut)
+        if self.unclear:
+            return f"{events}; it is unclear in which of these parts the sensor is at rest: {_REMEDY}"
+        a, b = max(self.quiet, key=lambda part: part[1] - part[0])
+        longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
+        return (
+            f"{events}; the undisturbed parts are less than {100.0 * _LEAST_SHARE:.0f} % of the recording "
+            f"(the longest is {longest}): {_REMEDY}"
+        )
+
+    def facts(self, refusal: str) -> list[Fact]:
+        """Return facts about the events that matter, including why there are no coefficients."""
+        facts, every = [], tuple(axis.name for axis in self.axes)
+        if self.cut and refusal:
+            facts.append(self._fact(self.cut, every, "not a measurement", f"no coefficients: {refusal}"))
+        elif self.cut:
+            step, parts = grid(self.n / self.rate), self.parts
+            used = listed([span(*part, step) for part in parts], len(parts))
+            then = f"coefficients are estimated from {used}" if used else "all samples are used"
+            text = f"{self.describe(self.cut)}; {then}"
+            out = self.n / self.rate - sum(b - a for a, b in parts) if parts else None
+            fact = self._fact(self.cut, every, "none", text)
+            facts.append(dataclasses.replace(fact, size=out, unit="s"))
+        for name, own in self._alone().items():
+            then, consequence = "all samples are used", "none"
+            if name in self.lost:
+                then, consequence = "these samples are left out and filled in", "widened"
+            elif not self.as_is:
+                then = f"this is more than {100.0 * MOST_MISSING:.0f} % of the axis, too much to be filled in"
+                consequence = "not a measurement"
+            text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}; {then}"
+            facts.append(self._fact(own, (name,), consequence, text))  # type: ignore[arg-type]
+        if self.kept:
+            share = plain(100.0 * float(self.disturbance_error.max()), 1)
+            text = f"{self.describe(self.kept)}; kept, intervals are widened by {share} % of the deviation"
+            names = tuple(every[k] for k in sorted({k for e in self.kept for k in e.axes}))
+            facts.append(self._fact(self.kept, names, "widened", text))
+        return facts
+
+    def _alone(self) -> dict[str, list[Event]]:
+        """Events on a single axis by its name."""
+        names = dict.fromkeys(self.axes[e.axes[0]].name for e in self.alone)
+        return {name: [e for e in self.alone if self.axes[e.axes[0]].name == name] for name in names}
+
+    def _fact(
+        self, events: Sequence[Event], names: tuple[str, ...], consequence: Consequence, text: str
+    ) -> Fact:
+        spans = tuple((e.first / self.rate, e.last / self.rate) for e in events)
+        return Fact("disturbances", text, names, consequence, spans=spans)
+
+    def _clause(self, kind: str, events: Sequence[Event]) -> str:
+        """Return a clause about all events of one kind."""
+        step = grid(self.n / self.rate)
+        places = listed([self._around(e, step) for e in events])
+        largest = max(events, key=lambda e: abs(e.size))
+        axis = self.axes[largest.axis]
+        size = amount(abs(largest.size), axis)
+        if kind in ("noisier", "quieter"):
+            # Two digits, or three where it is near one.
+            ratio = plain(largest.size, 2 if largest.size >= 2.0 else 3)
+            return f"{places} {'is' if len(events) == 1 else 'are'} {ratio} times {kind} than the rest"
+        if kind == "silent":
+            return f"{axis.name} does not change at all in {places}"
+        if kind == "warm-up":
+            until = seconds(events[-1].last / self.rate, step)
+            return f"warm-up drift until {until} s ({axis.name} starts {size} off)"
+        if kind == "shift":
+            if len(events) == 1:
+                return f"{axis.name} shifts by {size} in {places}"
+            return f"the mean shifts by up to {size} ({axis.name}) in {places}"
+        middles = listed([f"{seconds(0.5 * (e.first + e.last) / self.rate, step)} s" for e in events])
+        noun, off = ("outlying sample", " off") if kind == "spike" else (kind, "")
+        if len(events) > 1:
+            return f"{len(events)} {noun}s of up to {size}{off} ({axis.name}) at {middles}"
+        a, of = ("an", "") if kind == "spike" else ("a", "of ")
+        return f"{a} {noun} {of}{size}{off} at {middles} ({axis.name})"
+
+    def _around(self, e: Event, step: float) -> str:
+        """Time span of an event, rounded; outwards if the rounded ends were the same."""
+        first, last = e.first / self.rate / step, e.last / self.rate / step
+        if round(first) == round(last):
+            first, last = np.floor(first), np.ceil(last)
+        return span(step * first, step * last, step)

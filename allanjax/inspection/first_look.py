@@ -10,9 +10,8 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
-from allanjax.base.wording import duration, plain
-from allanjax.inspection.disturbances import Places, Treatment, outliers_of, spikes_in
-from allanjax.inspection.events import Event, quiet_parts
+from allanjax.base.wording import plain, record_size
+from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
     Ends,
@@ -24,9 +23,8 @@ from allanjax.inspection.plausible import (
     short,
     temperature_facts,
 )
-from allanjax.inspection.scores import mean_squares, motion_warning, motions, rms_within
 from allanjax.inspection.spectral import spectral_facts
-from allanjax.inspection.windows import Windows
+from allanjax.inspection.windows import Windows, mean_squares, motion_warning, motions, rms_within, runs
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 
@@ -34,8 +32,18 @@ _NOT_EXAMINED = (
     "not examined in a stream: outliers, lines, interpolated samples, temperature; to check these, read a "
     "part of the file as a whole (--start, --stop)"
 )
-# An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
-_TRIFLE = 0.005
+# Standard deviations beyond which a sample is an outlier: Gaussian noise has one in 10⁹ samples.
+_FAR = 6.0
+# Samples on either side that are compared, and the most outliers within that distance.
+_AROUND, _CLOSE = 3, 3
+# Standard deviations beyond which Gaussian noise has this share of samples; so many times more is no chance.
+_OUTLYING, _GAUSSIAN_BEYOND, _ENOUGH = 4.0, 6.3e-5, 5
+# Share of the smallest distances from which the scale is estimated, and their rms for normal variates.
+_INNER, _INNER_RMS = 0.7, 0.5565
+# Share of zero distances beyond which the rounding is too coarse for that estimate.
+_EQUAL = 0.35
+# Largest share of outlying samples on an axis: with more, the noise itself has heavy tails.
+_MOST = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,7 +52,7 @@ class Inspection(ByValue):
 
     Attributes:
         name, rate, n, axes: name, sample rate [Hz], number of samples and axes of the recording.
-        mean, rms: mean of each axis and rms about it, over the stretch [rad/s or m/s²].
+        mean, rms: mean of each axis and rms about it, over the longest part [rad/s or m/s²].
         parts: start and end [s from the first sample] of the parts to estimate from, in order; empty if all
             samples are used.
         lost: samples of single axes that are filled in given the others, by axis.
@@ -54,9 +62,10 @@ class Inspection(ByValue):
         events: disturbances of the sensor.
         left_out: the events for which parts are left out, in words.
         steps: step of the output of each axis [rad/s or m/s²]; 0 if none is detected.
-        allowance: relative error of the Allan deviation of each axis due to disturbed samples that are kept.
-        foreign: rms of white noise on each axis [rad/s or m/s²] that may not be the sensor's own: rounding
-            and outliers.
+        disturbance_error: relative error of the Allan deviation of each axis due to disturbed samples that
+            are kept.
+        added_noise: rms of white noise on each axis [rad/s or m/s²] from rounding and outliers, which may not
+            be the sensor's own.
     """
 
     name: str
@@ -73,13 +82,16 @@ class Inspection(ByValue):
     events: tuple[Event, ...]
     left_out: str
     steps: Float[np.ndarray, " axes"]
-    allowance: Float[np.ndarray, " axes"]
-    foreign: Float[np.ndarray, " axes"]
+    disturbance_error: Float[np.ndarray, " axes"]
+    added_noise: Float[np.ndarray, " axes"]
 
     said = renamed("left_out")
+    stretch = renamed("longest_part")
+    allowance = renamed("disturbance_error")
+    foreign = renamed("added_noise")
 
     @property
-    def stretch(self) -> tuple[float, float] | None:
+    def longest_part(self) -> tuple[float, float] | None:
         """Start and end [s] of the longest part to estimate from; None for the whole recording."""
         return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
@@ -112,11 +124,11 @@ class Inspection(ByValue):
         Samples in `lost` are filled in.
         """
         lost = _at(self.lost, recording)
-        if self.stretch is None:
+        if self.longest_part is None:
             return _completed(recording, lost)
         rows = {part: slice(*(round(time * self.rate) for time in part)) for part in self.parts}
-        longest = rows.pop(self.stretch)
-        quiet = recording.between(*self.stretch)
+        longest = rows.pop(self.longest_part)
+        quiet = recording.between(*self.longest_part)
         kept = [recording.names.index(name) for name in quiet.names]
         others = [completed(recording.values[part], lost[part])[:, kept] for part in rows.values()]
         alive = (x for x in others if (np.ptp(x, axis=0) > 0.0).all())
@@ -125,12 +137,12 @@ class Inspection(ByValue):
 
     def uncut(self) -> Inspection:
         """Return this inspection for accumulated samples: if parts must be left out, it is a refusal."""
-        if self.stretch is None:
+        if self.longest_part is None:
             return self
-        start, stop = (f"{time:.6g}" for time in self.stretch)
+        start, stop = (f"{time:.6g}" for time in self.longest_part)
         refusal = (
-            f"{self.left_out}; accumulated samples cannot be left out: read again the undisturbed part "
-            f"{span(*self.stretch, grid(self.n / self.rate))} with start={start}, stop={stop} "
+            f"{self.left_out}; accumulated samples cannot be left out: read the undisturbed part "
+            f"{span(*self.longest_part, grid(self.n / self.rate))} again with start={start}, stop={stop} "
             f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
         facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
@@ -139,8 +151,7 @@ class Inspection(ByValue):
         return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
 
     def __str__(self) -> str:
-        length = duration(self.n / self.rate)
-        head = f"{self.name or 'recording'}: {self.n:,} samples at {self.rate:g} Hz ({length})"
+        head = f"{self.name or 'recording'}: {record_size(self.n, self.rate)}"
         lines = self.warnings or ("nothing unusual",)
         return "\n".join(
             [head, *(f"  {line}" for line in lines), *(f"  note: {note}" for note in self.notes)]
@@ -209,10 +220,10 @@ def look(
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
     events, quiet = quiet_parts(windows, sensors, may_move)
-    treatment = Treatment.of(events, quiet, axes, rate, n, as_is)
+    treatment = Treatment(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
-    stretch = max(parts, key=lambda part: part[1] - part[0], default=None)
-    part = windows.between(*_windows_in(windows, stretch, rate))
+    longest = max(parts, key=lambda part: part[1] - part[0], default=None)
+    part = windows.between(*_windows_in(windows, longest, rate))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, axes, rate)
@@ -235,11 +246,11 @@ def look(
     spikes = [_within(parts, at, rate) for at in spikes]
     if recording is None:
         more, steps = resolved(part, axes, None)
-        foreign = steps / np.sqrt(12.0)
+        added_noise = steps / np.sqrt(12.0)
         more += [*dead_facts(dead), Fact("not examined", _NOT_EXAMINED, names)]
         more += [] if ends is None else saturated(axes, ends, steps)
     else:
-        more, steps, foreign = _of_samples(recording, part, stretch, spikes, treatment.lost)
+        more, steps, added_noise = _of_samples(recording, part, longest, spikes, treatment.lost)
     lost = dict(treatment.lost)
     for axis, at in zip(names, () if as_is else spikes, strict=False):
         if at.any():
@@ -260,20 +271,20 @@ def look(
         events,
         treatment.describe(treatment.cut),
         steps,
-        treatment.allowance,
-        foreign,
+        treatment.disturbance_error,
+        added_noise,
     )
 
 
 def _of_samples(
     recording: Recording,
     part: Windows,
-    stretch: tuple[float, float] | None,
+    longest: tuple[float, float] | None,
     spikes: Sequence[Bool[np.ndarray, " n"]],
     lost: Places,
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
-    """Facts from the samples themselves; the step, and the rms of foreign white noise, of each axis."""
-    rows = slice(*((0, recording.n) if stretch is None else (round(t * recording.rate) for t in stretch)))
+    """Facts from the samples themselves; the step, and the rms of added white noise, of each axis."""
+    rows = slice(*((0, recording.n) if longest is None else (round(t * recording.rate) for t in longest)))
     drawn = _drawn(recording)
     own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
@@ -292,9 +303,9 @@ def _of_samples(
         if axis.name not in held | grave:
             count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
             facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
-    foreign = np.sqrt(steps**2 / 12.0 + outliers)
+    added_noise = np.sqrt(steps**2 / 12.0 + outliers)
     single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
-    return [*facts, *single], steps, foreign
+    return [*facts, *single], steps, added_noise
 
 
 def _bridged(
@@ -306,11 +317,11 @@ def _bridged(
 
 def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
     """Return which samples are at these places."""
-    found = np.zeros_like(recording.values, bool)
-    for name, stretches in places.items():
-        for first, last in stretches:
-            found[first:last, recording.names.index(name)] = True
-    return found
+    at = np.zeros_like(recording.values, bool)
+    for name, ranges in places.items():
+        for first, last in ranges:
+            at[first:last, recording.names.index(name)] = True
+    return at
 
 
 def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:
@@ -341,15 +352,15 @@ def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray,
         return
     share = plain(100.0 * count / len(x), 2)
     text = (
-        f"{count} samples of {axis.name} ({share} %) are outliers of Gaussian noise; they are kept, and the "
-        f"interval of N is widened for the {amount(np.sqrt(variance), axis)} rms of white noise that they add"
+        f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are kept, and "
+        f"the interval of N is widened for the {amount(np.sqrt(variance), axis)} rms that they add"
     )
     yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
 
 
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
     """Return whether additional variance changes the Allan variance by less than its own error."""
-    return variance <= max(_TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
+    return variance <= max(TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
 
 
 def _spike_facts(
@@ -362,10 +373,10 @@ def _spike_facts(
         off = float(abs(x - calm).max())
         places = (np.flatnonzero(at) / recording.rate).tolist()
         where = listed([f"{plain(time, 6)} s" for time in places])
-        share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= _TRIFLE else ""
+        share = f" ({plain(100.0 * float(at.mean()), 1)} %)" if at.mean() >= TRIFLE else ""
         single = f"{len(places)} outlying samples" if len(places) > 1 else "1 outlying sample"
         size = amount(off, axis, 3)
-        text = f"{single} on {axis.name}{share}, up to {size} off; at {where}: left out and filled in"
+        text = f"{single} on {axis.name}{share}, up to {size} off; left out and filled in at {where}"
         spans = tuple((time, time + 1.0 / recording.rate) for time in places)
         yield Fact("spikes", text, (axis.name,), "widened", off, "", spans)
 
@@ -378,13 +389,13 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
 
 
-def _windows_in(windows: Windows, stretch: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """Return the indices of the first window in the stretch and of the one after its last."""
-    if stretch is None:
+def _windows_in(windows: Windows, part: tuple[float, float] | None, rate: float) -> tuple[int, int]:
+    """Return the indices of the first window in a part [s] and of the one after its last."""
+    if part is None:
         return 0, len(windows)
     edges = windows.edges / rate
-    first = int(np.searchsorted(edges, stretch[0] - 1e-9))
-    last = int(np.searchsorted(edges, stretch[1] + 1e-9, side="right")) - 1
+    first = int(np.searchsorted(edges, part[0] - 1e-9))
+    last = int(np.searchsorted(edges, part[1] + 1e-9, side="right")) - 1
     return first, max(last, first + 1)
 
 
@@ -393,3 +404,47 @@ def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
     squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
     known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
     return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
+
+
+def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Return which samples are isolated outliers, up to three close together; none if there are too many.
+
+    An outlier is far both from the mean of its two neighbours and from the median of the seven samples around
+    it, in standard deviations of Gaussian noise. A step is not far from the median; a knock or a burst has
+    more such samples close together.
+    """
+    distance, scale = _distances(x)
+    far, places = np.zeros(len(x), bool), np.flatnonzero(distance > _FAR)
+    if len(places) > 3.0 * _MOST * len(x):
+        return far
+    around = np.pad(x, _AROUND, mode="reflect")[places[:, None] + np.arange(2 * _AROUND + 1)]
+    far[places[abs(x[places] - np.median(around, axis=1)) > _FAR * scale]] = True
+    for first, last in runs(far, _AROUND):
+        far[first:last] &= far[first:last].sum() <= _CLOSE
+    return far if far.mean() <= _MOST else np.zeros_like(far)
+
+
+def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
+    """Return the number of samples beyond Gaussian noise, and the variance that they add.
+
+    Both are zero if chance explains the number. Deviations up to a rounding `step` do not count.
+    """
+    distance, scale = _distances(x)
+    beyond = distance[distance * scale > _OUTLYING * scale + step]
+    if len(beyond) <= _ENOUGH * (1.0 + len(x) * _GAUSSIAN_BEYOND):
+        return 0, 0.0
+    return len(beyond), float(np.sum(beyond**2 - 1.0)) * scale**2 / len(x)
+
+
+def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
+    """Return distances from the mean of the two neighbours in robust standard deviations, and that deviation.
+
+    Distances are zero if many samples equal that mean: the output is rounded, and its steps are not outliers.
+    """
+    left = np.zeros(len(x))
+    left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    # The median itself would be coarse where the output is rounded.
+    inner = np.partition(left, most := int(_INNER * len(x)))[:most]
+    scale = float(np.sqrt(np.mean(inner**2))) / _INNER_RMS
+    rounded = np.mean(left[1:-1] == 0.0) > _EQUAL
+    return (np.zeros(len(x)) if rounded or not scale > 0.0 else left / scale), scale

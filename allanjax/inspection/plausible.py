@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.scores import AT_REST, DEG
-from allanjax.inspection.windows import Windows
+from allanjax.inspection.windows import AT_REST, DEG, Windows
 from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
@@ -71,7 +70,7 @@ _TOO_FEW, _FEW_STEPS = 0.5, 2.0
 # Jitter, as a share of the interval, up to which samples count as evenly spaced; readers refuse a fifth.
 _JITTER = 0.05
 # Number of parts whose means are compared with those of the temperature, and the fewest that suffice.
-_STRETCHES, _FEWEST = 64, 12
+_PARTS, _FEWEST = 64, 12
 # Probability that an axis seems to follow a temperature that does not affect it.
 _CHANCE = 0.01
 
@@ -98,17 +97,17 @@ def implausible(
         vibrating: whether the platform is meant to move.
     """
     grave: Consequence = "not a measurement"
-    found = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
+    facts = [Fact("rate", _rate(rate, auxiliary), tuple(axis.name for axis in axes), grave)]
     for accel in accelerometers(axes):
         line = _accel(axes, accel, rate, mean, "accel" in moving)
         # The reading of a single axis depends on its tilt.
         means: Consequence = grave if len(accel) >= 3 else "none"
-        found.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
+        facts.append(Fact("accel unit", line, tuple(axes[k].name for k in accel), means))
     # If accelerometers with a plausible unit move, so do the gyros.
-    moves = vibrating or ("accel" in moving and not any(fact.text for fact in found[1:]))
+    moves = vibrating or ("accel" in moving and not any(fact.text for fact in facts[1:]))
     gyros = tuple(axis.name for axis in axes if axis.sensor == "gyro")
-    found.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
-    return [fact for fact in found if fact.text]
+    facts.append(Fact("gyro unit", _gyro(axes, mean, white, "gyro" in moving, moves), gyros, grave))
+    return [fact for fact in facts if fact.text]
 
 
 def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:
@@ -306,13 +305,8 @@ def resolved(
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
     """Return facts about axes with coarsely rounded or repeated samples, and the step of each axis.
 
-    Args:
-        windows: windows of the samples.
-        axes: their axes.
-        columns: the samples of each axis, if they are in memory.
-
-    Returns:
-        The facts; and the step of each axis [rad/s or m/s²], 0 if none is detected.
+    `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
+    detected.
     """
     repeated = np.average(windows.repeated, axis=0, weights=windows.count)
     rms = np.sqrt(windows.power[0].sum(axis=0) / max(windows.pairs[0].sum(), 1) / 2.0)
@@ -359,7 +353,7 @@ def saturated(axes: Sequence[Axis], ends: Ends, steps: Float[np.ndarray, " axes"
 def sampling_facts(recording: Recording) -> Iterator[Fact]:
     """Yield facts about times, missing samples and dead axes."""
     if (jitter := recording.jitter) is not None and jitter * recording.rate > _JITTER:
-        then = "samples count as evenly spaced; if the jitter is real, use the sensor's own time stamps"
+        then = "samples are treated as evenly spaced; if the jitter is real, use the sensor's own time stamps"
         text = f"{describe_jitter(recording)}; {then}"
         yield Fact("jitter", text, recording.names, size=jitter, unit="s")
     if recording.gaps:
@@ -408,7 +402,7 @@ def temperature_facts(recording: Recording) -> Iterator[Fact]:
     test of proportional increments is exact for the former and conservative for the latter. A test of the
     means themselves would find a slope between any two random walks.
     """
-    size = recording.n // _STRETCHES or 1
+    size = recording.n // _PARTS or 1
     whole = recording.n // size * size
     if whole // size < _FEWEST:
         return

@@ -13,7 +13,7 @@ from scipy.fft import irfft, rfft
 from allanjax.base.chi_squared import quantile
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
-from allanjax.inspection.scores import runs
+from allanjax.inspection.windows import runs
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.

@@ -1,11 +1,24 @@
-"""Noise and mean of a recording in windows, in bounded memory however long it is."""
+"""Noise and mean of a recording in windows, in bounded memory however long it is; scores of the windows.
+
+A score is the distance of a window from the others, relative to the scatter of most of them. A mean square of
+Gaussian noise of any colour is nearly χ² distributed, and the cube root of a χ² variate is nearly normal
+(Wilson and Hilferty, PNAS 17, 1931). Location and scatter of these roots over the windows are those of their
+shortest half, which up to half of the windows cannot move. So a score is nearly standard normal in clean
+records, whatever their noise; its threshold is a number of standard deviations.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from allanjax.base.wording import plain
+from allanjax.inspection.facts import amount
+from allanjax.record.recording import Axis
 
 #: Largest number of windows; a long recording has between half as many and so many.
 MOST = 1024
@@ -23,6 +36,34 @@ _OF_TWO = dict.fromkeys(("count", "repeats", "power", "pairs"), np.add) | {
     "high": np.maximum,
     "peak": np.maximum,
 }
+#: Width of the middle half of a normal law, in standard deviations.
+_HALF_WIDTH = 1.349
+#: Numbers of windows that are averaged to detect long runs that are only slightly louder.
+LENGTHS = (1, 4, 16, 64)
+#: Fewest independent averages among which an unusual one can be detected.
+_FEWEST = 8
+# Least scatter of the cube root of a squared step: 0.37 for one axis, but zero for samples of few values.
+_LEAST_STEP_SCATTER = 0.3
+# Added to squared steps in units of their scatter, for the same reason.
+_SOFT = 0.5
+# Shares of equal neighbours between which noise ceases to dither a rounded output: at 0.4 the noise is 0.7
+# steps; at 0.6 it is 0.4 steps, and the mean level determines how often the value changes.
+_DITHERED, _COARSE = 0.4, 0.6
+
+DEG = np.pi / 180.0
+# Allan deviation at 1 s that no gyro [rad/s] and no accelerometer [m/s²] has at rest. The noisiest consumer
+# gyros have 2 deg/√h, 0.033 deg/s at 1 s, and the noisiest accelerometers 1 mg/√Hz, 0.01 m/s²; a correlated
+# part, or a line, makes up to ten times of it.
+AT_REST = {"gyro": 0.3 * DEG, "accel": 0.15}
+# Cluster times [s] that are tested: vibration and quantization are large below them, and drift above.
+_SHORTEST, _LONGEST = 0.3, 10.0
+# Largest range of the mean at rest [rad/s or m/s²]: biases drift by less; 0.5 m/s² is a tilt of 3 degrees.
+WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
+# Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
+SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
+
+#: Scores of axes and groups of axes.
+Scores = Float[np.ndarray, "groups places"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -210,3 +251,205 @@ def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes
     d = np.diff(x, axis=0)
     # Differences due to floating-point rounding are not steps.
     return np.where(d > 1e-9 * np.ptp(x, axis=0), d, np.inf).min(axis=0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Steps:
+    """Differences between the means of neighbouring runs of windows, at all places.
+
+    Attributes:
+        lag: number of windows of a run; place k compares those from k on with those from k + lag on.
+        score: the score of each axis, and of groups of them, at each place.
+        step: difference of each axis, less the median.
+        scatter: scatter of the differences of each axis.
+    """
+
+    lag: int
+    score: Scores
+    step: Float[np.ndarray, "axes places"]
+    scatter: Float[np.ndarray, " axes"]
+
+
+def shortest_half(
+    u: Float[np.ndarray, "... places"],
+) -> tuple[Float[np.ndarray, " ..."], Float[np.ndarray, " ..."]]:
+    """Robust location and standard deviation from the shortest half of the values; NaN are left out."""
+    ordered = np.sort(u, axis=-1)
+    count = int(np.isfinite(ordered).sum(axis=-1).min())
+    half = count // 2
+    low, high = ordered[..., : count - half], ordered[..., half:count]
+    place = np.argmin(high - low, axis=-1)[..., None]
+    low, high = (np.take_along_axis(x, place, axis=-1)[..., 0] for x in (low, high))
+    return 0.5 * (low + high), (high - low) / _HALF_WIDTH
+
+
+def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
+    """Return mean square differences of neighbouring clusters; NaN for windows without any."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
+
+
+def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
+    """Return the mean square difference that rounding alone may cause if samples have few values."""
+    repeated = np.median(windows.repeated, axis=0)
+    share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
+    resolution = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
+    return share * resolution**2 / 4.0
+
+
+def groups_of(sensors: Sequence[str]) -> list[list[int]]:
+    """Return the groups of axes to score: each axis, each sensor, and all, since handling moves all."""
+    alone = [[k] for k in range(len(sensors))]
+    kinds = [[k for k, s in enumerate(sensors) if s == kind] for kind in dict.fromkeys(sensors)]
+    together = [g for g in kinds if 1 < len(g) < len(sensors)]
+    return alone + together + ([list(range(len(sensors)))] if len(sensors) > 1 else [])
+
+
+def noise_scores(
+    windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
+) -> Iterator[Scores]:
+    """Return scores of the noise at each cluster size within a window, averaged over `length` windows.
+
+    Place k is the average from window k on. Windows that are left out count as typical ones.
+    """
+    if len(windows) < _FEWEST * length:
+        return
+    groups, floor = groups_of(sensors), lattice_power(windows)
+    # A short window at a seam has fewer differences and scatters more than the others.
+    few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
+    squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
+    for root, pairs in zip(np.cbrt(squares + floor), windows.pairs, strict=True):
+        if not np.isfinite(root[:, 0]).any():
+            continue
+        middle = np.nanmedian(root, axis=0)
+        relative = root / np.where(middle > 0.0, middle, np.inf)
+        total = np.cumsum(np.where(np.isfinite(relative), relative, 1.0), axis=0)
+        total = np.concatenate([np.zeros((1, total.shape[1])), total])
+        averaged = (total[length:] - total[:-length]) / length
+        together = np.stack([averaged[:, g].mean(axis=1) for g in groups])
+        # The scatter is no less than that of as many independent differences.
+        usual = float(max(np.median(pairs), 1.0))
+        sizes = np.array([len(g) for g in groups])
+        yield _scored(together, np.sqrt(2.0 / (9.0 * usual * length * sizes)))
+
+
+def steps_of(
+    windows: Windows, sensors: Sequence[str], left_out: Bool[np.ndarray, " w"] | None = None
+) -> Iterator[Steps]:
+    """Differences between the means of neighbouring runs of 1, 2, 4, … windows, with scores.
+
+    Their median is subtracted: a ramp over the record is a term of the noise model. The means leave out the
+    windows in `left_out`.
+    """
+    groups, floor = groups_of(sensors), lattice_power(windows)
+    weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
+    mean = windows.mean - windows.mean.mean(axis=0)
+    total = np.concatenate([[0.0 * mean[0]], np.cumsum(weight[:, None] * mean, axis=0)])
+    known = np.concatenate([[0.0], np.cumsum(weight)])
+    lag = 1
+    while len(windows) >= _FEWEST * lag:
+        count = known[lag:] - known[:-lag]
+        level = (total[lag:] - total[:-lag]) / np.where(count > 0.0, count, np.nan)[:, None]
+        step = (level[lag:] - level[:-lag]).T
+        if np.isfinite(step[0]).sum() < _FEWEST:
+            return
+        middle, scatter = shortest_half(step)
+        scatter = np.sqrt(scatter**2 + floor)
+        scatter = np.where(scatter > 0.0, scatter, np.inf)
+        step = np.nan_to_num(step - middle[:, None])
+        square = (step / scatter[:, None]) ** 2
+        roots = np.stack([np.cbrt(square[g].mean(axis=0) + _SOFT) for g in groups])
+        yield Steps(lag, _scored(roots, np.full(len(groups), _LEAST_STEP_SCATTER)), step, scatter)
+        lag *= 2
+
+
+def _scored(roots: Scores, least: Float[np.ndarray, " groups"]) -> Scores:
+    """Cube roots standardized by robust location and scatter, the relative scatter being at least `least`."""
+    middle, scatter = shortest_half(roots)
+    scatter = np.maximum(scatter, least * abs(middle))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        score = (roots - middle[:, None]) / scatter[:, None]
+    return np.nan_to_num(score, nan=0.0, posinf=0.0, neginf=0.0)
+
+
+class Motion(NamedTuple):
+    """Evidence that an axis is not at rest.
+
+    Attributes:
+        axis: index of the axis.
+        factor: how much more it moves than any sensor at rest.
+        words: how it moves, and the limit at rest.
+    """
+
+    axis: int
+    factor: float
+    words: str
+
+
+def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]:
+    """Return the evidence of motion for every axis that shows it, the strongest last."""
+    # Means over a second at least, or those of the windows if there are too few.
+    over = max(int(np.ceil(rate / windows.size)), 1)
+    whole = len(windows) // over * over
+    mean = windows.mean[:whole].reshape(-1, over, len(axes)).mean(axis=1) if whole else windows.mean
+    within = mean_squares(windows)
+    known = [k for k, square in enumerate(within) if np.isfinite(square).any()]
+    changes = [((1 << k) / rate, np.nanmean(within[k], axis=0)) for k in known]
+    sensors = [axis.sensor for axis in axes]
+    changes += [(s.lag * windows.size / rate, (s.step**2).mean(axis=1)) for s in steps_of(windows, sensors)]
+    # Limits follow white noise up to 1 s; the rms difference of two means is √2 times the Allan deviation.
+    tests = [
+        (
+            f"changes by {{}} rms between consecutive {plain(time, 2)} s averages",
+            np.sqrt(square),
+            AT_REST,
+            2.0 / min(time, 1.0),
+        )
+        for time, square in changes
+        if _SHORTEST <= time <= _LONGEST
+    ]
+    tests += [("drifts over a range of {}", np.ptp(mean, axis=0), WANDERS, 1.0)]
+    tests += [("varies by {} rms", rms_within(windows), SHAKES, 1.0)]
+    evidence = []
+    for how, values, limits, square in tests:
+        for k, axis in enumerate(axes):
+            limit = limits[axis.sensor] * np.sqrt(square)
+            if values[k] > limit:
+                moved, most = how.format(amount(values[k], axis)), amount(limit, axis)
+                words = f"{axis.name} {moved}; a sensor at rest stays below {most}"
+                evidence.append(Motion(k, values[k] / limit, words))
+    return sorted(evidence, key=lambda motion: motion.factor)
+
+
+def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
+    """Return the rms of the samples about the mean of their window."""
+    # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
+    scales = 2.0 ** np.arange(len(windows.power))
+    return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
+
+
+def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:
+    """Return the warning that this is not a static recording, with the numbers that show it.
+
+    `disturbed` is whether disturbances prevent coefficients even if the motion is intended.
+    """
+    # The strongest of each sensor, which is the last.
+    reasons = {axes[m.axis].sensor: m.words for m in moving}
+    too = (" --as-is", ", as_is=True") if disturbed else ("", "")
+    return (
+        f"{'; '.join(reasons.values())}. This is not a static recording, and the coefficients describe the "
+        "motion, not the sensor: record it at rest, or select a part at rest with --start and --stop; if the "
+        f"motion is intended, pass --vibrating{too[0]} (vibrating=True{too[1]})"
+    )
+
+
+def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
+    """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
+    joined: list[tuple[int, int]] = []
+    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if joined and a - joined[-1][1] <= gap:
+            joined[-1] = (joined[-1][0], b)
+        else:
+            joined.append((a, b))
+    return joined

@@ -1,11 +1,12 @@
-"""Kalman filter and smoother of a recording, driven by a noise model."""
+"""Kalman filters and smoothers of a recording, driven by noise models, and their results."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,10 +14,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from allanjax.base.chi_squared import upper_tail
+from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration
-from allanjax.kalman.likelihood import Constant
+from allanjax.base.late import presented
+from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.tables import Cell, Number, PerAxis
+from allanjax.base.wording import duration, finite_or_none, format_with_error, plain
 from allanjax.kalman.recursion import (
+    Constant,
     FilterModel,
     Rows,
     in_blocks,
@@ -27,19 +33,285 @@ from allanjax.kalman.recursion import (
     run_smoother,
     stacked,
 )
-from allanjax.kalman.result import BiasTrack, BiasTracks, Filtered, FilteredAxis
+from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import Modelling, model_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import Sensor, default_coefficient_unit, unit_scale
 
-#: A model for all axes, or models by the names of axes, as a fit and `critique.models` have them.
-ModelsLike: TypeAlias = ModelLike | Mapping[str, Any]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+# Lags of the portmanteau test: at most this number, and at most this share of the samples.
+_LAGS, _SHARE = 40, 0.2
+_TESTS_EXPLAINED = (
+    "whiteness p: Ljung–Box test of the innovations; NIS/n: normalized innovations squared per sample, 1 if "
+    "their size is right; outlying and disturbed samples, which are not left out, increase it. A p below "
+    "0.01 means that the model does not fit."
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class ChiSquared:
+    """A statistic with a χ² law if the model is right.
+
+    Attributes:
+        statistic, dof: its value and its degrees of freedom.
+        p_value: probability of a value as extreme: of a larger one (whiteness), or two-sided (size).
+    """
+
+    statistic: float
+    dof: int
+    p_value: float
+
+
+def whiteness(u: Float[np.ndarray, " n"]) -> ChiSquared:
+    """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) of standardized innovations.
+
+    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40. u is NaN where a sample is missing, and n − d is then
+    the number of existing pairs.
+    """
+    there = np.isfinite(u)
+    n = int(there.sum())
+    lags = min(_LAGS, int(_SHARE * n))
+    if lags < 1:
+        return ChiSquared(float("nan"), 0, float("nan"))
+    value, count = np.where(there, u, 0.0), there.astype(float)
+    power = float(value @ value)
+    total = 0.0
+    for d in range(1, lags + 1):
+        pairs = max(float(count[d:] @ count[:-d]), 1.0)
+        total += (float(value[d:] @ value[:-d]) / power) ** 2 / pairs
+    statistic = n * (n + 2.0) * total
+    return ChiSquared(statistic, lags, float(upper_tail(statistic, lags)))
+
+
+def normalized_square(u: Float[np.ndarray, " n"]) -> ChiSquared:
+    """Normalized innovations squared (NIS) Σ e²/s, χ² with one degree of freedom per sample; two-sided."""
+    u = u[np.isfinite(u)]
+    statistic = float(u @ u)
+    above = float(upper_tail(statistic, len(u)))
+    return ChiSquared(statistic, len(u), min(2.0 * min(above, 1.0 - above), 1.0))
+
+
+def _p_value(test: ChiSquared) -> str:
+    if not test.dof:
+        return ""
+    return f"{test.p_value:.3f}" if test.p_value >= 0.001 else "< 0.001"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class BiasTrack(ByValue):
+    """Bias of one axis over time, by one filter or several. Arrays are in SI, [samples].
+
+    Attributes:
+        axis: the axis.
+        rate: sample rate [Hz].
+        samples: the filtered samples.
+        bias, bias_std: bias of each sample as the filter estimates it, and its standard deviation.
+        log_likelihood: log-likelihood of the samples [nats].
+    """
+
+    axis: Axis
+    rate: float
+    samples: Float[np.ndarray, " n"]
+    bias: Float[np.ndarray, " n"]
+    bias_std: Float[np.ndarray, " n"]
+    log_likelihood: float
+
+    @property
+    def time(self) -> Float[np.ndarray, " n"]:
+        """Time of each sample in s from the first."""
+        return np.arange(len(self.samples)) / self.rate
+
+    @property
+    def bias_interval(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Ends of the 95 % interval of the bias at each sample."""
+        half = TWO_SIDED_95 * self.bias_std
+        return self.bias - half, self.bias + half
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Table in SI with one row per sample: axis, time, sample, bias with std and interval, and more."""
+        import pandas as pd
+
+        return pd.DataFrame(self._columns())
+
+    def _columns(self) -> dict[str, Any]:
+        low, high = self.bias_interval
+        return {
+            "axis": self.axis.name,
+            "time": self.time,
+            "sample": self.samples,
+            "bias": self.bias,
+            "bias_std": self.bias_std,
+            "bias_lower_95": low,
+            "bias_upper_95": high,
+        }
+
+    def _last_bias(self) -> Number:
+        """The bias in the last sample with its standard deviation, in the usual unit."""
+        scale = unit_scale(default_coefficient_unit(self.axis.sensor, 0.0))
+        return Number(float(self.bias[-1]) / scale, float(self.bias_std[-1]) / scale)
+
+    def __repr__(self) -> str:
+        bias, unit = self._last_bias(), default_coefficient_unit(self.axis.sensor, 0.0)
+        at_end = format_with_error(bias.value, bias.error)
+        return f"<{type(self).__name__} {self.axis.name}: bias at the end {at_end} {unit}>"
+
+
+_T = TypeVar("_T", bound=BiasTrack)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class BiasTracks(ByValue, PerAxis[_T]):
+    """Bias of every axis of a recording over time.
+
+    Attributes:
+        name: the recording's name.
+        results: one per axis.
+    """
+
+    name: str
+    results: tuple[_T, ...]
+
+    @presented
+    def plot(
+        self,
+        axes: Sequence[str] | str | None = None,
+        path: str | os.PathLike[str] | None = None,
+    ) -> Figure:
+        """Draw the bias with its 95 % band over the samples, and innovations or models below.
+
+        See `plot_bias_tracks`.
+        """
+        raise NotImplementedError
+
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return "axis", f"bias at the end ± 1σ ({default_coefficient_unit(sensor, 0.0)})"
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class FilteredAxis(BiasTrack):
+    """Result of a Kalman filter for one axis. Arrays are in SI, [samples] or [samples, states].
+
+    Attributes:
+        axis, rate, samples: see `BiasTrack`.
+        bias, bias_std: the constant plus the sum of the slow terms (`slow`), and its standard deviation.
+        log_likelihood: exact; with an unknown constant, that of the samples' differences.
+        model: the noise model.
+        missing: samples that the filter did not use.
+        constant, constant_std: the constant after all samples (for a walk, where it began).
+        states, state_stds: states of the noise model.
+        names, units: names and units of the states.
+        slow: labels of the terms that are drift.
+        innovation, innovation_std: samples less their predictions from earlier ones, and their standard
+            deviation; NaN where a sample is missing, and at the first if the constant is unknown.
+        smoothed: whether bias and states are estimated from all samples, not only from those up to each.
+    """
+
+    model: Model
+    missing: Bool[np.ndarray, " n"]
+    constant: float
+    constant_std: float
+    states: Float[np.ndarray, "n states"]
+    state_stds: Float[np.ndarray, "n states"]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    slow: tuple[str, ...]
+    innovation: Float[np.ndarray, " n"]
+    innovation_std: Float[np.ndarray, " n"]
+    smoothed: bool = False
+
+    @property
+    def standardized(self) -> Float[np.ndarray, " n"]:
+        """Innovations over their standard deviations: unit white noise if the model is right."""
+        return self.innovation / self.innovation_std
+
+    @property
+    def whiteness(self) -> ChiSquared:
+        """Ljung and Box's test that innovations are white, with up to 40 lags."""
+        return whiteness(self.standardized)
+
+    @property
+    def nis(self) -> ChiSquared:
+        """Test that innovations are as large as the filter predicts, from their normalized squares."""
+        return normalized_square(self.standardized)
+
+    def _columns(self) -> dict[str, Any]:
+        own = {
+            "sample": np.where(self.missing, np.nan, self.samples),
+            "innovation": self.innovation,
+            "innovation_std": self.innovation_std,
+        }
+        for name, x, std in zip(self.names, self.states.T, self.state_stds.T, strict=True):
+            own |= {name: x, f"{name}_std": std}
+        return super()._columns() | own
+
+    def rows(self) -> list[tuple[Cell, ...]]:
+        """The row of the printed table: bias at the end, tests, log-likelihood, missing samples."""
+        size, lost = self.nis, int(self.missing.sum())
+        tests = (_p_value(self.whiteness), f"{size.statistic / max(size.dof, 1):.3f}", _p_value(size))
+        others = (f"{self.log_likelihood:,.0f}", f"{lost:,}" if lost else "")
+        return [(self.axis.name, self._last_bias(), *tests, *others)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Bias in the last sample and tests as plain dictionaries, in SI; None for undefined numbers."""
+        tests = {"whiteness": self.whiteness, "nis": self.nis}
+        return {
+            "axis": self.axis.name,
+            "smoothed": self.smoothed,
+            "bias": float(self.bias[-1]),
+            "bias_std": finite_or_none(self.bias_std[-1]),
+            "drift": list(self.slow),
+            **{
+                name: {k: finite_or_none(v) for k, v in dataclasses.asdict(test).items()}
+                for name, test in tests.items()
+            },
+            "log_likelihood": self.log_likelihood,
+            "missing": int(self.missing.sum()),
+            "samples": len(self.samples),
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Filtered(BiasTracks[FilteredAxis]):
+    """Results of a Kalman filter for every axis of a recording."""
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood [nats] of all axes, taken as independent."""
+        return sum(result.log_likelihood for result in self.results)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result of each axis as plain dictionaries, in SI."""
+        axes = [result.to_dict() for result in self.results]
+        return {"name": self.name, "rate_hz": self.results[0].rate, "axes": axes}
+
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        tests = ("whiteness p", "NIS/n", "NIS p")
+        return *super()._heads(sensor), *tests, "log-likelihood (nats)", "missing samples"
+
+    def _title(self) -> str:
+        first = self.results[0]
+        length = duration(len(first.samples) / first.rate)
+        kind = "smoother" if first.smoothed else "filter"
+        return f"Kalman {kind}, {length} at {first.rate:g} Hz"
+
+    def _notes(self) -> list[str]:
+        drifts: dict[str, list[str]] = {}
+        for result in self.results:
+            terms = title_of(" + ".join(["constant", *result.slow]), result.axis.sensor)
+            drifts.setdefault(terms, []).append(result.axis.name)
+        bias = "; ".join(f"{terms} ({', '.join(axes)})" for terms, axes in drifts.items())
+        return [f"model of the bias: {bias}", _TESTS_EXPLAINED]
 
 
 def kalman_filter(
     recording: RecordingLike,
-    models: ModelsLike,
+    models: Modelling,
     *,
     smooth: bool = False,
     constant_std: float | None = None,
@@ -63,14 +335,13 @@ def kalman_filter(
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
-            that are `Recording.missing` are not used.
-        models: a model with all its values, or such a model as text, for all axes; a fit; or a mapping from
-            names of axes to either.
+            in `Recording.missing` are not used.
+        models: a model with all its values, or its text, for all axes; models by the names of axes; or a fit.
         smooth: whether bias and states are estimated from all samples (Rauch, Tung & Striebel 1965).
-        constant_std: standard deviation of the constant b about zero [rad/s or m/s²] before the first
-            sample; None if nothing is known about it, 0 if there is no constant.
-        missing: further samples that the filter is not to use.
-        rate, gyro_unit, accel_unit: of an array, as for `fit`.
+        constant_std: prior standard deviation of the constant b about zero [rad/s or m/s²]; None if nothing
+            is known about it, 0 if there is no constant.
+        missing: further samples that the filter must not use.
+        rate, gyro_unit, accel_unit: rate and units of an array, as for `fit`.
 
     Raises:
         AllanjaxError: an axis without a model, a parameter without a value, a model that leaves no noise in a
@@ -78,10 +349,7 @@ def kalman_filter(
     """
     recording = as_recording(recording, rate, gyro_unit, accel_unit)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
-        raise AllanjaxError(
-            "constant_std must be finite and not negative, or None if the constant is unknown; got "
-            f"{constant_std}"
-        )
+        raise AllanjaxError(f"constant_std must be None, or finite and at least 0, not {constant_std}")
     lost = missing_of(recording, missing)
     axes = enumerate(recording.axes)
     results = (
@@ -90,28 +358,14 @@ def kalman_filter(
     return Filtered(recording.name, tuple(results))
 
 
-def model_of(models: ModelsLike, axis: Axis) -> Model:
-    """The model of an axis: its own or the one for all axes; the fitted model of a fit.
-
-    Raises:
-        AllanjaxError: there is no model for this axis; a parameter without a value.
-    """
-    own: Any = models
-    if isinstance(models, Mapping):
-        if axis.name not in models:
-            raise AllanjaxError(f"no noise model for {axis.name}; there are models for {', '.join(models)}")
-        own = models[axis.name]
-    # A fit of an axis has its model.
-    fitted = getattr(own, "model", None)
-    model = as_model(fitted if isinstance(fitted, Model) else own, [axis])
-    model.check_complete()
-    return model
-
-
 def missing_of(
     recording: Recording, missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None
 ) -> Bool[np.ndarray, "samples axes"]:
-    """Samples that a filter does not use: those missing in the recording, and others; not all of an axis."""
+    """Samples that a filter does not use: those missing in the recording, and the given ones.
+
+    Raises:
+        AllanjaxError: a mask of another shape; all samples of an axis.
+    """
     shape = recording.values.shape
     lost = np.zeros(shape, bool) if recording.missing is None else recording.missing
     given = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
@@ -126,7 +380,7 @@ def missing_of(
 
 
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
-    """Raise AllanjaxError if a sample has no scatter under the model."""
+    """Raise AllanjaxError if a sample has no variance under the model."""
     if not np.all(std[..., there] > 0.0):
         raise AllanjaxError(
             f"the samples are not random under {model!r}: add a noise term, e.g. AngleRandomWalk(…)"
@@ -198,9 +452,9 @@ def with_constant(
 # Every model has its own filter. A model's weight after a sample is proportional to its weight before, times
 # the density of its innovation: the weights are the models' probabilities. In Magill's bank and the thesis
 # the true model never changes, and the weights of the others go to zero for good; here it may change, with a
-# stated probability per second, so that a model can come back. The models are then the states of a Markov
-# chain, whose probabilities given all samples show when it changed. (A filter does not know about the change
-# and takes as long as its own memory to adapt.)
+# stated probability per second, so that a model can return. The models are then the states of a Markov chain,
+# whose probabilities given all samples show when it changed. (A filter does not know about the change and
+# takes as long as its own memory to adapt.)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,12 +477,12 @@ class AdaptedAxis(BiasTrack):
 
     Attributes:
         axis, rate, samples: see `BiasTrack`.
-        bias, bias_std: the filters' biases, averaged with the weights, and their standard deviation, from
-            that of each filter and the spread between them.
+        bias, bias_std: weighted average of the filters' biases, and its standard deviation, from that of
+            each filter and the spread between them.
         log_likelihood: log-likelihood under the bank [nats].
         labels: names of the models.
         weights: probability of each model given the samples up to each, [samples, models].
-        probability: the same given all samples.
+        probability: probability of each model given all samples, [samples, models].
         switching: probability of a change per second.
     """
 
@@ -252,7 +506,7 @@ class AdaptedAxis(BiasTrack):
             own |= {f"weight_{label}": self.weights[:, k], f"probability_{label}": self.probability[:, k]}
         return super()._columns() | own
 
-    def rows(self) -> list[tuple[str, ...]]:
+    def rows(self) -> list[tuple[Cell, ...]]:
         """The row of the printed table: bias, most probable model and its weight, number of changes."""
         best = int(np.argmax(self.weights[-1]))
         weight = f"{self.weights[-1, best]:.3f}"
@@ -263,17 +517,13 @@ class AdaptedAxis(BiasTrack):
 class Adapted(BiasTracks[AdaptedAxis]):
     """Results of a bank of filters for every axis of a recording."""
 
-    CALLED: ClassVar[str] = "the adaptive filter"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *BiasTracks.HEADINGS,
-        *("most probable model", "its weight", "changes"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = (*BiasTracks.HEADINGS[1:], *HEADINGS[3:])
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        return *super()._heads(sensor), "most probable model", "its weight", "changes"
 
     def _title(self) -> str:
         first = self.results[0]
-        models = f"{len(first.labels)} models, changes at {first.switching:g} per second"
-        return f"{self.name or 'recording'}: adaptive filter, {models}"
+        models = f"{len(first.labels)} models, changes at {plain(first.switching)} per second"
+        return f"adaptive filter, {models}"
 
     def _notes(self) -> list[str]:
         changes = ((r.axis.name, c) for r in self.results for c in r.changes)
@@ -282,7 +532,7 @@ class Adapted(BiasTracks[AdaptedAxis]):
 
 def adaptive_filter(
     recording: RecordingLike,
-    models: Mapping[str, ModelsLike] | Sequence[ModelsLike],
+    models: Mapping[str, Modelling] | Sequence[Modelling],
     *,
     switching: float = 1e-3,
     constant_std: float | None = None,
@@ -312,7 +562,7 @@ def adaptive_filter(
     if not 0.0 <= switching / recording.rate < 0.5:
         raise AllanjaxError(
             f"switching, the probability of a change per second, must be at least 0 and below half the "
-            f"sample rate, {recording.rate / 2:g}; got {switching}"
+            f"sample rate, {recording.rate / 2:g}, not {switching}"
         )
     lost = missing_of(recording, missing)
     results = (
@@ -325,7 +575,7 @@ def adaptive_filter(
 def _adapted(
     recording: Recording,
     k: int,
-    models: Mapping[str, ModelsLike],
+    models: Mapping[str, Modelling],
     missing: Bool[np.ndarray, " n"],
     switching: float,
     constant_std: float | None,

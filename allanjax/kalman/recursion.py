@@ -1,4 +1,4 @@
-"""Kalman filter and fixed-interval smoother in square-root form, compiled: one scan over the samples each.
+"""Kalman filter and smoother in square-root form, one compiled scan each, and the exact likelihood.
 
 The filter (3.5)–(3.17) carries a factor S of the covariance P = SSᵀ, which no rounding can make negative, and
 updates it by an orthogonal triangularization of
@@ -6,12 +6,12 @@ updates it by an orthogonal triangularization of
     [√R  hᵀF]      [√s   0]
     [ 0   F ]  →   [g√s  S],      F = [A S⁺, √Q] the factor of (3.14), g the gain (3.15), S that of (3.17).
 
-From where gain and covariance no longer change they are kept, and a step is that of the states alone. Long
-after the start, where they change slowly, they are computed at every 64th sample (exactly, by the transition
-over all samples between, see `Skip`), and gains between are interpolated: to 10⁻⁶, as their relative change
-in a step is the inverse of the number of samples so far, or less. A missing sample begins all this anew. Two
-columns are filtered with the same gains: the samples, and ones, by which an unknown constant is estimated
-without a state of its own (see `likelihood`).
+Once gain and covariance no longer change, they are kept, and a step computes the states alone. Long after the
+start, where they change slowly, they are computed at every 64th sample (exactly, by the transition over all
+samples between, see `Skip`), and the gains between are interpolated to 10⁻⁶, since their relative change per
+step is at most the inverse of the number of samples so far. A missing sample restarts all this. Two columns
+are filtered with the same gains: the samples, and ones, from which an unknown constant is estimated without a
+state of its own (see `Constant`).
 
 Lengths and numbers of states are padded to a few values: samples and matrices are data, and few programs are
 compiled.
@@ -35,8 +35,9 @@ from allanjax.noise.model import Model
 from allanjax.noise.state_space import StateSpace
 from allanjax.record.units import Sensor
 
-# Relative change of gain and standard deviations in a step below which they stay: as it falls in proportion
-# to the distance from the limit, that is less than this times the filter's time constant in samples.
+# Relative change of gain and standard deviations in a step below which they are kept: as it falls in
+# proportion to the distance from the limit, the error is less than this times the filter's time constant in
+# samples.
 _SETTLED = 1e-12
 #: Samples of a block, for which gains are computed one by one, or at its end only.
 BLOCK = 64
@@ -45,10 +46,10 @@ _YOUNG = 1 << 15
 
 
 class Skip(NamedTuple):
-    """What several samples make of the factor S of the covariance: S' of P' = C + A(P⁻¹ + J)⁻¹Aᵀ.
+    """Effect of several samples on the factor S of the covariance: S' of P' = C + A(P⁻¹ + J)⁻¹Aᵀ.
 
-    `A` is the transition of the states and `C` the covariance that the filter has which started from known
-    states, J the information of the samples about these (Särkkä & García-Fernández 2021, IEEE TAC 66:299).
+    `A` is the transition of the states, `C` the covariance of a filter that started from known states, J the
+    information of the samples about these (Särkkä & García-Fernández 2021, IEEE TAC 66:299).
 
     Attributes:
         A, J: as above.
@@ -68,8 +69,8 @@ class System(NamedTuple):
     Attributes:
         A, h: transition and observation.
         noise, white, start: factors of Q and P0, and the root of R.
-        rows: what is wanted of the states, in rows.
-        skip: what a block less one sample makes of the covariance.
+        rows: requested sums of states, one per row.
+        skip: effect of a block less one sample on the covariance.
     """
 
     A: Float[Array, "*models n n"]
@@ -89,7 +90,7 @@ class Innovations(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What is wanted of the states, of both columns, and its standard deviation for a known constant."""
+    """Requested sums of states, of both columns, and their standard deviations for a known constant."""
 
     value: Float[Array, "samples rows 2"]
     std: Float[Array, "samples rows"]
@@ -122,7 +123,7 @@ class State(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Samples in blocks, which of them are there, and which blocks are after the end, and only pad."""
+    """Samples in blocks, which of them exist, and which blocks are padding after the end."""
 
     sample: Float[Array, "blocks block"]
     there: Bool[Array, "blocks block"]
@@ -186,23 +187,25 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
 
 
 # Innovations, updated states and gains, of a sample or of all in a block.
-_Found = tuple[Array, Array, Gains]
+_Outputs = tuple[Array, Array, Gains]
 
 
-def _block(system: System, state: State, samples: Array, there: Array, after: Array) -> tuple[State, _Found]:
+def _block(
+    system: System, state: State, samples: Array, there: Array, after: Array
+) -> tuple[State, _Outputs]:
     """State after a block, with innovations, updated states and gains in it."""
     whole = jnp.all(there)
     steady = after | (whole & state.settled)
     old = whole & system.skip.allowed & (state.age >= _YOUNG)
 
-    def one_by_one(state: State) -> tuple[State, _Found]:
-        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Found]:
+    def one_by_one(state: State) -> tuple[State, _Outputs]:
+        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Outputs]:
             new, found = _step(system, state, *at)
             return new, (*found, new.gains)
 
         return jax.lax.scan(step, state, (samples, there))
 
-    def at_once(state: State) -> tuple[State, _Found]:
+    def at_once(state: State) -> tuple[State, _Outputs]:
         def skipped(state: State) -> tuple[Gains, Float[Array, "n n"]]:
             S = _skipped(system.skip, state.S)
             return _updated(system, S, jnp.asarray(True), jnp.asarray(False))
@@ -248,7 +251,7 @@ def _joined(x: Array) -> Array:
 def run_bank(systems: System, record: Record) -> tuple[Innovations, Rows]:
     """Innovations and updated rows of several filters with the same numbers of states, one after the other.
 
-    One after the other, for then each of them may stop computing gains; side by side, none could.
+    Not side by side, so that each of them may stop computing gains.
     """
     return jax.lax.map(lambda system: run_filter(system, record)[:2], jax.tree.map(jnp.asarray, systems))
 
@@ -285,7 +288,7 @@ class _Adjoint(NamedTuple):
     settled: Bool[Array, ""]
 
 
-# What a step back takes of a sample: innovation, updated states, gains, and whether it is there.
+# Input of a step back for one sample: innovation, updated states, gains, and whether it exists.
 _Sample = tuple[Array, Array, Gains, Array]
 
 
@@ -298,7 +301,7 @@ def _back(system: System, r: Float[Array, "n 2"], at: _Sample) -> tuple[Array, A
 
 
 def _closed(system: System, gains: Gains, there: Array) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-    """What a sample makes of N: L·N·Lᵀ + h·hᵀ/s."""
+    """L and h·hᵀ/s of the effect of a sample on N: L·N·Lᵀ + h·hᵀ/s."""
     h, sd = jnp.where(there, system.h, 0.0), jnp.where(there, gains.innovation_std, 1.0)
     scaled = h / sd
     return system.A.T - jnp.outer(h, system.A @ gains.gain), jnp.outer(scaled, scaled)
@@ -321,7 +324,7 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
 
         x̂ = x + P Aᵀr,   cov = P − P Aᵀ N A P,   r ← h e/s + (I − h gᵀ)Aᵀr,   N ← h hᵀ/s + (…)N(…)ᵀ,
 
-    where N is a sum of squares, and needs no factor. Long after the start and before the end, N is computed
+    where N is a sum of squares and needs no factor. Long after the start and before the end, N is computed
     at the ends of blocks, and P and the standard deviations between are interpolated, as the filter's gains.
     """
 
@@ -386,7 +389,7 @@ _SIZES = (2, 4, 8, 16, 32, 64, 128)
 _FEWEST = 4
 # A state that oscillates and loses less than 1/e in so many samples: gains may oscillate as long.
 _LASTING = 100.0
-# Samples in which a term must keep more than 1/e of itself to be drift.
+# Samples over which a term must keep more than 1/e of itself to be drift.
 _SLOW = 10.0
 
 
@@ -409,8 +412,8 @@ class FilterModel:
         """The model of samples at `rate` [Hz], for records of this duration [s].
 
         A term is slow, that is drift, if its slowest state decays without oscillating and keeps more than 1/e
-        over ten samples: walks, ramps, Gauss–Markov processes, flicker. White noise, quantization, resonances
-        and lines are not. Behind a response it is the drift before it that counts.
+        over ten samples: walks, ramps, Gauss–Markov processes, flicker, but not white noise, quantization,
+        resonances and lines. With a response, drift is taken before it.
 
         Raises:
             AllanjaxError: see `Model.state_space`.
@@ -437,7 +440,7 @@ def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], most: int) -> System:
-    """Matrices padded to this many states, see `padded_size`; `rows` are the wanted sums of states."""
+    """Matrices padded to this many states, see `padded_size`; `rows` are the requested sums of states."""
     grown = [(0, most - space.size)] * 2
     parts: Any = (
         np.pad(space.A, grown),
@@ -495,13 +498,11 @@ def padded_size(spaces: Sequence[StateSpace]) -> int:
 
 def stacked(systems: Sequence[System]) -> System:
     """Matrices of several models of one size, for a bank."""
-    import jax
-
     return jax.tree.map(lambda *of_each: np.stack(of_each), *systems)
 
 
 def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] | None) -> Record:
-    """Samples in blocks, and which of them are there; padding counts as missing."""
+    """Samples in blocks, and which of them exist; padding counts as missing."""
     n = len(samples)
     size = BLOCK * _FEWEST * 2 ** max(math.ceil(math.log2(n / (BLOCK * _FEWEST))), 0)
     there, values = np.zeros(size, bool), np.zeros(size)
@@ -510,3 +511,100 @@ def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] 
     after = np.arange(0, size, BLOCK) >= n
     parts: Any = (values.reshape(-1, BLOCK), there.reshape(-1, BLOCK), after)
     return Record(*parts)
+
+
+# The unknown constant of a record, beside a filter for noise about zero (de Jong 1991, Ann. Stat. 19:1073).
+#
+# A filter without the constant b is run over the samples and over ones. Innovations are linear in both, so
+# that those of samples less b are e − b·e₁: after k samples the information about b is Σ e₁²/s, and its
+# estimate Σ e·e₁/s over that, both cumulative sums. The covariances of the filter itself keep converging,
+# which they would not with a state for the constant; and an unknown constant needs no large initial variance.
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Constant:
+    """Constant after each sample, and the innovations of the samples without it.
+
+    Attributes:
+        value, variance: estimate of the constant after each sample, and its variance, infinite before the
+            first.
+        innovation, innovation_std: innovations of the samples; NaN for missing and unpredictable ones.
+        log_likelihood: log-likelihood of all samples [nats]; with an unknown constant, that of the
+            differences of successive samples, which do not depend on it.
+    """
+
+    value: Float[np.ndarray, " n"]
+    variance: Float[np.ndarray, " n"]
+    innovation: Float[np.ndarray, " n"]
+    innovation_std: Float[np.ndarray, " n"]
+    log_likelihood: float
+
+    @classmethod
+    def of(
+        cls,
+        innovation: Float[np.ndarray, "n 2"],
+        std: Float[np.ndarray, " n"],
+        there: Bool[np.ndarray, " n"],
+        prior_std: float | None,
+        offset: float = 0.0,
+    ) -> Constant:
+        """Constant from the innovations of samples and ones.
+
+        Args:
+            innovation, std: innovations of both columns, and their common standard deviation.
+            there: which samples exist.
+            prior_std: prior standard deviation of the constant about zero; None if nothing is known, 0 if
+                there is no constant.
+            offset: number that was subtracted from the samples, and also from `value`.
+        """
+        e, ones = innovation.T
+        s = np.where(there, std, 1.0) ** 2
+        known = prior_std == 0.0
+        precision = 0.0 if prior_std is None or known else prior_std**-2.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            information = precision + np.cumsum(ones**2 / s)
+            weighted = -offset * precision + np.cumsum(e * ones / s)
+            value = np.where(information > 0.0, weighted / information, 0.0)
+            variance = np.where(information > 0.0, 1.0 / information, np.inf)
+        if known:
+            value, variance = np.full(len(e), -offset), np.zeros(len(e))
+        prior = (-offset, np.inf if prior_std is None else prior_std**2)
+        before, uncertain = (
+            np.concatenate([[p], x[:-1]]) for p, x in zip(prior, (value, variance), strict=True)
+        )
+        predicted = there & np.isfinite(uncertain)
+        with np.errstate(invalid="ignore"):
+            spread = np.sqrt(s + np.where(predicted, uncertain, 0.0) * ones**2)
+        e = np.where(predicted, e - before * ones, np.nan)
+        spread = np.where(predicted, spread, np.nan)
+        terms = np.log(2.0 * math.pi * spread**2) + (e / spread) ** 2
+        return cls(value, variance, e, spread, float(-0.5 * np.sum(terms[predicted])))
+
+
+def innovations_under(
+    models: Sequence[Model],
+    z: Float[np.ndarray, " n"],
+    rate: float,
+    missing: Bool[np.ndarray, " n"] | None = None,
+) -> tuple[Float[np.ndarray, "models n1"], Float[np.ndarray, "models n1"]]:
+    """Innovations of the samples under each model, and their variances, except for the first sample.
+
+    The mean of the samples is unknown; missing samples are left out.
+    """
+    n = len(z)
+    there = np.ones(n, bool) if missing is None else ~missing
+    spaces = [model.state_space(rate, duration=n / rate) for model in models]
+    most = padded_size(spaces)
+    systems = stacked([padded(space, np.zeros((0, space.size)), most) for space in spaces])
+    out = jax.device_get(run_innovations(systems, in_blocks(z - z[there].mean(), missing)))
+    each = [Constant.of(e[:n], std[:n], there, None) for e, std in zip(out.value, out.std, strict=True)]
+    used = np.flatnonzero(there)[1:]
+    return np.stack([c.innovation[used] for c in each]), np.stack([c.innovation_std[used] ** 2 for c in each])
+
+
+def log_likelihoods(
+    innovation: Float[np.ndarray, "models n1"], variance: Float[np.ndarray, "models n1"]
+) -> Float[np.ndarray, " models"]:
+    """Log-likelihood [nats] of each model, from its innovations; NaN if a sample has no variance."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return -0.5 * np.sum(np.log(2.0 * math.pi * variance) + innovation**2 / variance, axis=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,8 +13,8 @@ from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
-from allanjax.base.per_axis import PerAxis, by_sensor
-from allanjax.base.wording import duration, finite_or_none, significant
+from allanjax.base.tables import PerAxis
+from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -29,7 +29,7 @@ _SHOWN: dict[Sensor, str] = {"gyro": "deg", "accel": "arcsec"}
 _POLAR = math.radians(89.0)
 # Longest averaging time for models [s], times an octave, and error beyond which an angle is not small.
 _LONGEST, _PER_OCTAVE, _LARGE = 1e5, 8, math.radians(30.0)
-# An error above this share of its value an octave before no longer falls; for white noise the share is 0.71.
+# An error above this share of its value one octave earlier no longer falls; for white noise it is 0.71.
 _FALLING = 0.9
 _DEG = math.pi / 180.0
 
@@ -45,13 +45,15 @@ class AxisAlignment(ByValue):
         time: averaging times [s], half in each of two opposite positions.
         error, lower, upper: standard deviation of the angle [rad] and its interval.
         best: the least error [rad], and `best_interval`.
-        best_time: the first averaging time [s] at which the error is within 1 % of the least, which may be a
-            level that it never leaves; and `best_time_interval`.
+        best_time: the first averaging time [s] at which the error is within 1 % of the least, where it may
+            stay; and `best_time_interval`.
         falling: whether the error still falls at the longest time, so that more time would help.
         wanted: the requested error [rad]; None if none was requested, or for an accelerometer.
-        needed: time after which the error is as requested [s], infinite if it never is; `needed_interval`.
+        needed: time [s] after which the requested error is reached, infinite if it never is; and
+            `needed_interval`.
         white_time: the same for white noise alone (2.53) [s].
-        out_of_reach: probability that no averaging time up to the longest gives the requested error.
+        out_of_reach: probability that the requested error is not reached at any averaging time up to the
+            longest.
     """
 
     axis: Axis
@@ -83,21 +85,23 @@ class AxisAlignment(ByValue):
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
         if self.best > _LARGE:
-            return f"{self.angle} not found: its error is never below {significant(self.best / _DEG)} deg"
+            return f"no {self.angle}: its error is never below {significant(self.best / _DEG)} deg"
         if self.wanted is None:
             return f"the error still falls after {duration(float(self.time[-1]))}" if self.falling else ""
         wanted, longest = f"{significant(self.wanted / _DEG)} deg", duration(float(self.time[-1]))
         white = f"white noise alone would take {duration(self.white_time)}" if self.white_time > 0.0 else ""
         if math.isinf(self.needed):
             why = f"takes more than {longest} (the error still falls)" if self.falling else "is out of reach"
-            doubt = "" if not 0.0 < self.out_of_reach < 1.0 else f", with probability {self.out_of_reach:.0%}"
+            doubtful = 0.0 < self.out_of_reach < 1.0
+            doubt = f", with probability {percent(self.out_of_reach)}" if doubtful else ""
             reached = f"{wanted} {why}{doubt}"
         else:
             low, high = self.needed_interval
-            ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {_or_never(high)})"
+            latest = "never" if math.isinf(high) else duration(high)
+            ends = "" if math.isnan(low) else f" (95 %: {duration(low)} … {latest})"
             reached = f"{wanted} takes {duration(self.needed)}{ends}"
             if self.out_of_reach > 0.025:
-                reached += f"; it is out of reach with probability {self.out_of_reach:.0%}"
+                reached += f"; it is out of reach with probability {percent(self.out_of_reach)}"
         return f"{reached}; {white}" if white else reached
 
     def rows(self) -> list[tuple[str, ...]]:
@@ -106,8 +110,8 @@ class AxisAlignment(ByValue):
             return [(self.axis.name, self.angle, *[""] * 4)]
         cells = [self.axis.name, self.angle]
         for name, scale in (("best", unit_scale(_SHOWN[self.axis.sensor])), ("best_time", 1.0)):
-            low, high = (significant(x / scale) for x in getattr(self, f"{name}_interval"))
-            cells += [significant(getattr(self, name) / scale), "" if low == "nan" else f"{low} … {high}"]
+            ends = (x / scale for x in getattr(self, f"{name}_interval"))
+            cells += [significant(getattr(self, name) / scale), format_range(*ends)]
         return [tuple(cells)]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -142,12 +146,6 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the alignment"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "angle", "least error 1σ", "95 % interval", "averaging time", "95 % interval"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
-
     name: str
     latitude: float
     results: tuple[AxisAlignment, ...]
@@ -158,15 +156,14 @@ class Alignment(ByValue, PerAxis[AxisAlignment]):
         return {"name": self.name, "latitude_rad": self.latitude, "axes": axes}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         done = {"tilt": "leveling", "azimuth": "gyro-compassing"}
         angles = {result.angle for result in self.results}
         what = " and ".join(what for angle, what in done.items() if angle in angles)
-        return f"{name}{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
+        return f"{what} at {self.latitude / _DEG:g}° latitude, in two opposite positions"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        units = {sensor: ("", unit, unit, "s", "s") for sensor, unit in _SHOWN.items()}
-        return by_sensor(self.results, units.__getitem__)
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        error, time = (f"least error 1σ ({_SHOWN[sensor]})", "averaging time (s)")
+        return "axis", "angle", error, f"95 % interval ({_SHOWN[sensor]})", time, "95 % interval (s)"
 
     def _notes(self) -> list[str]:
         verdicts = {r.axis.name: r.verdict for r in self.results}
@@ -208,14 +205,14 @@ def align(
     """
     phi = math.radians(latitude)
     if not abs(phi) <= math.pi / 2.0:
-        raise AllanjaxError(f"the latitude must be from -90 to 90 deg, got {latitude}")
+        raise AllanjaxError(f"latitude= (--latitude) must be from -90 to 90 deg, not {latitude}")
     if abs(phi) > _POLAR:
         raise AllanjaxError(
             f"at {latitude} deg latitude the Earth's rotation has no horizontal part that shows north: "
             "gyro-compassing needs a latitude below 89 deg"
         )
     if not 0.0 < gravity < np.inf:
-        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+        raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
     if wanted == 0.0:
         raise AllanjaxError("the error of an azimuth cannot be zero: give a positive azimuth")
@@ -312,7 +309,3 @@ def _interval(
     pair = ((low, 0.025), (high, 0.975))
     lower, upper = (float(np.quantile(x, q, method="nearest")) for x, q in pair)
     return lower, upper
-
-
-def _or_never(seconds: float) -> str:
-    return "never" if math.isinf(seconds) else duration(seconds)

@@ -30,8 +30,8 @@ _LIKELY = 0.05
 class Drawn(NamedTuple):
     """A quantity that is linear in the powers of the terms of an axis.
 
-    An average over sets of terms would put the 5 % of a set that is likely by 10 % beyond the interval's end.
-    So each end is that of the set of terms for which it is outermost.
+    An average over sets of terms would hide the tails of a set with a probability of 10 % beyond the
+    interval's ends. So each end is that of the set of terms for which it is outermost.
 
     Attributes:
         mean: means of the detected terms, averaged over sets of terms; by the term's title.
@@ -57,7 +57,7 @@ class AxisNoise(NamedTuple):
     sets: Sequence[Likely]
 
     def drawn(self, of_terms: Callable[[Model], Float[np.ndarray, "terms ..."]]) -> Drawn:
-        """Draws of a quantity, given what it is for each term of unit amplitude by itself."""
+        """Draws of a quantity, given its value for each term of unit amplitude by itself."""
         mean: dict[str, np.ndarray] = {}
         known: dict[tuple[str, ...], list[np.ndarray]] = {}
         upper: dict[tuple[str, ...], list[np.ndarray]] = {}
@@ -141,12 +141,12 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
     """
     if isinstance(data, Fit | Posterior):
         if rate is not None:
-            raise AllanjaxError("a fit has its own sample rate: leave out rate")
+            raise AllanjaxError("rate= is for models only, as a fit has its own sample rate; leave it out")
         sampled = data if isinstance(data, Posterior) else None
         data = data.fit if isinstance(data, Posterior) else data
         good = [r for r in data.values() if r.measured and (sampled is None or r.axis.name in sampled)]
         if not good:
-            raise FitError("no axis has a measurement; the fit gives the reasons")
+            raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
         rng = np.random.default_rng(seed)
         axes = {
             name: likely_models(data, name, _DRAWS, rng) if sampled is None else _sampled(sampled[name])
@@ -155,8 +155,8 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
         notes = tuple(
             f"{r.axis.name} is left out: {r.verdict}" for r in data.values() if not r.measured
         ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
-        found = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
-        return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, found, notes)
+        noise = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
+        return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, noise, notes)
     name, notes = "", tuple[str, ...]()
     if isinstance(data, DataSheet):
         name, notes, rate = data.name, data.statements, RATE if rate is None else rate
@@ -169,11 +169,12 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need a sample rate: give a positive rate in Hz, not {rate}")
     models = cast(Mapping[str, ModelLike], data)
-    given = {axis: _given(axis, model) for axis, model in models.items()}
-    return Sensors(name, float(rate), np.inf, given, notes)
+    exact = {axis: _exact(axis, model) for axis, model in models.items()}
+    return Sensors(name, float(rate), np.inf, exact, notes)
 
 
-def _given(name: str, model: ModelLike) -> AxisNoise:
+def _exact(name: str, model: ModelLike) -> AxisNoise:
+    """Noise of an axis whose model is taken as exact."""
     column = recognise(name)
     if column.sensor is None:
         raise AllanjaxError(f"{name!r} is not an axis of a gyro or accelerometer; use names such as gyro_x")
@@ -195,7 +196,7 @@ def _sampled(posterior: AxisPosterior) -> list[Likely]:
 
 
 def one_by_one(model: Model) -> list[Model]:
-    """Models of one term each, with what each becomes after the response."""
+    """Models of one term each, with the response if the term passes it."""
     labels = model.term_labels
     return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
 
@@ -214,14 +215,14 @@ def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None
             raise AllanjaxError(f"{name}: cannot read {value!r}; write a number and a unit, e.g. 0.1 {unit}")
         number, text = quantity
     if not 0.0 <= float(number) < np.inf:
-        raise AllanjaxError(f"{name} must be finite and not negative, got {value}")
+        raise AllanjaxError(f"{name} must be finite and at least 0, not {value}")
     return float(convert(float(number), text, unit, sensor))
 
 
 def together(parts: Sequence[Drawn]) -> Drawn:
     """Sum of independent quantities."""
     mean = {title: part for drawn in parts for title, part in drawn.mean.items()}
-    # Draws that are repeated are not to be paired.
+    # Repeated draws must not be paired.
     order = [np.random.default_rng(k).permutation(_DRAWS) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -16,8 +16,8 @@ from allanjax.base.earth import EARTH_RADIUS, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import Tabled
-from allanjax.base.wording import duration, finite_or_none, plain, significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
 from allanjax.navigation.likely import (
     AxisNoise,
     Drawn,
@@ -56,7 +56,7 @@ class ErrorGrowth(ByValue):
         time: times [s] since the start.
         error: standard deviation [rad, m/s or m].
         lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
-        causes: by direction, standard deviations of the error that each cause makes by itself.
+        causes: by direction, standard deviations of the error from each cause alone.
     """
 
     quantity: Quantity
@@ -133,28 +133,27 @@ class ErrorGrowth(ByValue):
             },
         }
 
-    def rows(self, at: Sequence[int]) -> list[tuple[str, ...]]:
-        """Rows of the printed table, units first, at these indices of the times."""
+    def columns(self, at: Sequence[int]) -> list[Column]:
+        """Columns of the printed table, with rows at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
-        ends = unit if np.isfinite(self.lower).any() else ""
-        cells: list[tuple[str, ...]] = [("", "s", unit, ends, "", "")]
-        for k, channel in enumerate(self.channels):
+        cells = []
+        numbers = (x / scale for x in (self.error, self.lower, self.upper))
+        for channel, error, lower, upper in zip(self.channels, *numbers, strict=True):
             largest = self.largest(channel)
             for j in at:
-                value = self.error[k, j]
-                share = (self.causes[channel][largest[j]][j] / value) ** 2 if value > 0.0 else 1.0
-                low, high = (significant(float(x[k, j]) / scale) for x in (self.lower, self.upper))
-                cells.append(
-                    (
-                        f"{self.quantity} {channel}",
-                        plain(float(self.time[j]), 4),
-                        significant(float(value) / scale),
-                        f"{low} … {high}" if np.isfinite(self.lower[k, j]) else "",
-                        largest[j],
-                        f"{share:.0%}",
-                    )
-                )
-        return cells
+                cause = self.causes[channel][largest[j]][j] / scale
+                share = (cause / error[j]) ** 2 if error[j] > 0.0 else 1.0
+                texts = (plain(self.time[j], 4), significant(error[j]), format_range(lower[j], upper[j]))
+                cells.append((f"{self.quantity} {channel}", *texts, largest[j], f"{100.0 * share:.0f}"))
+        heads = (
+            "error",
+            "after (s)",
+            f"1σ ({unit})",
+            f"95 % interval ({unit})",
+            "largest cause",
+            "share (%)",
+        )
+        return columns_from(heads, cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -170,11 +169,6 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         growths: growth of attitude, velocity and position errors, as far as there are sensors for them.
         notes: limitations of the result.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("error", "after", "1σ", "95 % interval", "largest cause", "share"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = (*HEADINGS[1:4], "share")
 
     name: str
     rate: float
@@ -227,19 +221,16 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         loop = "with the Schuler loop" if self.schuler else "short-term"
-        return (
-            f"{name}errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
-        )
+        return f"errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
 
-    def _cells(self) -> list[tuple[str, ...]]:
+    def _tables(self) -> list[list[Column]]:
         time = self.growths[0].time
         # The times nearest to powers of ten, and the end.
         decades = np.arange(math.ceil(math.log10(time[0])), math.log10(time[-1]))
         near = {int(np.argmin(np.abs(np.log10(time) - decade))) for decade in decades}
         at = sorted(near | {len(time) - 1}) if len(time) > 6 else list(range(len(time)))
-        return [row for growth in self.growths for row in growth.rows(at)]
+        return [growth.columns(at) for growth in self.growths]
 
     def _notes(self) -> list[str]:
         return [f"note: {note}" for note in self.notes]
@@ -269,7 +260,7 @@ _SMALL, _TERMS = 1.0, 9
 def bias_response(
     time: Float[np.ndarray, " t"], order: int, stiffness: float = 0.0
 ) -> Float[np.ndarray, " t"]:
-    """Error W(t) [s^order] at times [s] that a unit constant error makes when integrated so many times.
+    """Error W(t) [s^order] at times [s] from a constant unit error that is integrated `order` times.
 
     `stiffness` [1/s²] is ω² of the loop: 0 without it, g/R of Schuler's, −2g/R of the vertical channel.
     """
@@ -320,20 +311,20 @@ class ErrorVariances:
         whole = np.arange(steps.max() + 1)
         self._lags = np.concatenate([whole, whole + calibration]) / rate
         self._known: list[tuple[Model, np.ndarray]] = []
-        #: Errors after the steps that a unit bias makes, by order.
+        #: Errors after the steps from a unit bias, by order.
         self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
 
     def __call__(self, model: Model) -> Float[np.ndarray, "terms orders t"]:
         """Variances for each term of the model by itself."""
-        found = [self._of_term(one) for one in one_by_one(model)]
-        return np.stack(found) if found else np.zeros((0, len(self._orders), len(self._steps)))
+        variances = [self._of_term(one) for one in one_by_one(model)]
+        return np.array(variances).reshape(-1, len(self._orders), len(self._steps))
 
     def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
-        """Variances for a model of one term, which other axes and sets of terms may have, too."""
+        """Variances for a model of one term, kept for other axes and sets of terms with the same."""
         for model, variance in self._known:
             if eqx.tree_equal(model, one):
                 return variance
-        # One call, for G is known up to a constant and t² that each call may choose.
+        # One call, since G is known up to c0 + c1·t², which each call may choose.
         near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
         variance = np.array([[_variance(f, near, far) for f in row] for row in self._functionals])
         self._known.append((one, variance))
@@ -361,19 +352,12 @@ def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.nd
     return max(float(within + 2.0 * f.bias * np.einsum("i,i", f.weights, far[:n])), 0.0)
 
 
-# Samples from the start to the last time, at most: their covariances are held in memory.
+# Most samples from the start to the last time: their covariances are held in memory.
 _MOST = 2**21
 
 
-class _Channel(NamedTuple):
-    """Direction of an error: the sensors' axis along it, and the gyro's axis that tilts gravity into it."""
-
-    name: str
-    along: str
-    tilting: str | None
-
-
-_CHANNELS = (_Channel("north", "x", "y"), _Channel("east", "y", "x"), _Channel("down", "z", None))
+# Directions of errors, the sensors' axis along each, and the gyro's axis that tilts gravity into it.
+_CHANNELS = (("north", "x", "y"), ("east", "y", "x"), ("down", "z", None))
 
 
 def navigate(
@@ -421,16 +405,16 @@ def navigate(
     biases = {"gyro": in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")}
     biases["accel"] = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
     if not 0.0 < gravity < np.inf:
-        raise AllanjaxError(f"gravity must be positive and finite, got {gravity}")
+        raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
     steps, before = _whole_samples(given, calibration, sensors.rate)
-    found = _variances(sensors, steps, before, biases, float(gravity), schuler)
-    if not any(found.values()):
+    variances = _variances(sensors, steps, before, biases, float(gravity), schuler)
+    if not any(variances.values()):
         raise AllanjaxError(
             f"no axis can be used; use names such as gyro_x or accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
-    growths = tuple(_growth(q, of, time, sensors) for q, of in found.items() if of)
+    growths = tuple(_growth(q, of, time, sensors) for q, of in variances.items() if of)
     result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
     return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
 
@@ -443,7 +427,7 @@ def _variances(
     gravity: float,
     schuler: bool,
 ) -> dict[str, dict[str, list[Drawn]]]:
-    """Variances of the errors by quantity and direction: a part of each sensor that makes them."""
+    """Variances of the errors by quantity and direction, one for each sensor that contributes."""
     level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
     # Along the vertical gravity drives errors, and about it nothing does.
     vertical = level
@@ -459,12 +443,12 @@ def _variances(
         drawn, bias = noise.drawn(of), (biases[noise.axis.sensor] * of.of_bias) ** 2
         return [_with_bias(drawn, n - 1, bias[n - 1], noise.axis.name) for n in orders]
 
-    found: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
-    for channel in _CHANNELS:
-        upright = channel.tilting is None
-        turned = errors(sensors.along("gyro", channel.along), (1,), about if upright else level)
-        forced = errors(sensors.along("accel", channel.along), (1, 2), vertical if upright else level)
-        tilted = errors(sensors.along("gyro", channel.tilting), (2, 3), level) if channel.tilting else []
+    variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
+    for channel, along, tilting in _CHANNELS:
+        upright = tilting is None
+        turned = errors(sensors.along("gyro", along), (1,), about if upright else level)
+        forced = errors(sensors.along("accel", along), (1, 2), vertical if upright else level)
+        tilted = errors(sensors.along("gyro", tilting), (2, 3), level) if tilting else []
         tilted = [_times(drawn, gravity**2) for drawn in tilted]
         for quantity, parts in (
             ("attitude", turned[:1]),
@@ -472,8 +456,8 @@ def _variances(
             ("position", forced[1:] + tilted[1:]),
         ):
             if parts:
-                found[quantity][channel.name] = parts
-    return found
+                variances[quantity][channel] = parts
+    return variances
 
 
 def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: float) -> tuple[np.ndarray, int]:
@@ -482,7 +466,7 @@ def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: flo
         if not (values.size and np.all(np.isfinite(values)) and np.all(values * rate >= 0.5)):
             raise AllanjaxError(f"{name} must be finite and at least one sample interval, {1 / rate:g} s")
     if times.max() * rate > _MOST:
-        raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, got {times.max():g}")
+        raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, not {times.max():g}")
     return np.unique(np.rint(times * rate).astype(int)), round(calibration * rate)
 
 
@@ -521,12 +505,12 @@ def _growth(
 def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
     """Limitations: sensors that are missing, and times for which the errors do not hold."""
     notes = []
-    for channel in _CHANNELS:
-        gyro = channel.tilting and sensors.along("gyro", channel.tilting)
-        accel = sensors.along("accel", channel.along)
-        if channel.tilting and (gyro is None) != (accel is None):
+    for channel, along, tilting in _CHANNELS:
+        gyro = tilting and sensors.along("gyro", tilting)
+        accel = sensors.along("accel", along)
+        if tilting and (gyro is None) != (accel is None):
             only = "the accelerometer" if gyro is None else "the gyro's tilt"
-            notes.append(f"velocity and position {channel.name} contain the errors of {only} only")
+            notes.append(f"velocity and position {channel} contain the errors of {only} only")
     if not result.schuler and last > result.quarter_period:
         notes.append(
             f"short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import finite_or_none, plain, significant
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
@@ -59,7 +59,7 @@ class AxisRates(ByValue):
         bandwidth: half-power frequency of the filter [Hz], or a lower limit; None if there is no sign of a
             filter.
         quantization: Q, from its slope of −1 at the recording's rate; None if it was not fitted.
-        reason: why there is neither.
+        reason: reason why there is neither.
     """
 
     axis: Axis
@@ -75,7 +75,7 @@ class AxisRates(ByValue):
 
     @property
     def agree_from(self) -> float:
-        """The rate [Hz] from which on up less than 5 % is aliased; below it the curves differ."""
+        """The lowest rate [Hz] from which on less than 5 % is aliased."""
         parted = np.flatnonzero(self.aliased > _AGREE)
         return float(self.rates[max(int(parted[0]) - 1, 0)] if parted.size else self.rates[-1])
 
@@ -154,12 +154,6 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the sample rates"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "picked at", "level", "aliased", "95 % interval", "from quantization"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     name: str
     picked: tuple[AllanDeviation, ...]
     averaged: tuple[AllanDeviation, ...]
@@ -181,14 +175,12 @@ class SampleRates(ByValue, PerAxis[AxisRates]):
         return {"name": self.name, "axes": [result.to_dict() for result in self.results]}
 
     def _title(self) -> str:
-        name = f"{self.name}: " if self.name else ""
         first, last = self.picked[0].rate, self.picked[-1].rate
-        return f"{name}sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
+        return f"sample rates from {plain(first, 4)} Hz down to {plain(last, 4)} Hz"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return by_sensor(
-            self.results, lambda sensor: ("Hz", default_coefficient_unit(sensor, 0.5), "%", "%", "%")
-        )
+    def _heads(self, sensor: Sensor) -> tuple[str, ...]:
+        level = f"level ({default_coefficient_unit(sensor, 0.5)})"
+        return "axis", "picked at (Hz)", level, "aliased (%)", "95 % interval (%)", "from quantization (%)"
 
     def _notes(self) -> list[str]:
         return [f"{result.axis.name}: {result.describe()}" for result in self.results]
@@ -258,7 +250,7 @@ def _filtered_fits(recording: Recording) -> list[AxisFit]:
 
 
 def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
-    """How many samples go into one, rising, the first 1."""
+    """Numbers of samples that become one, increasing from 1."""
     most = recording.n // _FEWEST
     if most < 1:
         raise AllanjaxError(f"the recording has {recording.n} samples; {_FEWEST} are needed at each rate")
@@ -274,7 +266,7 @@ def _factors(recording: Recording, rates: Sequence[float] | None) -> list[int]:
         if round(ratio) > most:
             raise AllanjaxError(
                 f"{rate:g} Hz leaves only {recording.n // round(ratio)} samples: use at least "
-                f"{recording.rate / most:.3g} Hz or a longer recording"
+                f"{plain(recording.rate / most, 3)} Hz or a longer recording"
             )
         factors.add(round(ratio))
     return sorted(factors)
@@ -290,7 +282,7 @@ def _curve(recording: Recording, m: int, values: Float[np.ndarray, "k axes"]) ->
 
 
 def _of_axis(
-    picked: Sequence[AllanDeviation], averaged: Sequence[AllanDeviation], k: int, found: AxisFit
+    picked: Sequence[AllanDeviation], averaged: Sequence[AllanDeviation], k: int, of_axis: AxisFit
 ) -> AxisRates:
     def levels(curves: Sequence[AllanDeviation]) -> tuple[np.ndarray, np.ndarray]:
         """Levels of the axis, and their variances, by rate."""
@@ -306,41 +298,33 @@ def _of_axis(
     spread = TWO_SIDED_95 * np.sqrt(above_scatter + below_scatter)
     spread[0] = 0.0
     ends = np.stack([1.0 - ratio * np.exp(spread), 1.0 - ratio * np.exp(-spread)], axis=1)
-    Q = found.coefficients.get("quantization") if found.measured else None
+    Q = of_axis.coefficients.get("quantization") if of_axis.measured else None
     folded = np.full(len(rates), np.nan)
     if Q is not None and Q.detected:
         # Of picked increments 2(Q·rate)², white; of means 3Q²/T².
         folded = (2.0 * (Q.value * rates[0]) ** 2 / rates - 3.0 * Q.value**2 * rates / _CLUSTER) / above
         folded[0] = 0.0
     return AxisRates(
-        axis=found.axis,
+        axis=of_axis.axis,
         rates=rates,
         picked=above,
         averaged=below,
         aliased=1.0 - ratio,
         aliased_interval=ends,
         from_quantization=folded,
-        bandwidth=_bandwidth(found),
+        bandwidth=_bandwidth(of_axis),
         quantization=Q,
-        reason="" if found.measured else found.verdict,
+        reason="" if of_axis.measured else of_axis.verdict,
     )
 
 
-def _bandwidth(found: AxisFit) -> Estimate | None:
+def _bandwidth(of_axis: AxisFit) -> Estimate | None:
     """Half-power frequency of the filter of a fit [Hz], which may be only a limit."""
-    response = found.model.response if found.measured else None
+    response = of_axis.model.response if of_axis.measured else None
     if response is None:
         return None
-    own = found[f"{response.name()}_bandwidth"]
+    own = of_axis[f"{response.name()}_bandwidth"]
     if not np.isfinite(own.std) and own.lower_limit is None:
         return None
-    # Of two poles, the frequency that they are named by is another.
-    factor = response.half_power / own.value
-    return dataclasses.replace(
-        own,
-        value=own.value * factor,
-        std=own.std * factor,
-        interval=(own.interval[0] * factor, own.interval[1] * factor),
-        interval_68=(own.interval_68[0] * factor, own.interval_68[1] * factor),
-        lower_limit=None if own.lower_limit is None else own.lower_limit * factor,
-    )
+    # The nominal frequency of a filter of two poles is not that of half the power.
+    return own.times(response.half_power / own.value)

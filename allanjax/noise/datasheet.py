@@ -24,12 +24,12 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, UnitError
-from allanjax.base.tables import Tabled
-from allanjax.base.wording import significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import percent, plain, significant
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability, Quantization, RateRandomWalk
@@ -46,7 +46,7 @@ from allanjax.record.units import (
     si_unit,
 )
 
-#: Terms that every sensor has, with their symbols, and words for a term that is missing in a sheet.
+#: Terms that every sensor has, with their symbols; words for a term that a sheet lacks, and what to do.
 USUAL = {"angle_random_walk": "N", "bias_instability": "B", "rate_random_walk": "K"}
 NOT_GIVEN = "not given"
 REMEDY = (
@@ -88,9 +88,6 @@ class DataSheet(ByValue, Tabled):
         models: the model of each sensor, "gyro" or "accel", with the coefficients that the figures give.
         statements: assumptions, missing coefficients, and differences between figures.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = ("sensor", "N", "B", "K", "Q")
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
 
     name: str
     source: str
@@ -137,17 +134,17 @@ class DataSheet(ByValue, Tabled):
         return {f"{sensor}_{letter}": model for sensor, model in self.models.items() for letter in "xyz"}
 
     def _title(self) -> str:
-        return self.name or "data sheet"
+        return "" if self.name else "data sheet"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        rows: list[tuple[str, ...]] = []
+    def _tables(self) -> list[list[Column]]:
+        tables = []
         for sensor in self.models:
-            given = {c.symbol: c.in_unit() for c in self.coefficients(sensor).values()}
-            lacking = dict.fromkeys(USUAL.values(), NOT_GIVEN)
-            values = lacking | {symbol: significant(c.value) for symbol, c in given.items()}
-            rows.append(("", *(given[x].unit if x in given else "" for x in self.HEADINGS[1:])))
-            rows.append((sensor, *(values.get(symbol, "") for symbol in self.HEADINGS[1:])))
-        return rows
+            given = [c.in_unit() for c in self.coefficients(sensor).values()]
+            cells = {"sensor": sensor} | dict.fromkeys(USUAL.values(), NOT_GIVEN)
+            heads = {c.symbol: f"{c.symbol} ({c.unit})" for c in given}
+            cells |= {c.symbol: significant(c.value) for c in given}
+            tables.append(columns_from([heads.get(name, name) for name in cells], [list(cells.values())]))
+        return tables
 
     def _notes(self) -> list[str]:
         source = [f"source: {self.source}"] if self.source else []
@@ -172,9 +169,9 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
     A sensor may have `random_walk` (deg/√h); `noise_density`, with `sided` "one" or "two"; `rms_noise`, with
     its `bandwidth`, and `bandwidth_is` "first-order" (−3 dB of one pole) or "noise" (the equivalent noise
     bandwidth); `in_run_bias_instability`, with `reading` "minimum" (of the Allan deviation, 0.664 B) or "B";
-    `rate_random_walk`; and `lsb`, the step of the output, for rates with the sample `rate`. N is taken from
-    the first of the first three, and the differences of the others are stated. `conditions` is a text on the
-    conditions of the figures, e.g. "typical, 25 °C".
+    `rate_random_walk`; and `lsb`, the step of the output, which for rates needs the sample `rate`. N is taken
+    from the first of the first three; statements report how much the others differ. `conditions` is a text,
+    e.g. "typical, 25 °C".
 
     Args:
         source: name of a sensor of `datasheets()`; path of a file; or its contents as a dictionary.
@@ -215,21 +212,17 @@ def known_sheets() -> Mapping[str, Mapping[str, Any]]:
     return {name: {"name": name, **figures} for name, figures in tomllib.loads(text).items()}
 
 
-def _find(name: str) -> Mapping[str, Any] | None:
-    """The data sheet of a sensor, ignoring hyphens and case in its name; None if there is none."""
-    return {_plain(known): figures for known, figures in known_sheets().items()}.get(_plain(name))
-
-
 def _closest(name: str) -> str:
     """The known names in words, the most similar ones first."""
     known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
     near = [there for plain, there in known.items() if own and plain.startswith(own)]
     near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"{hint}Known are {', '.join(known_sheets())}"
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    return f"known are {', '.join(known_sheets())}{hint}"
 
 
 def _plain(name: str) -> str:
+    """A name without hyphens, spaces and case."""
     return re.sub(r"[\W_]", "", name).casefold()
 
 
@@ -237,25 +230,21 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
     """Contents of a data sheet, and its name in messages."""
     if isinstance(source, Mapping):
         return "data sheet", source
-    if isinstance(source, str) and (known := _find(source)) is not None:
-        return f"data sheet {known['name']}", known
+    for name, known in known_sheets().items():
+        if isinstance(source, str) and _plain(name) == _plain(source):
+            return f"data sheet {name}", known
     try:
         return str(source), tomllib.loads(Path(source).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
             names = _closest(source)
-            raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file: {names}") from None
+            raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file; {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
         raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error
 
 
-def _si_of(sensor: Sensor, time_exponent: float) -> str:
-    """SI unit of a coefficient, rate·s^time_exponent."""
-    return si_unit(default_coefficient_unit(sensor, time_exponent))
-
-
 class _Sheet:
-    """Figures of one sensor, read one after the other; collects the assumptions as statements."""
+    """Figures of one sensor; collects the assumptions as statements while they are read."""
 
     def __init__(self, sensor: Sensor, figures: Any, where: str) -> None:
         self.sensor, self.figures, self.where = sensor, figures, where
@@ -286,23 +275,19 @@ class _Sheet:
 
     def _white(self, stepped: float | None) -> float | None:
         """N from the first figure that gives it, else from steps alone."""
-        figures = {
-            "random_walk": self._random_walk(),
-            "noise_density": self._density(),
-            "rms_noise": self._rms(),
-        }
-        given = {key: value for key, value in figures.items() if value is not None}
+        readers = {"random_walk": self._random_walk, "noise_density": self._density, "rms_noise": self._rms}
+        given = {key: value for key, read in readers.items() if (value := read()) is not None}
         if not given:
             if stepped is not None:
                 self.statements.append("N is from the quantization steps alone")
             return stepped
         first, N = next(iter(given.items()))
         for key, value in list(given.items())[1:]:
-            self.statements.append(f"N is from {first}; {key} gives {value / N:.2f} times as much")
+            self.statements.append(f"N is from {first}; {key} would give {value / N:.2f} times as much")
         if stepped is not None:
             share = (stepped / N) ** 2
             self.statements.append(
-                f"quantization steps would add {100.0 * share:.2g} % to the power of N; they are not added"
+                f"quantization steps would add {percent(share)} to the power of N; they are not added"
             )
         return N
 
@@ -318,8 +303,7 @@ class _Sheet:
             raise self._error(
                 "noise_density", "is not per √Hz: if it is a random walk, give it as random_walk"
             )
-        density, sided = self._amount("noise_density", 0.5), self._answer("noise_density", "sided")
-        assert density is not None
+        density, sided = self._amount("noise_density", 0.5) or 0.0, self._answer("noise_density", "sided")
         meaning = "√2·N" if sided == "one" else "N"
         self.statements.append(f"noise_density is taken as {sided}-sided, {meaning}")
         return density / math.sqrt(2.0) if sided == "one" else density
@@ -328,14 +312,13 @@ class _Sheet:
         rms = self._amount("rms_noise", 0.0)
         if rms is None:
             return None
-        number, unit = self._quantity(self._answer("rms_noise", "bandwidth"), "bandwidth")
-        bandwidth, kind = (
-            self._converted(number, unit, "Hz", "bandwidth"),
-            self._answer("rms_noise", "bandwidth_is"),
-        )
+        bandwidth = self._in_si(self._answer("rms_noise", "bandwidth"), "Hz", "bandwidth")
+        kind = self._answer("rms_noise", "bandwidth_is")
         width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
         how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)" if kind == "first-order" else ""
-        self.statements.append(f"rms_noise is taken as white in a noise bandwidth of {width:.4g} Hz{how}")
+        self.statements.append(
+            f"rms_noise is taken as white in a noise bandwidth of {plain(width, 4)} Hz{how}"
+        )
         return rms / math.sqrt(2.0 * width)
 
     def _flicker(self) -> float | None:
@@ -371,11 +354,10 @@ class _Sheet:
             return size, None
         if "rate" not in self.figures:
             raise self._error("lsb", f'needs rate, e.g. rate = "100 Hz": {_WHY["rate"]}')
-        rate = self._converted(*self._quantity(self.figures["rate"], "rate"), "Hz", "rate")
-        return None, size / math.sqrt(rate)
+        return None, size / math.sqrt(self._in_si(self.figures["rate"], "Hz", "rate"))
 
     def _answer(self, figure: str, key: str) -> str:
-        """Information that a figure needs; AllanjaxError that asks for it if it is missing."""
+        """Information that a figure needs; AllanjaxError if it is missing."""
         options = _FIGURES[figure][key]
         value = self.figures.get(key)
         if value is None or (options and value not in options):
@@ -388,8 +370,8 @@ class _Sheet:
         """Figure in SI, rate·s^time_exponent; None if it is not given."""
         if key not in self.figures:
             return None
-        number, unit = self._quantity(self.figures[key], key)
-        return self._converted(number, unit, _si_of(self.sensor, time_exponent), key)
+        si = si_unit(default_coefficient_unit(self.sensor, time_exponent))
+        return self._in_si(self.figures[key], si, key)
 
     def _is_density(self, key: str) -> bool:
         """Whether a figure is per √Hz; UnitError for an unknown unit."""
@@ -407,7 +389,9 @@ class _Sheet:
             )
         return number, re.sub(r"\s+rms$", "", unit)
 
-    def _converted(self, number: float, unit: str, si: str, key: str) -> float:
+    def _in_si(self, text: Any, si: str, key: str) -> float:
+        """Figure in this SI unit; UnitError for a unit of another dimension."""
+        number, unit = self._quantity(text, key)
         try:
             return convert(number, unit, si, None if si == "Hz" else self.sensor)
         except UnitError as error:

@@ -6,15 +6,14 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
+from allanjax.base.tables import Column, PerAxis, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -34,7 +33,7 @@ class Estimate(ByValue):
         axis: the axis.
         label: name in the model, e.g. "angle_random_walk" or "markov_correlation_time"; or name of a derived
             quantity, e.g. "angle error after 60 s", or of a finding's parameter, e.g. "frequency".
-        value: the estimate, for a posterior its median; zero for an amplitude of which there is no sign.
+        value: the estimate, for a posterior its median; zero for an amplitude without any sign in the data.
         std: standard deviation.
         interval: 95 % interval; for an amplitude its lower end is zero if zero is not excluded; nan if only a
             limit is known.
@@ -134,8 +133,12 @@ class Estimate(ByValue):
             return self
         # A quantity that is not a parameter may have a unit of the other sensor: a tilt, a misalignment.
         factor = convert(1.0, self.unit, unit, self.axis.sensor if self.parameter else None)
+        return dataclasses.replace(self.times(factor), unit=unit)
+
+    def times(self, factor: float) -> Estimate:
+        """A copy whose numbers are multiplied by a factor."""
         numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
-        return dataclasses.replace(self, unit=unit, **numbers)
+        return dataclasses.replace(self, **numbers)
 
     def widened(self, factor: float) -> Estimate:
         """A copy whose standard deviation is larger by a factor, with intervals and limits to match.
@@ -177,12 +180,11 @@ class Estimate(ByValue):
         """A copy without uncertainty, for a model that does not fit the data; held values stay."""
         if self.held:
             return self
-        nowhere = (float("nan"), float("nan"))
         return dataclasses.replace(
             self,
-            std=float("nan"),
-            interval=nowhere,
-            interval_68=nowhere,
+            std=np.nan,
+            interval=(np.nan, np.nan),
+            interval_68=(np.nan, np.nan),
             upper_limit=None,
             lower_limit=None,
             detected=False,
@@ -196,6 +198,25 @@ class Estimate(ByValue):
         """
         shown = self if unit is None else self.in_unit(unit)
         return shown._sentence(shown._amount())
+
+    def row(self) -> dict[str, Any]:
+        """The estimate in its usual unit, as a row of a data frame."""
+        c = self.in_unit()
+        return {
+            "axis": c.axis.name,
+            "coefficient": c.label,
+            "value": c.value,
+            "median": c.value,
+            "std": c.std,
+            "lower_68": c.interval_68[0],
+            "upper_68": c.interval_68[1],
+            "lower_95": c.interval[0],
+            "upper_95": c.interval[1],
+            "unit": c.unit,
+            "detected": c.detected,
+            "upper_limit_95": c.upper_limit,
+            "measured": c.measured,
+        }
 
     def describe_interval(self) -> str:
         """The 95 % interval, with as many decimals as the value has, e.g. "0.498 … 0.526"."""
@@ -258,7 +279,7 @@ class Estimate(ByValue):
             return f"not determined by these data{'; ' if self.remark else ''}{self.remark}"
         if not self.detected:
             if self.upper_limit is None:
-                return "not determined: its term is not detected"
+                return "not determined, as its term is not detected"
             if self.rivals:
                 names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"cannot be distinguished from {names} (< {amount}, 95 %)"
@@ -297,7 +318,7 @@ def title_of(label: str, sensor: Sensor) -> str:
 
     Its K is an acceleration random walk. The text may contain several labels.
     """
-    words = label.replace("_", " ")
+    words = re.sub(r"\bmarkov\b", "Markov process", label.replace("_", " "))
     if sensor == "accel":
         words = words.replace("angle random walk", "velocity random walk")
         words = words.replace("rate random walk", "acceleration random walk")
@@ -317,9 +338,9 @@ _CALLED: dict[str, dict[Sensor, str]] = {
 def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
     """Label of the coefficient with this usual name; None if there is none, or several.
 
-    Labels themselves, in any case and with spaces; symbols such as "N"; abbreviations such as "ARW" of a gyro
-    and "VRW" of an accelerometer (whose "ARW" is the angle random walk for some, the acceleration random
-    walk for others, and therefore nothing here).
+    Names are labels, in any case and with spaces; symbols such as "N"; and abbreviations such as "ARW" of a
+    gyro and "VRW" of an accelerometer. An accelerometer's "ARW" is ambiguous (angle or acceleration random
+    walk) and therefore not a name.
     """
     if name in coefficients:
         return name
@@ -352,28 +373,24 @@ class AxisReadings(ByValue):
         return self.estimates[label]
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Rows of the printed table: one per quantity that is read."""
-        found: list[tuple[str, ...]] = []
+        """Rows of the printed table: one per quantity that could be read."""
+        rows: list[tuple[str, ...]] = []
         for label, shown in ((k, e.in_unit()) for k, e in self.estimates.items() if e is not None):
             value = format_with_error(shown.value, shown.std)
-            band = "" if shown.band is None else f"{shown.band[0]:.3g} … {shown.band[1]:.3g}"
+            band = " … ".join(plain(f, 3) for f in shown.band or ())
             title = title_of(label, self.axis.sensor)
-            found.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
-        return found
+            rows.append((self.axis.name, title, value, shown.describe_interval(), shown.unit, band))
+        return rows
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per quantity, in usual units; numbers are missing where there is none."""
         import pandas as pd
 
-        rows = []
-        for label, estimate in self.estimates.items():
-            row: dict[str, object] = {"axis": self.axis.name, "coefficient": label}
-            if estimate is not None:
-                shown = estimate.in_unit()
-                lower, upper = shown.interval
-                row |= {"value": shown.value, "std": shown.std, "lower_95": lower, "upper_95": upper}
-                row |= {"unit": shown.unit}
-            rows.append(row | {"reason": self.reasons.get(label, "")})
+        rows = [
+            ({} if estimate is None else estimate.row())
+            | {"axis": self.axis.name, "coefficient": label, "reason": self.reasons.get(label, "")}
+            for label, estimate in self.estimates.items()
+        ]
         columns = ["axis", "coefficient", "value", "std", "lower_95", "upper_95", "unit", "reason"]
         return pd.DataFrame(rows, columns=columns)
 
@@ -391,25 +408,15 @@ class Readings(ByValue, PerAxis[AxisReadings]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the reading"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "quantity",
-        "value ± 1σ",
-        "95 % interval",
-        "unit",
-        "band [Hz]",
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = ("value ± 1σ",)
-
     title: str
     results: tuple[AxisReadings, ...]
 
     def _title(self) -> str:
         return self.title
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        return [row for result in self.results for row in result.rows()]
+    def _tables(self) -> list[list[Column]]:
+        heads = ("axis", "quantity", "value ± 1σ", "95 % interval", "unit", "band (Hz)")
+        return [columns_from(heads, [row for result in self.results for row in result.rows()])]
 
     def _notes(self) -> list[str]:
         """The quantities that cannot be read, and why."""

@@ -18,6 +18,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.renamed import renamed
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.process import FilteredProcess, Process
 from allanjax.noise.response import Response
@@ -26,7 +27,7 @@ from allanjax.record.units import Sensor
 
 
 class NoiseTerm(Parametrized, Process):
-    """A noise term. A subclass declares its parameters, amplitude first, and its phase covariance.
+    """A noise term; a subclass declares its parameters, the amplitude first, and its phase covariance.
 
         class FlickerAngle(allanjax.NoiseTerm):
             coefficient: float | None = allanjax.parameter("F", time_exponent=1.0)
@@ -34,41 +35,41 @@ class NoiseTerm(Parametrized, Process):
             def phase_covariance(self, lag):
                 return -(self.coefficient**2) * jnp.log(jnp.maximum(lag, 1e-3))
 
-    and works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional; with
-    `parts` a term can pass a `Response`, with `state_block` it has states for a Kalman filter.
-    Where an argument or a parameter is an array of JAX, so are the results of allanjax's own terms; else they
-    are NumPy's, and nothing is compiled.
+    works in fits, simulations and plots. Overriding `psd` (and, for speed, `simulate`) is optional; with
+    `parts` a term can pass a `Response`, with `state_block` it has states for a Kalman filter. If an argument
+    or a parameter is a JAX array, allanjax's own terms return JAX arrays; otherwise NumPy's, and nothing is
+    compiled.
     """
 
     # ------------------------------------------------------------------ what some subclasses provide
     def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
         """Values of a deterministic term of unit amplitude at times [s] since the record's start.
 
-        For terms that are known but for their amplitude; lines of unknown phase are not.
+        Only for terms of which nothing but the amplitude is unknown, unlike a line of unknown phase.
         """
         raise NotImplementedError(f"{type(self).__name__} does not define column(time)")
 
     def sampled(self, rate: float) -> Self:
-        """The term for a sensor that samples at `rate` [Hz]; the term itself, unless sampling matters."""
-        return self
+        """The term for a sensor that samples at `rate` [Hz], if it has a field `sample_interval` [s]."""
+        return self.replace(sample_interval=1.0 / rate) if hasattr(self, "sample_interval") else self
 
     def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> NoiseTerm:
-        """The term with the channel that it follows, sampled at `rate` [Hz]; itself if it follows none."""
+        """The term with the samples at `rate` [Hz] of the channel that it follows, if it follows one."""
         return self
 
     @property
     def missing_channel(self) -> str:
-        """Name of the channel that it follows and has not been given; "" if there is none."""
+        """Name of the channel that the term follows if its samples are missing; "" otherwise."""
         return ""
 
     def at_low_frequencies(self) -> NoiseTerm | None:
-        """Smooth term that an oscillating one becomes at low frequencies; None if that is white noise."""
+        """Smooth term that an oscillating one resembles at low frequencies; None for white noise."""
         return None
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         """States of the term in samples at `rate` [Hz], for a Kalman filter; see `Model.state_space`.
 
-        `duration` [s] is for terms that have no finite state space, and are approximated up to there.
+        `duration` [s] is for terms without a finite state space, which are approximated up to there.
         """
         raise AllanjaxError(
             f"{self.name()} has no finite state space: leave it out, model.without(['{self.name()}']), or "
@@ -79,13 +80,13 @@ class NoiseTerm(Parametrized, Process):
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Declared parameters, in order; the first is the amplitude."""
-        found = super().parameters()
-        if not found or not found[0].is_amplitude:
+        declared = super().parameters()
+        if not declared or not declared[0].is_amplitude:
             raise AllanjaxError(
                 f"{cls.__name__}: the first parameter of a noise term must be its amplitude; "
                 "declare it with `coefficient: float | None = allanjax.parameter('c', time_exponent=…)`"
             )
-        return found
+        return declared
 
     @classmethod
     def amplitude_parameter(cls) -> Parameter:
@@ -108,11 +109,6 @@ class NoiseTerm(Parametrized, Process):
         return other * Model((self,))
 
 
-def _zeros(like: ArrayLike) -> Float[Array, ...]:
-    """Zeros in the shape of the argument, NumPy's unless that is JAX's."""
-    return namespace(like).zeros(np.shape(like))
-
-
 @dataclasses.dataclass(frozen=True)
 class ModelParameter:
     """A parameter of one term of a model, or of its response.
@@ -124,7 +120,7 @@ class ModelParameter:
         term_label: name of that term, numbered where there are several.
         parameter: the term's declaration of it.
         free: whether a fit estimates it.
-        start: its value in the model, if it has one.
+        start: its value in the model; None if it has none.
     """
 
     label: str
@@ -144,8 +140,8 @@ class Model(eqx.Module):
     Attributes:
         terms: the noise terms.
         response: the filter that some of them pass, if there is one.
-        inside: which of them do; none if it is empty.
-        rate: sample rate [Hz] at which the response is meant; 0 before `sampled`.
+        inside: whether each term does; none does if it is empty.
+        rate: sample rate [Hz] of the response; 0 before `sampled`.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -177,10 +173,10 @@ class Model(eqx.Module):
         if not isinstance(other, Response):
             return NotImplemented
         if self.response is not None:
-            raise AllanjaxError(f"the model has already passed {self.response!r}; a model has one response")
+            raise AllanjaxError(f"the model already has {self.response!r}; a model has one response")
         for term in self.terms:
             if term.deterministic:
-                raise AllanjaxError(f"{term.name()} is not noise: write it after the filter")
+                raise AllanjaxError(f"{term.name()} is deterministic: write it after the filter of the noise")
         return dataclasses.replace(self, response=other, inside=(True,) * len(self.terms))
 
     def __repr__(self) -> str:
@@ -195,6 +191,8 @@ class Model(eqx.Module):
     def _is_inside(self) -> tuple[bool, ...]:
         """Whether each term passes the response."""
         return self.inside or (False,) * len(self.terms)
+
+    seen = renamed("processes")
 
     @property
     def processes(self) -> tuple[Process, ...]:
@@ -231,19 +229,15 @@ class Model(eqx.Module):
     @property
     def parameters(self) -> tuple[ModelParameter, ...]:
         """Parameters of all terms, in order, then those of the response."""
-        found = []
-        for i, (term, term_label) in enumerate(zip(self.terms, self.term_labels, strict=True)):
-            for p in term.parameters():
-                label = term_label if p.name == "coefficient" else f"{term_label}_{p.name}"
-                found.append(ModelParameter(label, i, term_label, p, term.is_free(p), getattr(term, p.name)))
-        if (r := self.response) is not None:
-            found += [
-                ModelParameter(
-                    f"{r.name()}_{p.name}", len(self.terms), r.name(), p, r.is_free(p), getattr(r, p.name)
-                )
-                for p in r.parameters()
-            ]
-        return tuple(found)
+        owners: list[tuple[Parametrized, str]] = list(zip(self.terms, self.term_labels, strict=True))
+        if self.response is not None:
+            owners.append((self.response, self.response.name()))
+        parameters = []
+        for i, (owner, name) in enumerate(owners):
+            for p in owner.parameters():
+                label = name if p.name == "coefficient" else f"{name}_{p.name}"
+                parameters.append(ModelParameter(label, i, name, p, owner.is_free(p), getattr(owner, p.name)))
+        return tuple(parameters)
 
     @property
     def values(self) -> dict[str, float | None]:
@@ -277,7 +271,7 @@ class Model(eqx.Module):
         return dataclasses.replace(self, terms=terms, response=self.response.sampled(rate), rate=rate)
 
     def given(self, channels: Mapping[str, Float[np.ndarray, " n"]], rate: float) -> Model:
-        """The model whose terms have been given the channels that they follow, sampled at `rate` [Hz]."""
+        """The model with the samples at `rate` [Hz] of the channels that its terms follow."""
         return dataclasses.replace(self, terms=tuple(term.given(channels, rate) for term in self.terms))
 
     def check_complete(self) -> None:
@@ -307,7 +301,7 @@ class Model(eqx.Module):
         self.check_complete()
         for name, value in (("rate", rate), ("duration", duration)):
             if value is not None and not 0.0 < value < math.inf:
-                raise AllanjaxError(f"the {name} of a state space must be positive and finite, got {value}")
+                raise AllanjaxError(f"the {name} of a state space must be positive and finite, not {value}")
         return StateSpace.of(self.state_block(rate, duration), rate, sensor, repr(self))
 
     def state_block(self, rate: float, duration: float | None) -> Block:
@@ -327,29 +321,29 @@ class Model(eqx.Module):
     # ------------------------------------------------------------------ sums over the terms
     def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
-        self.check_complete()
-        lags: Any = namespace(lag).asarray(lag)
-        return sum((t.phase_covariance(lags) for t in self.processes), _zeros(lag))
+        return self._sum("phase_covariance", namespace(lag).asarray(lag))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
-        self.check_complete()
-        return sum((t.psd(frequency) for t in self.processes), _zeros(frequency))
+        return self._sum("psd", frequency)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Two-sided PSD of samples at `rate` [Hz], aliases included; lines and ramps have none."""
-        self.check_complete()
-        return sum((t.sampled_psd(frequency, rate) for t in self.processes), _zeros(frequency))
+        return self._sum("sampled_psd", frequency, rate)
 
     def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Allan variance [rate²] at cluster times [s]."""
-        self.check_complete()
-        return sum((t.allan_variance(cluster_time) for t in self.processes), _zeros(cluster_time))
+        return self._sum("allan_variance", cluster_time)
 
     def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Hadamard variance [rate²] at cluster times [s]."""
+        return self._sum("hadamard_variance", cluster_time)
+
+    def _sum(self, method: str, x: Float[ArrayLike, ...], *more: float) -> Float[Array, ...]:
+        """Sum of this method's values over the processes; zeros without any, NumPy's unless x is JAX's."""
         self.check_complete()
-        return sum((t.hadamard_variance(cluster_time) for t in self.processes), _zeros(cluster_time))
+        values = (getattr(process, method)(x, *more) for process in self.processes)
+        return sum(values, namespace(x).zeros(np.shape(x)))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples of the sum, n means of the rate, each term drawn with a key of its own."""

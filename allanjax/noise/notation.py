@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.noise import terms as all_terms
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 
 #: A model as functions take it: the model itself, a single term, or a text for `parse_model`.
 ModelLike: TypeAlias = Model | NoiseTerm | str
+#: A model for all axes, models by the names of axes or sensors, or a fit, which has one for each axis.
+Modelling: TypeAlias = ModelLike | Mapping[str, Any]
 
 # A term, a parameter in its brackets, and a value with its unit.
 _TERM = re.compile(r"(?P<name>\w+)\s*(?:=\s*(?P<value>.+)|\((?P<arguments>.*)\))?", re.DOTALL)
 _ARGUMENT = re.compile(r"(?P<name>\w+)\s*=\s*(?P<value>.+)", re.DOTALL)
 _VALUE = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>.*?)\s*(?P<held>\bheld)?")
-# SI units of parameters that are no amplitudes, by their kind.
+# SI units of parameters other than amplitudes, by their kind.
 _KIND_UNIT = {"time": "s", "frequency": "Hz", "line": "Hz"}
 
 
@@ -51,10 +53,10 @@ def as_model(model: ModelLike, axes: Iterable[Axis | Column] = ()) -> Model:
 
     Args:
         model: the terms.
-        axes: the axes that it is for; amplitudes in a text must have units of their sensors.
+        axes: the axes it is for; amplitudes in a text must have units of their sensor.
 
     Raises:
-        AllanjaxError: `model` is not a model; amplitudes with values, which are for one kind of sensor, for
+        AllanjaxError: `model` is not a model; it has values, which are for one kind of sensor, but there are
             axes of both.
         UnitError: as for `parse_model`.
     """
@@ -83,16 +85,17 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
 
     Args:
         text: e.g. `"N + B + K"` or `"quantization, angle_random_walk, markov"`.
-        sensor: sensor whose units the amplitudes must have; without it either sensor's.
+        sensor: sensor whose units the amplitudes must have; by default either.
 
     Raises:
-        AllanjaxError: unknown terms or parameters, or values that are none.
+        AllanjaxError: an unknown term or parameter, or a value that is not a number.
         UnitError: a unit that is unknown or does not fit the parameter.
     """
     model = Model(())
     for part in _split(text, "+,"):
         *filters, passing = _split(part, "*")
-        inner = parse_model(passing[1:-1], sensor) if passing.startswith("(") else _term(passing, sensor)
+        in_brackets = passing.startswith("(")
+        inner = parse_model(passing[1:-1], sensor) if in_brackets else _named(passing, term_classes(), sensor)
         for filter_ in reversed(filters):
             inner = _named(filter_, response_classes(), sensor) * inner
         model = model + inner
@@ -100,7 +103,7 @@ def parse_model(text: str, sensor: Sensor | None = None) -> Model:
 
 
 def _split(text: str, separators: str) -> list[str]:
-    """Parts of `text` between separators outside brackets; the + of a number such as 1e+3 is none."""
+    """Parts of `text` between separators outside brackets, not counting the + of a number such as 1e+3."""
     parts, depth = [""], 0
     for i, char in enumerate(text):
         depth += (char == "(") - (char == ")")
@@ -115,11 +118,6 @@ def _split(text: str, separators: str) -> list[str]:
             f"cannot read {text!r}: write terms such as 'N + B + markov(correlation_time=100 s)'"
         )
     return parts
-
-
-def _term(text: str, sensor: Sensor | None) -> NoiseTerm:
-    """Noise term written as text."""
-    return _named(text, term_classes(), sensor)
 
 
 def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None) -> _Kind:
@@ -197,7 +195,7 @@ def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
     sensors = SENSORS if sensor is None else (sensor,)
     usual = {s: default_coefficient_unit(s, p.time_exponent) for s in sensors}
     if not unit:
-        raise UnitError(f"{p.name} ({p.symbol}) needs a unit, e.g. {' or '.join(usual.values())}")
+        raise UnitError(f"{p.name} ({p.symbol}) needs a unit, e.g. 0.1 {' or '.join(usual.values())}")
     problem = None
     for s, expected in usual.items():
         try:
@@ -209,31 +207,25 @@ def _amplitude_scale(unit: str, p: Parameter, sensor: Sensor | None) -> float:
     raise UnitError(f"{p.name} ({p.symbol}): {problem}")
 
 
-class Modelled(Protocol):
-    """The result of an axis that has a noise model, such as an axis of a fit."""
+def model_of(models: Modelling, axis: Axis | str) -> Model:
+    """Model of an axis, complete with values: its own, that of its sensor, or the one for all axes.
 
-    @property
-    def model(self) -> Model:
-        """The model with its values."""
-
-
-#: A noise model of all axes, or a fit, which has one of each axis.
-Modelling: TypeAlias = ModelLike | Mapping[str, Modelled]
-
-
-def models_of(given: Modelling, names: Sequence[str]) -> list[Model]:
-    """Model of each of these axes, complete with values.
+    Args:
+        models: a model for all axes, or models by the names of axes or sensors, or a fit.
+        axis: the axis; or only its name, if its sensor is unknown.
 
     Raises:
-        AllanjaxError: the fit lacks an axis or has no result for one; a parameter has no value.
+        AllanjaxError: there is no model for this axis; a parameter without a value.
     """
-    if isinstance(given, Mapping):
-        missing = [name for name in names if name not in given]
-        if missing:
-            raise AllanjaxError(f"the fit has no axis {missing[0]!r}; it has {', '.join(given)}")
-        models = [given[name].model for name in names]
-    else:
-        models = [as_model(given)] * len(names)
-    for model in models:
-        model.check_complete()
-    return models
+    own: Any = models
+    name, sensors = (axis, []) if isinstance(axis, str) else (axis.name, [axis])
+    if isinstance(models, Mapping):
+        keys = [name, *(known.sensor for known in sensors)]
+        own = next((models[key] for key in keys if key in models), None)
+        if own is None:
+            raise AllanjaxError(f"no noise model for {name}; there are models for {', '.join(models)}")
+    # A fit of an axis has its model.
+    fitted = getattr(own, "model", None)
+    model = as_model(fitted if isinstance(fitted, Model) else own, sensors)
+    model.check_complete()
+    return model

@@ -62,8 +62,8 @@ def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array,
 def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> Float[Array, ""]:
     """Two-sided PSD of samples at `rate` [Hz], at a radians per sample, from their phase covariance.
 
-    Lags are taken singly at first, then in stretches that grow up to half a period, as integrals. H need
-    not decay: the sum fades out smoothly over many periods, which leaves what oscillates untouched.
+    Lags are taken singly at first, then as integrals over intervals that grow up to half a period. H need not
+    decay: the sum fades out smoothly over many periods, which leaves oscillations untouched.
     """
     h = 1.0 / rate
 
@@ -86,7 +86,7 @@ def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> 
     starts = _SINGLE_LAGS + 0.5 + jnp.append(0.0, jnp.cumsum(lengths))
     d = starts[:-1, None] + lengths[:, None] * (x + 1.0) / 2.0
     integral = jnp.dot((lengths[:, None] / 2.0 * w).ravel(), summand(d.ravel()))
-    # Euler and Maclaurin's first correction, of a sum over the integers that starts half a step before.
+    # The first Euler–Maclaurin correction, for a sum over the integers that starts half a step before.
     correction = _derivative(summand)(starts[:1])[0] / 24.0
     return (total + integral + correction) / rate
 
@@ -131,7 +131,7 @@ def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
 
 
 def is_continuous(sample_interval: Any) -> bool:
-    """Whether a sample interval stands for the continuous rate, 0; one that is traced does not."""
+    """Whether a sample interval is 0, for the continuous rate; a traced one is not."""
     return isinstance(sample_interval, float) and sample_interval == 0.0
 
 
@@ -195,7 +195,7 @@ def exponential_density(
     xp = namespace(pole, weight, frequency, rate, sample_interval)
     M = 1.0 if is_continuous(sample_interval) else 1.0 / (rate * sample_interval)
     r_0, r_1, z = mean_lags(pole / rate / M, M)
-    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, by what is small near Q = 1.
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1.
     s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
     below = z**2 + 4.0 * (1.0 - z) * s
     both = 2.0 * (z - 2.0 * s) * xp.conj(below) / (xp.real(below) ** 2 + xp.imag(below) ** 2)
@@ -205,8 +205,8 @@ def exponential_density(
 def linear_recurrence(factor: Num[ArrayLike, ""], drive: Num[Array, " n"]) -> Num[Array, " n"]:
     """Solution of y[k] = factor·y[k−1] + drive[k], y[−1] = 0; real or complex.
 
-    The record is cut into many short blocks that recur side by side (one vector operation a step); then
-    the blocks' last values recur, and each block receives what its predecessors carried into it.
+    The record is cut into many short blocks that are computed side by side (one vector operation per step);
+    then the blocks' last values recur, and each block receives the contribution of its predecessors.
     """
     n = drive.shape[0]
     length = max(1, int(n**0.5))

@@ -111,10 +111,10 @@ class Parametrized(eqx.Module):
 
     def hold(self, *names: str, **values: float) -> Self:
         """A copy whose named parameters a fit leaves alone, e.g. `Markov().hold(correlation_time=100.0)`."""
-        known = {p.name for p in self.parameters()}
+        known = [p.name for p in self.parameters()]
         for name in (*names, *values):
             if name not in known:
-                raise AllanjaxError(f"{self.name()} has no parameter {name!r}; it has {sorted(known)}")
+                raise AllanjaxError(f"{self.name()} has no parameter {name!r}; it has {', '.join(known)}")
         held = self.held | set(names) | set(values)
         copy = dataclasses.replace(self, **values, held=held)
         unset = [name for name in held if getattr(copy, name) is None]
@@ -148,7 +148,7 @@ class Parametrized(eqx.Module):
                 elif value >= p.upper < math.inf:
                     bound = f"< {p.upper:g}"
                 if bound:
-                    raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, got {value!r}")
+                    raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, not {value!r}")
 
 
 def _shown(value: Value) -> str:

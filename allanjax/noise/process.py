@@ -6,7 +6,7 @@ generalized covariance G(t): for filters a, b with Σa = Σa·t = 0,
 
     cov(Σ a_p θ(t_p), Σ b_q θ(t_q)) = Σ_p Σ_q a_p b_q G(t_p − t_q).
 
-G is known only up to c0 + c1·t², which such filters do not see.
+G is known only up to c0 + c1·t², which such filters remove.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from allanjax.noise.numerics import (
 )
 from allanjax.noise.response import Parts, Response
 
-# Samples of the least half circle on which noise that oscillates is drawn: on one that is shorter than its
-# memory its covariance is none, but one with negative eigenvalues.
+# Samples of the smallest half circle on which oscillating noise is drawn: on one shorter than its memory its
+# covariance would have negative eigenvalues.
 _LEAST_CIRCLE = 1 << 16
 
 
@@ -44,15 +44,15 @@ def _summed_density(process: Process, angle: Float[Array, " f"], rate: float) ->
 class Process(eqx.Module):
     """A random process with a phase covariance, and its Allan variance, spectrum and simulation."""
 
-    #: True for a line, a ramp, a step: it is the same in every record, so that its square does not scatter.
+    #: True for a line, a ramp, a step: the same in every record, so that its square does not scatter.
     deterministic: ClassVar[bool] = False
-    #: True if the term oscillates for long: its whole power fluctuates together, see `power_scatter`.
+    #: True if the term oscillates for long: all its power fluctuates together, see `power_scatter`.
     narrow_band: ClassVar[bool] = False
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
 
-        Known up to c0 + c1·t², and one call need agree only with itself about these two constants.
+        Known up to c0 + c1·t²; different calls may differ in these two constants.
         """
         raise NotImplementedError(f"{type(self).__name__} does not define phase_covariance(lag)")
 
@@ -94,7 +94,7 @@ class Process(eqx.Module):
         """Parts of the density of samples at `rate` [Hz], for filtering by a `Response`."""
         name = type(self).__name__
         raise AllanjaxError(
-            f"{name} cannot pass a response: write it after the filter, response * (…) + {name}(…)"
+            f"{name} cannot pass through a response: write it after the filter, response * (…) + {name}(…)"
         )
 
     @property
@@ -144,12 +144,12 @@ class Process(eqx.Module):
 def numbers_as_data(processes: tuple[Process, ...]) -> tuple[Process, ...]:
     """Processes whose numbers are arrays, so that other values need no compilation of a jitted function.
 
-    Limits, such as an infinite cutoff, decide on a formula and stay.
+    Infinite values, such as a cutoff, select a formula and stay numbers.
     """
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) and abs(x) < np.inf else x, processes)
 
 
-# Samples in which a filter settles before a simulation begins.
+# Samples that a filter is given to settle before a simulation begins.
 _SETTLING = 8192
 
 
@@ -189,7 +189,7 @@ class FilteredProcess(Process):
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples; the filter has run over thousands of samples before the first."""
         x = self.process.simulate(key, n + _SETTLING, rate)
-        # It starts at rest at the first of these, which it passes: constants it leaves as they are.
+        # It starts at rest at the first of these, which is added again: it leaves constants unchanged.
         first = _SETTLING - self.response.ahead
         return self.response.filtered(x - x[0], rate)[first : first + n] + x[0]
 

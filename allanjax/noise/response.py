@@ -1,8 +1,8 @@
-"""Responses: filters that the samples of a sensor have passed, and what they make of noise.
+"""Responses: filters that the samples of a sensor have passed, and noise after them.
 
 The power response of a filter with poles w_i, at s = sin²(πf/rate), is a sum of c_i(1 − w_i²)/D(w_i) with
 D(w) = (1 − w)² + 4ws; so is the density of noise with exponential covariances, but for parts that are white
-(1), a difference (4s) or a walk (1/4s). Products are taken apart into parts of the same kind,
+(1), a difference (4s) or a walk (1/4s). Products are split into parts of the same kind by partial fractions,
 
     (1 − Q²)/D(Q) · c(1 − w²)/D(w) = α(1 − Q²)/D(Q) + β(1 − w²)/D(w),
 
@@ -47,7 +47,7 @@ NO_POLES = Poles(np.zeros(0), np.zeros(0))
 
 
 class Parts(NamedTuple):
-    """Density of samples [rate²] taken apart: white + difference·4s + walk/4s + poles."""
+    """Density of samples [rate²] in parts: white + difference·4s + walk/4s + poles."""
 
     white: Any
     difference: Any
@@ -73,8 +73,8 @@ class Parts(NamedTuple):
 class Response(Parametrized):
     """A filter that noise passes, written as a factor: `LowPass1(28.0) * (AngleRandomWalk() + Markov())`.
 
-    It is that of the samples: 1 at frequency zero, so that coefficients of slow noise are those of
-    the sensor without it.
+    It acts on the samples, and is 1 at frequency zero, so that coefficients of slow noise are those of the
+    sensor without it.
     """
 
     @abc.abstractmethod
@@ -92,7 +92,7 @@ class Response(Parametrized):
     def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
         """Coefficients b and a of y_k = Σ b_j x_{k−j} − Σ_{j≥1} a_j y_{k−j}, a_0 = 1, at `rate` [Hz].
 
-        A filter that has the power response; any other has the same law of noise after it.
+        Any filter with the same power response would do: noise after it has the same law.
         """
         raise AllanjaxError(
             f"{self.name()} has no finite state space: define its transfer(rate), or leave the response out"
@@ -101,11 +101,16 @@ class Response(Parametrized):
     @property
     def half_power(self) -> float:
         """Frequency at which the power response, as that of an analog filter, has fallen by half [Hz]."""
-        return float(getattr(self, self.parameters()[0].name))
+        bandwidth = float(getattr(self, self.parameters()[0].name))
+        if not hasattr(self, "quality_factor"):
+            return bandwidth
+        # Of two poles, |1 − x² + ix/Q|² = 2.
+        middle = 1.0 - 0.5 / float(self.quality_factor) ** 2
+        return bandwidth * math.sqrt(middle + math.hypot(middle, 1.0))
 
     @property
     def ahead(self) -> int:
-        """How many later samples have a say in what `filtered` makes of one; 0 of a filter in time."""
+        """Number of later samples that a filtered sample depends on; 0 for a causal filter."""
         return 0
 
     def sampled(self, rate: float) -> Self:
@@ -138,7 +143,7 @@ class RecursiveFilter(Response):
         return process.phase_covariance(lag) + change.phase_covariance(lag, rate)
 
     def change(self, parts: Parts, rate: float) -> Parts:
-        """What the filter adds to a density: the density after it less that before."""
+        """Density after the filter less the density before it."""
         xp = namespace(self, parts, rate)
         w, c = self.poles(rate)
         constant = self.constant(rate)
@@ -154,12 +159,6 @@ class RecursiveFilter(Response):
             walk=0.0,
             poles=Poles(xp.concatenate([Q[:, 0], w]), xp.concatenate([inside, own])),
         )
-
-
-def second_order_half_power(bandwidth: float, quality_factor: float) -> float:
-    """Frequency at which an analog filter of two poles has lost half of the power: |1 − x² + ix/Q|² = 2."""
-    middle = 1.0 - 0.5 / quality_factor**2
-    return bandwidth * math.sqrt(middle + math.hypot(middle, 1.0))
 
 
 class LowPass1(RecursiveFilter):
@@ -203,10 +202,6 @@ class LowPass2(RecursiveFilter):
         pair = xp.stack([w, xp.conj(w)])
         return Poles(pair, xp.stack([c, xp.conj(c)]) / 2.0)
 
-    @property
-    def half_power(self) -> float:
-        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
-
     def _zero(self, rate: float) -> tuple[Any, Any]:
         """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
         xp, w = namespace(self, rate), self.poles(rate).pole[0]
@@ -236,7 +231,7 @@ class LowPass2(RecursiveFilter):
 # pole (Oppenheim & Schafer, Discrete-Time Signal Processing, 7.1). Of two poles q_1, q_2 of any quality
 # factor the 1/m is 1/(1 − q_k²/q_j²) of each.
 
-#: Largest bandwidth, in units of half the sample rate: at 1 the filter would let all pass.
+#: Largest bandwidth, in units of half the sample rate: at 1 the filter would pass everything.
 LARGEST_BANDWIDTH = 0.995
 
 # Tangents t = tan(πf_c/rate) of odd orders are moved away from 1 as far as this.
@@ -256,7 +251,7 @@ class _Bilinear(RecursiveFilter):
         value, half = self.bandwidth, rate / 2.0
         if isinstance(value, int | float | np.floating) and value > half:
             raise AllanjaxError(
-                f"{self.name()}: bandwidth must be below half the sample rate, {half:g} Hz, got {value:g}"
+                f"{self.name()}: bandwidth must be below half the sample rate, {half:g} Hz, not {value:g}"
             )
         return self
 
@@ -313,10 +308,6 @@ class Biquad(_Bilinear):
         passed, stopped = self._passed(frequency, rate)
         return passed**2 / ((passed - stopped) ** 2 + passed * stopped / self.quality_factor**2)
 
-    @property
-    def half_power(self) -> float:
-        return second_order_half_power(float(self.bandwidth), float(self.quality_factor))
-
     def _analog(self, tangent: Any) -> Any:
         xp = namespace(self, tangent)
         real = 0.5 / xp.asarray(self.quality_factor, float)
@@ -341,7 +332,7 @@ class Butterworth(_Bilinear):
 
     def __check_init__(self) -> None:
         if not isinstance(self.order, int) or self.order not in range(1, 5):
-            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, got {self.order!r}")
+            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, not {self.order!r}")
 
     def poles(self, rate: float) -> Poles:
         q = self._analog(self._apart(rate))
@@ -358,7 +349,7 @@ class Butterworth(_Bilinear):
     def _apart(self, rate: float) -> Any:
         """Tangent with which no pole is at 0, where partial fractions do not exist: odd orders, t = 1.
 
-        Of quantization noise they are good to 10⁻⁵ there, of other noise to 10⁻⁵ of the bandwidth.
+        There the result is accurate to 10⁻⁵ for quantization noise, to 10⁻⁵ of the bandwidth for other noise.
         """
         xp, t = namespace(self, rate), self._tangent(rate)
         return t + xp.where(xp.abs(t - 1.0) < _NEAR_ONE, 2.0 * _NEAR_ONE, 0.0) * (self.order % 2)
@@ -380,21 +371,21 @@ class Butterworth(_Bilinear):
 
 #: Product of bandwidth and duration: sinc²(x) = 1/2, Brent's method.
 HALF_POWER = 0.44294647068945237
-#: Longest duration [samples]; a filter that averages more leaves nothing to see.
+#: Longest duration [samples]; a filter that averages more leaves no noise to analyse.
 LONGEST = 64
 
 _LARGEST = HALF_POWER * (1.0 + 1e-9)
-# Samples on either side beyond which a mean without delay, by a Fourier transform, is as good as over.
+# Samples on either side beyond which the response of a mean without delay is negligible.
 _REACH = 2048
-# Zeros of the response make a maximum of the likelihood of every number of samples [samples].
+# Lengths [samples] to start from: zeros of the response give the likelihood a maximum at each of them.
 _STARTS = (1.5, 2, 2.5, 3, 3.5, *range(4, LONGEST))
 
 
 class MovingAverage(Response):
-    """Mean of what came in over the last τ = 0.443/f_c, as of an integrating converter.
+    """Mean of the input over the last τ = 0.443/f_c, as in an integrating converter.
 
     `bandwidth` f_c in Hz, at which the power of slow noise is halved; a mean of m samples has 0.443·rate/m.
-    It is between 0.443/64 and 0.443 of the sample rate: from 64 samples to one, which changes nothing.
+    It lies between 0.443/64 of the sample rate (64 samples) and 0.443 (one sample, which changes nothing).
     """
 
     bandwidth: Value = parameter("f_c", "frequency", starts=tuple(HALF_POWER / m for m in _STARTS))
@@ -415,7 +406,7 @@ class MovingAverage(Response):
         if isinstance(value, int | float | np.floating) and not (lowest * (1.0 - 1e-9) <= value <= highest):
             raise AllanjaxError(
                 f"moving_average: bandwidth must be from {lowest:.4g} Hz (64 samples) to {highest:.4g} Hz "
-                f"(one sample) at {rate:g} Hz, got {value:g}"
+                f"(one sample) at {rate:g} Hz, not {value:g}"
             )
         return self
 
@@ -441,7 +432,7 @@ class MovingAverage(Response):
         count = LONGEST if xp is jnp else math.ceil(samples)
         d = np.arange(1 - count, count)
         weight = xp.maximum(samples - abs(d), 0.0)
-        # In one call: G is up to a multiple of lag² that is common to a call.
+        # One call, since G is known up to a multiple of lag² that is common to a call.
         moved = process.phase_covariance(abs(xp.asarray(lag)[..., None] + d / rate))
         return moved @ weight / xp.sum(weight)
 
@@ -450,14 +441,14 @@ class MovingAverage(Response):
         return _REACH
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
-        """Samples after the filter, which delays nothing; it leaves the line from first to last as it is."""
+        """Samples after the filter, without delay; the straight line from first to last is unchanged."""
         n = len(x)
         line = x[0] + (x[-1] - x[0]) * jnp.arange(n) / (n - 1)
         amplitude = jnp.sqrt(self.power(jnp.fft.rfftfreq(n, 1.0 / rate), rate))
         return jnp.fft.irfft(amplitude * jnp.fft.rfft(x - line), n) + line
 
     def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
-        """Coefficients of a mean over whole samples, else of the filter of least delay of this response."""
+        """Coefficients of a mean over whole samples; else of the minimum-delay filter with this response."""
         samples = float(self._samples(rate))
         count = math.ceil(samples - 1e-9)
         if abs(samples - count) <= 1e-9:

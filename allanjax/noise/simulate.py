@@ -1,23 +1,31 @@
-"""Simulated recordings: exact samples of a noise model."""
+"""Simulated recordings: exact samples of a noise model; presets of the units that Hou (2004) tested."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+import tomllib
 from collections.abc import Mapping
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.model import Model
-from allanjax.noise.notation import ModelLike, as_model
+from allanjax.noise.notation import ModelLike, as_model, term_classes
+from allanjax.noise.terms import NoiseTerm
 from allanjax.record.columns import recognise
 from allanjax.record.recording import Recording
-from allanjax.record.units import parse_sample_unit
+from allanjax.record.units import SENSORS as KINDS
+from allanjax.record.units import parse_sample_unit, unit_scale
 
 
 def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> Float[Array, " n"]:
@@ -30,7 +38,7 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         model: the terms, every parameter with a value; or their text, `"N=0.1 deg/√h + B=2 deg/h"`.
         n: number of samples.
         rate: sample rate [Hz].
-        key: a JAX random key, or an integer to make one of.
+        key: a JAX random key or an integer seed.
 
     Raises:
         AllanjaxError: a parameter without a value, fewer than one sample, a rate that is not positive.
@@ -63,14 +71,14 @@ def simulate_recording(
     """Simulated recording of n samples, one column per model, the axes independent of each other.
 
     Args:
-        models: axis name (`gyro_x`, `accel_z`, …) to model, every parameter with a value; or a data sheet, of
-            which each sensor has three axes.
+        models: model of each axis (`gyro_x`, `accel_z`, …), every parameter with a value; or a data sheet,
+            with three axes for each sensor.
         n: number of samples.
         rate: sample rate [Hz].
-        key: a JAX random key, or an integer to make one of.
+        key: a JAX random key or an integer seed.
         bias: constant rate [rad/s or m/s²] to add to an axis, e.g. `{"accel_z": 9.81}`.
-        auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; an effect whose
-            channel is not given is left out, with a note in the recording.
+        auxiliary: channels of n samples by name, e.g. a temperature, that terms follow; without its channel
+            an effect is left out, with a note in the recording.
         gyro_unit, accel_unit: units of the recording, for display.
         name: name of the recording.
 
@@ -133,7 +141,7 @@ def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, 
 def _with_traced_values(model: Model) -> Model:
     """Model with arrays for values: Python numbers would be constants of the compiled program.
 
-    Infinite values stay Python numbers, since terms decide by them which formula holds.
+    Infinite values stay Python numbers, since they select a term's formula.
     """
     finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
     return model.with_values(**finite)
@@ -142,3 +150,120 @@ def _with_traced_values(model: Model) -> Model:
 def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:
     """JAX random key, as given or from a seed."""
     return jax.random.key(key) if isinstance(key, int | np.integer) else key
+
+
+# Presets of the three units that Hou (2004) tested for two hours: tables 5.2, 5.4 and 5.5.
+
+
+@dataclasses.dataclass(frozen=True)
+class Tabulated:
+    """Coefficient as the thesis prints it: value ± error by (4.66), and their unit."""
+
+    value: float
+    error: float
+    unit: str
+
+    @property
+    def si(self) -> float:
+        """Value in SI."""
+        return self.value * unit_scale(self.unit)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class AxisPreset(ByValue):
+    """Coefficients of one axis of a tested unit.
+
+    Attributes:
+        name: name of the axis, e.g. `gyro_x`.
+        rate: sample rate [Hz].
+        coefficients: one for each term that was identified, by the term's class.
+    """
+
+    name: str
+    rate: float
+    coefficients: Mapping[type[NoiseTerm], Tabulated]
+
+    @property
+    def model(self) -> Model:
+        """Noise model of the axis: the sum of the identified terms."""
+        amplitudes = ((term, term.amplitude_parameter().name, c.si) for term, c in self.coefficients.items())
+        return Model(tuple(term().replace(**{name: value}) for term, name, value in amplitudes))
+
+    def __repr__(self) -> str:
+        values = (f"{term.name()} {c.value:g} {c.unit}" for term, c in self.coefficients.items())
+        return f"<AxisPreset {self.name} at {self.rate:g} Hz: {', '.join(values)}>"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SensorPreset(ByValue):
+    """Tested inertial measurement unit.
+
+    Attributes:
+        name: key in `SENSORS`.
+        description: maker, type, grade.
+        axes: its six axes.
+    """
+
+    name: str
+    description: str
+    axes: tuple[AxisPreset, ...]
+
+    def __repr__(self) -> str:
+        axes = ", ".join(axis.name for axis in self.axes)
+        return f"<SensorPreset {self.name}: {self.description}; {axes}>"
+
+    def __getitem__(self, axis: str) -> AxisPreset:
+        """Preset of the axis of this name; AllanjaxError if there is none."""
+        for preset in self.axes:
+            if preset.name == axis:
+                return preset
+        raise AllanjaxError(
+            f"{self.name} has no axis {axis!r}; it has {', '.join(preset.name for preset in self.axes)}"
+        )
+
+    def model(self, axis: str) -> Model:
+        """Noise model of an axis."""
+        return self[axis].model
+
+    def rate(self, axis: str) -> float:
+        """Sample rate of an axis [Hz]."""
+        return self[axis].rate
+
+    def simulate(self, duration: float, key: PRNGKeyArray | int) -> tuple[Recording, ...]:
+        """Simulated recordings of this many seconds, one for each sample rate.
+
+        Raises:
+            AllanjaxError: a duration that is not positive.
+            RecordingError: fewer than 16 samples.
+        """
+        if not 0.0 < duration < math.inf:
+            raise AllanjaxError(f"the duration must be positive and finite, not {duration} s")
+        rates = list(dict.fromkeys(axis.rate for axis in self.axes))
+        return tuple(
+            simulate_recording(
+                {axis.name: axis.model for axis in self.axes if axis.rate == rate},
+                round(duration * rate),
+                rate,
+                k,
+                name=self.name,
+            )
+            for rate, k in zip(rates, jax.random.split(as_key(key), len(rates)), strict=True)
+        )
+
+
+def _preset(name: str, table: Mapping[str, Any]) -> SensorPreset:
+    """Preset of a unit, from its table in `sensors.toml`."""
+    classes = term_classes()
+    axes = []
+    for sensor, k in itertools.product(KINDS, range(3)):
+        rows = ((classes[term], row[0], row[1 + k]) for term, row in table[sensor].items())
+        tabulated = {term: Tabulated(value, error, unit) for term, unit, (value, error) in rows}
+        axes.append(AxisPreset(f"{sensor}_{'xyz'[k]}", table["rate"][sensor], MappingProxyType(tabulated)))
+    return SensorPreset(name, table["description"], tuple(axes))
+
+
+_TABLES = tomllib.loads(files(__package__).joinpath("sensors.toml").read_text(encoding="utf-8"))
+#: The thesis's units by key: "cimu", "hg1700", "motionpak2".
+SENSORS: Mapping[str, SensorPreset] = MappingProxyType(
+    {name: _preset(name, table) for name, table in _TABLES.items()}
+)

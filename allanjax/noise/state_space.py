@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
@@ -13,7 +13,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.tables import Tabled
+from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import significant
 from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 
@@ -29,27 +29,38 @@ _DOUBLINGS = 80
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """States of a noise term and the samples that they make.
+    """States of a noise term and the samples that they make; by default rates, and stationary.
 
     Attributes:
         transition: A, from one sample to the next.
-        observation: H, a row: what a sample sees of the states.
+        observation: H, a row: weights of the states in a sample.
         noise: Q, covariance of the noise that drives the states.
-        white: R, variance of white noise on the samples [rate²].
         start: P0, covariance of the states at the first sample.
-        names: of the states within their term; "" for the only one.
+        names: names of the states within their term; "" for the only one.
+        white: R, variance of white noise on the samples [rate²].
         time_exponents: p in the unit (rate)·s^p of each state.
         level: which states are random walks, that is, have no stationary law.
     """
 
     transition: Float[np.ndarray, "n n"]
-    observation: Float[np.ndarray, " n"]
+    observation: Any
     noise: Float[np.ndarray, "n n"]
-    white: float
     start: Float[np.ndarray, "n n"]
     names: tuple[str, ...]
-    time_exponents: tuple[float, ...]
-    level: Bool[np.ndarray, " n"]
+    white: float = 0.0
+    time_exponents: tuple[float, ...] = ()
+    level: Any = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        complete: dict[str, Any] = {
+            "observation": np.asarray(self.observation, float),
+            "white": float(self.white),
+            "time_exponents": self.time_exponents or (0.0,) * n,
+            "level": np.asarray(self.level if len(self.level) else (False,) * n, bool),
+        }
+        for name, value in complete.items():
+            object.__setattr__(self, name, value)
 
     @property
     def size(self) -> int:
@@ -62,41 +73,16 @@ class Block:
         return dataclasses.replace(self, names=names)
 
 
-def block(
-    transition: Float[np.ndarray, "n n"],
-    observation: Sequence[float],
-    noise: Float[np.ndarray, "n n"],
-    start: Float[np.ndarray, "n n"],
-    names: tuple[str, ...],
-    *,
-    white: float = 0.0,
-    time_exponents: tuple[float, ...] = (),
-    level: Sequence[bool] = (),
-) -> Block:
-    """Block of these matrices; by default its states are rates, and stationary."""
-    n = len(names)
-    return Block(
-        np.asarray(transition, float).reshape(n, n),
-        np.asarray(observation, float).reshape(n),
-        np.asarray(noise, float).reshape(n, n),
-        float(white),
-        np.asarray(start, float).reshape(n, n),
-        names,
-        time_exponents or (0.0,) * n,
-        np.array(level or (False,) * n, bool),
-    )
-
-
 def white_block(variance: float) -> Block:
     """White noise on the samples, which needs no state."""
     none = np.zeros((0, 0))
-    return block(none, [], none, none, (), white=variance)
+    return Block(none, [], none, none, (), white=variance)
 
 
 def exponential_block(variance: float, x: float) -> Block:
     """Process of the autocovariance variance·e^{−x|k|} at the samples k: one state."""
     noise = -np.expm1(-2.0 * x) * variance
-    return block(np.exp([[-x]]), [1.0], np.array([[noise]]), np.array([[variance]]), ("",))
+    return Block(np.exp([[-x]]), [1.0], np.array([[noise]]), np.array([[variance]]), ("",))
 
 
 def mean_block(variance: float, x: float) -> Block:
@@ -115,7 +101,7 @@ def mean_block(variance: float, x: float) -> Block:
     transition = np.array([[0.0, gone / x], [0.0, decay]])
     # The value before the first interval has the stationary law.
     start = variance * np.outer(transition[:, 1], transition[:, 1]) + noise
-    return block(transition, [1.0, 0.0], noise, start, ("mean", "end"))
+    return Block(transition, [1.0, 0.0], noise, start, ("mean", "end"))
 
 
 def oscillator_block(variance: float, pole: complex) -> Block:
@@ -128,7 +114,7 @@ def oscillator_block(variance: float, pole: complex) -> Block:
     c, s = np.cos(wd), np.sin(wd) / wd
     transition = np.exp(-a) * np.array([[c + a * s, w0 * s], [-w0 * s, c - a * s]])
     noise = variance * _innovation(a, wd, w0)
-    return block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
+    return Block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
 
 
 def _innovation(a: float, wd: float, w0: float) -> Float[np.ndarray, "2 2"]:
@@ -157,9 +143,9 @@ def together(blocks: Sequence[Block]) -> Block:
         joined("transition"),
         np.concatenate([np.zeros(0), *(b.observation for b in blocks)]),
         joined("noise"),
-        float(sum(b.white for b in blocks)),
         joined("start"),
         tuple(name for b in blocks for name in b.names),
+        sum(b.white for b in blocks),
         tuple(p for b in blocks for p in b.time_exponents),
         np.concatenate([np.zeros(0, bool), *(b.level for b in blocks)]),
     )
@@ -169,7 +155,7 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
     """Block after a digital filter y_k = Σ b_j u_{k−j} − Σ_{j≥1} a_j y_{k−j}, a_0 = 1.
 
     The filter's states are those of Harvey (Time Series Models, 1993, 4.4), the first of which is its output.
-    It has filtered the noise for long when the record begins.
+    It has filtered the noise for a long time before the record begins.
     """
     n, m = inner.size, max(len(a) - 1, len(b))
     feedback = np.zeros((m, m))
@@ -178,7 +164,7 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
     gain = np.pad(b, (0, m - len(b)))
     A, H, Q = inner.transition, inner.observation, inner.noise
     transition = np.block([[A, np.zeros((n, m))], [np.outer(gain, H @ A), feedback]])
-    # The filter receives the sample at once: what drives the states within, and the white noise.
+    # The filter receives the sample at once: the noise of the inner states, and the white noise.
     enters = np.vstack([np.eye(n), np.outer(gain, H)])
     noise = enters @ Q @ enters.T
     noise[n:, n:] += inner.white * np.outer(gain, gain)
@@ -187,11 +173,10 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
         transition,
         np.concatenate([np.zeros(n), [1.0], np.zeros(m - 1)]),
         noise,
-        0.0,
         transition @ settled(transition, noise, level) @ transition.T + noise,
         (*inner.names, *((name,) if m == 1 else (f"{name}_{j + 1}" for j in range(m)))),
-        (*inner.time_exponents, *(0.0,) * m),
-        level,
+        time_exponents=(*inner.time_exponents, *(0.0,) * m),
+        level=level,
     )
 
 
@@ -200,7 +185,7 @@ def settled(
 ) -> Float[np.ndarray, "n n"]:
     """Covariance of states after a long time, given that random walks are at zero now.
 
-    What follows a walk (a filter, say) does so with a constant gain G, and its distance from G·walk is
+    States that follow a walk (e.g. a filter's) do so with a constant gain G; their distance from G·walk is
     stationary.
     """
     rest = ~level
@@ -246,11 +231,6 @@ class StateSpace(ByValue, Tabled):
         sensor: "gyro" or "accel".
         model: the noise model in words.
     """
-
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("state", "unit", "initial std", "noise std per sample", "weight in a sample"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[2:]
 
     A: Float[np.ndarray, "n n"]
     H: Float[np.ndarray, "1 n"]
@@ -362,11 +342,12 @@ class StateSpace(ByValue, Tabled):
         """Text of a C header: constants `NOISE_STATES` and `NOISE_RATE`, arrays `noise_A` to `noise_P0`."""
         raise NotImplementedError
 
-    def _cells(self) -> list[tuple[str, ...]]:
+    def _tables(self) -> list[list[Column]]:
         start, noise = (np.sqrt(np.diag(x)) for x in (self.P0, self.Q))
         numbers = zip(start, noise, self.H[0], strict=True)
         rows = zip(self.names, self.units, numbers, strict=True)
-        return [(name, unit, *map(significant, map(float, x))) for name, unit, x in rows]
+        heads = ("state", "unit", "initial std", "noise std per sample", "weight in a sample")
+        return [columns_from(heads, [(name, unit, *map(significant, x)) for name, unit, x in rows])]
 
     def _title(self) -> str:
         unit = si_unit(default_coefficient_unit(self.sensor, 0.0))

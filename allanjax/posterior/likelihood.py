@@ -1,8 +1,8 @@
 """Likelihood of a fit's data as a function of its parameters, and priors of these, for sampling.
 
-It is that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter has for
-each variance the χ² law of its degrees of freedom under the model, by its normal score (Wilson & Hilferty
-1931), and for all of them together the normal law with the correlations of their covariance.
+It is that of the cosine spectrum (Whittle's; see `cosine`) or that of the Allan variances. The latter
+transforms each variance by its χ² law under the model to a normal score (Wilson & Hilferty 1931); the scores
+are jointly normal with the correlations of the variances.
 """
 
 from __future__ import annotations
@@ -32,12 +32,11 @@ from allanjax.noise.model import Model, ModelParameter
 
 # Largest distance of a resonance's frequency from its fit, in ln.
 _LINE_RANGE = 0.3
-# The likelihood of the Allan variances takes every second of the fit's cluster times, which are four an
-# octave.
+# The likelihood of the Allan variances uses every second cluster time of the fit, which has four per octave.
 _THINNED = 2
-# Numbers of cluster sizes that its arrays have room for are multiples of this, those of terms at least that.
+# Arrays are padded to multiples of this number of cluster sizes, and to at least this number of terms.
 _SIZES, _TERMS = 16, 6
-# Priors of amplitudes reach beyond what fits under the data by this factor at least.
+# Priors of amplitudes extend by at least this factor beyond the largest value that the data allow.
 _CEILING = 1e2
 
 
@@ -52,7 +51,7 @@ class Prior(eqx.Module):
 
     if (
         TYPE_CHECKING
-    ):  # Fields of some subclasses, which a property here would hide, and properties of others.
+    ):  # Fields in some subclasses, which a property here would hide, and properties in others.
 
         @property
         def lower(self) -> float: ...
@@ -65,7 +64,7 @@ class Prior(eqx.Module):
         raise NotImplementedError(f"{type(self).__name__} defines no log_density(x)")
 
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        """Value below which a share u of the prior lies; a draw from the prior if u is uniform."""
+        """Value below which the share u of the prior lies; a draw from the prior if u is uniform."""
         raise NotImplementedError(f"{type(self).__name__} defines no quantile(u)")
 
     def _inside(self, x: Array, log_density: Array) -> Array:
@@ -112,7 +111,7 @@ class LogUniform(Prior):
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
         xp = namespace(self, x)
         at = xp.asarray(x, float)
-        # Outside the support the logarithm must only have a valid argument.
+        # Outside the support the logarithm only needs a valid argument.
         distance = xp.maximum(at, self.lower) - self.origin
         ratio = (self.upper - self.origin) / (self.lower - self.origin)
         return self._inside(at, -xp.log(distance) - xp.log(xp.log(ratio)))
@@ -189,7 +188,7 @@ def default_priors(likelihood: Likelihood) -> dict[str, Prior]:
 
     Amplitudes: `ModifiedLogUniform`, with the smallest amplitude that these data distinguish from zero as
     its scale. Times, frequencies and numbers: `LogUniform` in the distance from the parameter's lower bound.
-    Frequencies of lines: `Uniform`. The supports are those of the likelihood, far wider than the data need.
+    Frequencies of lines: `Uniform`. Supports are those of the likelihood, far wider than needed.
     """
     priors: dict[str, Prior] = {}
     for i, p in enumerate(likelihood.parameters):
@@ -242,7 +241,7 @@ class Likelihood(eqx.Module):
         lower, upper: a range that contains all reasonable values.
         prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
             parameters.
-        found: which parameters belong to terms that the fit found.
+        found: which parameters belong to terms that the fit detected.
     """
 
     parameters: tuple[ModelParameter, ...] = eqx.field(static=True)
@@ -261,7 +260,7 @@ class Likelihood(eqx.Module):
 def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     """Likelihood of one axis of a fit: Whittle's for `objective="whittle"`, else that of its Allan variances.
 
-    It is that of a complete record: see `WiderLikelihood` for one of which samples were missing.
+    It is for a complete record; see `WiderLikelihood` for one with missing samples.
 
     Raises:
         FitError: the axis did not converge, or was loaded from a file that does not hold its spectrum, or
@@ -291,8 +290,8 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
 class _ParameterLayout(eqx.Module):
     """Map from a vector of free parameters to the powers and shapes of a design's terms.
 
-    `amplitude` and `shape` are indices among the free parameters, −1 of those that are held at `held` and
-    `held_shape`, the latter transformed; `bound` are lower bounds of the shapes.
+    `amplitude` and `shape` are indices among the free parameters, −1 for those held at `held` and
+    `held_shape` (transformed); `bound` are lower bounds of the shapes.
     """
 
     amplitude: Int[np.ndarray, " terms"]
@@ -305,11 +304,11 @@ class _ParameterLayout(eqx.Module):
     def of(
         cls, model: Model, parameters: Sequence[ModelParameter], result: AxisFit, design: Design
     ) -> _ParameterLayout:
-        """Layout of these free parameters of a model, the others as in the fit, for a design."""
+        """Layout of these free parameters of a model for a design; the others are as in the fit."""
         labels = [p.label for p in parameters]
         shapes = free_shapes(model)
         amplitudes = [p for p in model.parameters if p.parameter.is_amplitude]
-        # Places are counted from one while they are padded by zeros.
+        # Places are counted from one while padded with zeros.
         amplitude = [labels.index(p.label) + 1 if p.free else 0 for p in amplitudes]
         shape = [labels.index(p.label) + 1 if p.label in labels else 0 for p in shapes]
         apart = [1.0 if p.label in labels else result[p.label].value - p.parameter.lower for p in shapes]
@@ -337,8 +336,8 @@ class _ParameterLayout(eqx.Module):
 class _Lines(eqx.Module):
     """Cosine coefficients around each line, padded to one length, and the line's parameters.
 
-    `index`, `coefficients` and `bin` are those of each coefficient, not `known` where padded; `amplitude` and
-    `frequency` are indices among the free parameters, −1 of those that are held at `held`.
+    `index`, `coefficients` and `bin` are per coefficient, and `known` is false for padding; `amplitude` and
+    `frequency` are indices among the free parameters, −1 for those held at `held`.
     """
 
     index: Int[np.ndarray, "lines k"]
@@ -421,7 +420,7 @@ class AllanLikelihood(Likelihood):
         whitened = self.design.whiten(
             covariance, mean, jnp.asarray(self.power_error), (score * jnp.sqrt(own))[:, None]
         )
-        # The density of V is that of the scores, times their derivatives by V.
+        # The density of V is that of the scores times their derivatives by V.
         slope = -2.0 / 3.0 * jnp.log(ratio) - 0.5 * jnp.log(own) - jnp.log(mean)
         normal = -0.5 * jnp.sum(whitened.values**2) - whitened.log_det + 0.5 * jnp.sum(jnp.log(own))
         return normal + jnp.sum(slope)
@@ -468,7 +467,7 @@ def _whittle(fit: Fit, result: AxisFit, parameters: tuple[ModelParameter, ...]) 
 
 
 def _padded(x: Float[np.ndarray, "m ..."], design: SpectralDesign) -> Float[np.ndarray, "capacity ..."]:
-    """Values of the bins followed by zeros for those that only pad."""
+    """Values of the bins, padded with zeros."""
     return np.pad(x, [(0, len(design.per_octave) - len(x))] + [(0, 0)] * (x.ndim - 1))
 
 
@@ -522,7 +521,7 @@ def _common(
     """The fields of `Likelihood`, given prior scales and upper ends of the amplitudes."""
     start = start_of(result, parameters)
     std = np.nan_to_num([result[p.label].std for p in parameters])
-    # Where the fit gives none it is a share of the prior's scale or of the start.
+    # If the fit has none, it is a share of the prior's scale or of the start.
     rough = np.where(np.isnan(prior_scale), 0.1 * start, 0.5 * prior_scale)
     there = np.array([label in result.term_labels for label in fit.template.term_labels], bool)
     found = of_owners(fit.template, there)[[p.term for p in parameters]]
@@ -556,7 +555,7 @@ def _amplitude_scales(
     means, mean = (x[..., : len(estimates)] for x in at_start[:2])
     with np.errstate(divide="ignore"):
         own = at_start[2] ** -0.25
-        # The largest amplitude of a term whose curve fits under the data everywhere.
+        # The largest amplitude with which a term's curve is nowhere above the data.
         fits = np.sqrt(np.min(np.maximum(mean, estimates) / means, axis=1))
     for term, place in enumerate(layout.amplitude):
         if place >= 0:
@@ -583,14 +582,14 @@ def _at_start(
 
 
 class WiderLikelihood(Likelihood):
-    """Likelihood of a complete record for one of which samples were missing: wider by a factor."""
+    """Likelihood of a complete record, widened by a factor for missing samples."""
 
     complete: Likelihood
     factor: Float[np.ndarray, ""]
 
     @classmethod
     def of(cls, complete: Likelihood, factor: float) -> WiderLikelihood:
-        """Likelihood whose standard deviations, that of the powers among them, are wider by this factor."""
+        """Likelihood whose standard deviations, including that of the powers, are wider by this factor."""
         return cls(
             complete.parameters,
             complete.start,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import html
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -17,10 +16,10 @@ from jaxtyping import Array, ArrayLike, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import TextProperty, presented
-from allanjax.base.per_axis import PerAxis
-from allanjax.base.tables import printable
-from allanjax.base.wording import duration, significant
+from allanjax.base.tables import Column, PerAxis
+from allanjax.base.wording import duration, plain, record_size
 from allanjax.estimate.result import AxisEstimates, Fit
+from allanjax.estimate.tables import all_coefficients
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.posterior.likelihood import Prior
@@ -33,11 +32,11 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Draws whose curves are evaluated at once: terms without a closed form need room.
+# Number of draws whose curves are evaluated at once, as terms without a closed form need memory.
 _AT_ONCE = 16
-# Draws from which curves and derived quantities are computed.
+# Number of draws from which curves and derived quantities are computed.
 _DERIVED_DRAWS = 1000
-# Cluster times at which the minimum of a curve is sought.
+# Number of cluster times at which the minimum of a curve is sought.
 _MINIMUM_POINTS = 200
 _INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
 
@@ -47,7 +46,7 @@ def derived(
 ) -> Estimate:
     """Estimate of a derived quantity from its posterior draws [SI]: median, σ and intervals."""
     low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
-    # Draws that agree to rounding do not scatter.
+    # Draws that agree within rounding do not scatter.
     std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
     return Estimate(
         label=label,
@@ -121,13 +120,14 @@ def lowest_point(
     deviation: Float[np.ndarray, "draws points"],
     deviation_unit: str,
 ) -> BiasMinimum:
-    """Minimum of each draw's curve on this grid, its height and place refined by a parabola in logarithms."""
+    """Minimum of each draw's curve on this grid; its height and place are refined by a parabola in
+    logarithms."""
     x, y = np.log(cluster_time), np.log(deviation)
     lowest = np.argmin(y, axis=1)
     last = len(x) - 1
     k = np.clip(lowest, 1, last - 1)
     row = np.arange(len(y))
-    # Newton's parabola through the lowest point and its neighbours, which need not be equally far.
+    # Newton's parabola through the lowest point and its neighbours, which may be unevenly spaced.
     left, right = x[k - 1] - x[k], x[k + 1] - x[k]
     slope_left, slope_right = (y[row, k - 1] - y[row, k]) / left, (y[row, k + 1] - y[row, k]) / right
     curvature = (slope_right - slope_left) / (right - left)
@@ -222,10 +222,10 @@ class AxisPosterior(ByValue, AxisEstimates):
         """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"
         text = (
-            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {self.tau.max():.3g}, "
+            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {plain(self.tau.max(), 3)}, "
             f"R̂ ≤ {self.r_hat.max():.4f}"
         )
-        # Curves and drift are those of the sampled terms, which may not be all.
+        # Curves and drift are those of the sampled terms, which may not be all terms.
         wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
         if wanted:
             text += (
@@ -244,7 +244,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         )
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """An evenly spaced choice of draws; some of them repeatedly if there are fewer."""
+        """An evenly spaced selection of draws; some repeat if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
 
     def models(self, count: int = 100) -> list[Model]:
@@ -291,7 +291,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         """
         t = np.atleast_1d(np.asarray(times, float))
         if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
-            raise AllanjaxError(f"times must be positive and finite, got {times!r}")
+            raise AllanjaxError(f"times must be positive and finite, not {times!r}")
         errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
         unit = _INTEGRAL_UNIT[self.axis.sensor]
         word = "angle" if self.axis.sensor == "gyro" else "velocity"
@@ -351,9 +351,6 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         results: one posterior per axis.
     """
 
-    CALLED: ClassVar[str] = "the posterior"
-    HEADINGS: ClassVar[tuple[str, ...]] = ("axis", "coefficient", "median ± 1σ", "95 % interval")
-
     fit: Fit
     results: tuple[AxisPosterior, ...]
 
@@ -383,29 +380,11 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        name = f"{self.fit.name}: " if self.fit.name else ""
-        curve = self.fit.curve
-        length = duration(curve.n / curve.rate)
-        return f"{name}posterior from {curve.n:,} samples at {curve.rate:g} Hz ({length})"
+        name, curve = self.fit.name, self.fit.curve
+        return f"{name}{': ' if name else ''}posterior from {record_size(curve.n, curve.rate)}"
 
-    def _cells(self) -> list[tuple[str, str, str, str]]:
-        rows = []
-        for result in self.results:
-            for m in result.coefficients.values():
-                shown, text = m.in_unit(), m.in_unit().describe()
-                interval = shown.describe_interval() if m.detected and not m.held else ""
-                if not m.detected and shown.upper_limit is not None:
-                    text = f"< {significant(shown.upper_limit)} {shown.unit}"
-                rows.append((result.axis.name, m.title, text, interval))
-        return rows
+    def _tables(self) -> list[list[Column]]:
+        return all_coefficients(self.results, "median")
 
-    def _below(self) -> list[str]:
-        """Lines below the table: what a limit is, and the convergence of each axis."""
-        convergence = [f"{name}: {axis.verdict}" for name, axis in self.items()]
-        return ["< x: not detected; 95 % upper limit", *convergence]
-
-    def __str__(self) -> str:
-        return "\n".join([super().__str__(), "", *map(printable, self._below())])
-
-    def _repr_html_(self) -> str:
-        return super()._repr_html_() + "".join(f"<p>{html.escape(line)}</p>" for line in self._below())
+    def _notes(self) -> list[str]:
+        return [f"{name}: {axis.verdict}" for name, axis in self.items()]

@@ -46,8 +46,8 @@ def sample(
         min_length: minimum length of the chain in τ.
         max_change: maximum relative change of τ.
         max_r_hat: maximum of R̂.
-        absent_draws: number of draws from which a term that was not sampled gets its posterior; 256 give its
-            upper limit to about 1 %.
+        absent_draws: number of draws for the posterior of a term that was not sampled; 256 give its upper
+            limit to about 1 %.
         progress: whether to show a progress bar on stderr; by default only in a terminal.
 
     Returns:
@@ -58,7 +58,7 @@ def sample(
         AllanjaxError: an unknown axis or label, or an invalid number.
         FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
-    # Imported here, since emcee takes long to load.
+    # Imported here because emcee takes long to load.
     from allanjax.posterior.sampling import AxisSampler, Convergence
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)

@@ -31,6 +31,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy.special import logsumexp
 
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.wording import percent, plain
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import ModelParameter
@@ -38,11 +39,11 @@ from allanjax.posterior.likelihood import Likelihood, Prior, WiderLikelihood, de
 from allanjax.posterior.result import AxisPosterior, PosteriorWarning
 from allanjax.record.recording import Axis
 
-# An amplitude is detected if the data make zero this much less credible than it was.
+# An amplitude is detected if the data make zero less credible by this factor.
 _DETECTED = 1.0 / 20.0
-# Below this coordinate, a third of the prior's scale, an amplitude cannot be told from zero.
+# Below this coordinate, a third of the prior's scale, an amplitude cannot be distinguished from zero.
 _INDISTINGUISHABLE = 0.3
-# Of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
+# Probabilities of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
 _QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 Coordinates = TypeVar("Coordinates", np.ndarray, jax.Array)
 # Steps before the convergence of the chain is first checked.
@@ -51,9 +52,9 @@ _FIRST_BLOCK = 200
 _BURN_IN = 5.0
 # Scatter of the first walkers over the fit's standard deviations.
 _OVERDISPERSION = 1.5
-# Attempts to place a walker; the later half of them are draws from the priors.
+# Attempts to place a walker; the later half are draws from the priors.
 _ATTEMPTS = 40
-# Degrees of freedom of the Student law proposed: tails heavier than those of any posterior met here.
+# Degrees of freedom of the proposed Student law, with tails heavier than those of any posterior seen here.
 _STUDENT_DOF = 4.0
 # The range of the amplitude ends where the density is e^-12 of its maximum.
 _NEGLIGIBLE = 12.0
@@ -62,12 +63,12 @@ _COARSE, _FINE = 25, 33
 _FEW_DRAWS = 64
 # Largest number of times that the range is narrowed.
 _MAX_ROUNDS = 8
-# Attempts to translate the draws at one point until effective draws over draws reach this.
+# Attempts to translate the draws at one point, until effective draws over draws reach this ratio.
 _CORRECTIONS = 6
 _EVEN = 0.3
 # Points at which the interpolated density is integrated.
 _DENSE = 4001
-# Default number of walkers, or four a parameter if that is more.
+# Default number of walkers, or four per parameter if that is more.
 _WALKERS = 32
 
 
@@ -97,7 +98,7 @@ def absent_marginal(parameter: ModelParameter, axis: Axis, grid: GridPosterior) 
 
 
 def undetermined(parameter: ModelParameter, axis: Axis) -> Estimate:
-    """Marginal of the shape of a term that was not sampled: these data do not determine it."""
+    """Marginal of the shape of a term that was not sampled, which these data do not determine."""
     nothing = (parameter.parameter.lower, parameter.parameter.upper)
     unknown = _marginal(parameter, axis, np.full(len(_QUANTILES), np.nan), float("nan"), False, None)
     return dataclasses.replace(unknown, interval=nothing, interval_68=nothing, sampled=False)
@@ -236,7 +237,7 @@ class Target:
         start = np.clip(posterior.likelihood.start, lower, upper)
         sampled_here = np.isin(np.arange(len(start)), sampled)
         start = np.where(posterior.amplitude & ~sampled_here, 0.0, start)
-        # Arrays stand for numbers in what is compiled, so that other numbers need no compilation.
+        # Arrays replace numbers in compiled functions, so that other numbers need no compilation.
         on_device = jax.tree.map(
             lambda x: jnp.asarray(x, getattr(x, "dtype", float)) if eqx.is_array_like(x) else x, posterior
         )
@@ -264,8 +265,8 @@ class Target:
 class StudentMove(RedBlueMove):
     """Independence proposal: a Student t law with mean and covariance of the other half of the ensemble.
 
-    A posterior near Gaussian in these coordinates accepts half of them, each as good as a new draw. Like
-    emcee's KDEMove, which it follows, but without its kernels; heavy tails keep the acceptance bounded.
+    If the posterior is nearly Gaussian in these coordinates, half of the proposals are accepted, each as good
+    as a new draw. It follows emcee's KDEMove, without kernels; heavy tails keep the acceptance bounded.
     """
 
     def get_proposal(
@@ -277,7 +278,7 @@ class StudentMove(RedBlueMove):
         others = np.concatenate(complement)
         k, d = sample.shape
         covariance = np.cov(others.T).reshape(d, d)
-        # Few walkers in many dimensions may have no scatter in some directions.
+        # With few walkers in many dimensions, some directions may have no scatter.
         covariance += np.diag(1e-6 * np.diag(covariance) + 1e-20)
         L = np.linalg.cholesky(covariance)
         stretch = np.sqrt(_STUDENT_DOF / random.chisquare(_STUDENT_DOF, k))
@@ -310,10 +311,10 @@ class Convergence:
 
     def __post_init__(self) -> None:
         if not self.max_steps >= 10:
-            raise AllanjaxError(f"max_steps must be at least 10, got {self.max_steps!r}")
+            raise AllanjaxError(f"max_steps must be at least 10, not {self.max_steps!r}")
         for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
             if not getattr(self, name) > bound:
-                raise AllanjaxError(f"{name} must be above {bound:g}, got {getattr(self, name)!r}")
+                raise AllanjaxError(f"{name} must be above {bound:g}, not {getattr(self, name)!r}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -388,7 +389,7 @@ def _autocorrelation_time(
 
 
 def split_r_hat(chain: Float[np.ndarray, "steps walkers"]) -> float:
-    """Rank-normalized split R̂ of one parameter, the larger of those of the bulk and of the tails.
+    """Rank-normalized split R̂ of one parameter, the larger one of bulk and tails.
 
     Vehtari, Gelman, Simpson, Carpenter & Bürkner (2021), Bayesian Analysis 16:667. NaN for a constant chain.
     """
@@ -413,7 +414,7 @@ def first_walkers(
 ) -> Float[np.ndarray, "walkers sampled"]:
     """Start of the walkers: a cloud around the fit, a little wider than its errors, inside the support.
 
-    Raises FitError if the posterior is zero there and at draws from the priors.
+    Raises FitError if the posterior is zero there and at all draws from the priors.
     """
     posterior, at = target.posterior, target.sampled
     start, scatter = posterior.likelihood.start[at], posterior.likelihood.scatter[at]
@@ -428,7 +429,7 @@ def first_walkers(
     cloud = np.empty((walkers, len(at)))
     missing = np.arange(walkers)
     for attempt in range(_ATTEMPTS):
-        # The cloud shrinks, in case the fit's standard deviations are too large; finally draws from the
+        # The cloud shrinks in case the fit's standard deviations are too large; finally, draws from the
         # priors.
         width = _OVERDISPERSION * spread * 0.5 ** min(attempt, 10)
         y = centre + width * random.standard_normal((len(missing), len(at)))
@@ -446,10 +447,10 @@ def first_walkers(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GridPosterior:
-    """Posterior of one amplitude on a grid: amplitudes [SI], ascending, and the probability of a smaller one.
+    """Posterior of one amplitude on a grid: ascending amplitudes [SI], and the probability of a smaller one.
 
-    `bayes_factor` is posterior over prior density at zero; `effective_draws` the number of equally weighted
-    draws that the density at the 95 % quantile is worth.
+    `bayes_factor` is posterior over prior density at zero; `effective_draws` is the equivalent number of
+    equally weighted draws at the 95 % quantile.
     """
 
     value: Float[np.ndarray, " grid"]
@@ -480,8 +481,8 @@ def absent_amplitude(
 
     p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at c
     = 0; a shape of the term itself is drawn from its prior. The larger c, the farther the posterior of the
-    others is from where they were drawn. Any translation of the draws, with the prior density before and
-    after in the ratio, leaves the mean the same, and that to their weighted mean at c keeps the weights even.
+    others moves from their draws. The mean is invariant under any translation of the draws if the ratio
+    includes the prior densities before and after; moving them to their weighted mean keeps the weights even.
     """
     posterior = target.posterior
     prior = posterior.priors[index]
@@ -625,9 +626,9 @@ class AxisSampler:
 
     def __post_init__(self) -> None:
         if not self.absent_draws >= 2:
-            raise AllanjaxError(f"absent_draws must be at least 2, got {self.absent_draws!r}")
+            raise AllanjaxError(f"absent_draws must be at least 2, not {self.absent_draws!r}")
         if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
-            raise AllanjaxError(f"seed must be an integer of at least 0, got {self.seed!r}")
+            raise AllanjaxError(f"seed must be an integer of at least 0, not {self.seed!r}")
 
     def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
         """Posteriors of the named axes, with a progress bar if wanted."""
@@ -644,7 +645,7 @@ class AxisSampler:
         return tuple(results)
 
     def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
-        """Posterior of an axis whose model is the fit's; `report` is told the steps done and expected."""
+        """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
         likelihood, widening = likelihood_of(self.fit, name), self.fit[name].widening
         if widening != 1.0:
             likelihood = WiderLikelihood.of(likelihood, widening)
@@ -692,14 +693,14 @@ class AxisSampler:
         if self.walkers % 2 or self.walkers < 2 * max(count, 2):
             raise AllanjaxError(
                 f"walkers must be an even number of at least {2 * max(count, 2)} for {count} parameters, "
-                f"got {self.walkers!r}"
+                f"not {self.walkers!r}"
             )
         return self.walkers
 
     def _complaint(
         self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
     ) -> str:
-        """Warning about chains that have not converged: the worst parameter, and the remedy."""
+        """Warning about chains that have not converged, with the worst parameter and the remedy."""
         wanted = self.convergence
         length = wanted.min_length * chains.tau
         excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
@@ -709,8 +710,8 @@ class AxisSampler:
         label = likelihood.parameters[sampled[worst]].label
         return (
             f"{name}: the posterior has not converged in {chains.steps} steps; {label} is worst, with "
-            f"τ = {chains.tau[worst]:.3g} steps, {len(chains.y)} of {length[worst]:.0f} steps after the "
-            f"burn-in, a last change of τ of {100.0 * chains.change[worst]:.2g} % and "
+            f"τ = {plain(chains.tau[worst], 3)} steps, {len(chains.y)} of {length[worst]:.0f} steps after "
+            f"the burn-in, a last change of τ of {percent(chains.change[worst])} and "
             f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
             "or give narrower priors"
         )
@@ -767,7 +768,7 @@ class AxisSampler:
 
 
 def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
-    """Context of a progress bar on stderr, or of None if none is wanted."""
+    """Context of a progress bar on stderr, or of None if no bar is wanted."""
     if not (sys.stderr.isatty() if wanted is None else wanted):
         return nullcontext()
     from rich.console import Console

@@ -347,7 +347,8 @@ def _unit_of(column: Column, sensor: Sensor, given: str | None, source: Source) 
     try:
         unit = parse_sample_unit(text, sensor)
     except UnitError as error:
-        raise UnitError(f"{source.label}: column {column.label!r}: {error}; pass {option}") from error
+        wrong = f"column {column.label!r}: {error}; pass {option}" if given is None else f"{option}: {error}"
+        raise UnitError(f"{source.label}: {wrong}") from error
     if column.increment and unit.quantity == "rate" and given is None:
         raise UnitError(
             f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "

@@ -22,8 +22,7 @@ from scipy.fft import dct, idct, rfft
 
 from allanjax.base.arrays import seed_of
 from allanjax.base.errors import RecordingError
-from allanjax.base.wording import duration, plain
-from allanjax.record.validation import Source
+from allanjax.base.wording import duration, percent, plain
 
 
 def without_repeats(
@@ -52,7 +51,7 @@ class Gap(NamedTuple):
     samples: int
 
 
-class Stretches(NamedTuple):
+class Segments(NamedTuple):
     """Segments of a record without missing samples.
 
     Attributes:
@@ -76,16 +75,17 @@ class Stretches(NamedTuple):
         """Return a note on which of n samples were read; none if all were."""
         if len(self.every) < 2:
             return ()
-        others = f"; {len(self.others)} others are kept for Allan deviations and fits" if self.others else ""
+        used = 1 + len(self.others)
+        others = f" ({used} of them are used in fits and Allan deviations)" if used > 1 else ""
         return (
-            f"samples {self.longest.start} to {self.longest.stop - 1} of {n} read, the longest of "
-            f"{len(self.every)} segments without gaps{others}; gaps='fill' (--gaps fill) uses all",
+            f"samples {self.longest.start:,} to {self.longest.stop - 1:,} of {n:,} read, the longest of "
+            f"{len(self.every)} segments without gaps{others}; gaps='fill' (--gaps fill) makes one of all",
         )
 
 
-def stretches_of(
+def segments_of(
     values: Float[np.ndarray, "samples axes"], after_gap: Bool[np.ndarray, " samples"]
-) -> Stretches:
+) -> Segments:
     """Return the segments without missing samples.
 
     An axis without any value is ignored. `after_gap` are the samples that follow missing ones.
@@ -95,7 +95,7 @@ def stretches_of(
     begins = whole & (after_gap | ~np.concatenate([[False], whole[:-1]]))
     first = np.flatnonzero(begins)
     if not first.size:
-        return Stretches((), slice(0, 0), ())
+        return Segments((), slice(0, 0), ())
     # A segment ends where the next begins, or at the first incomplete sample after it.
     ends = np.append(first[1:], len(values))
     lengths = np.add.reduceat(whole.astype(int), first)
@@ -105,7 +105,7 @@ def stretches_of(
     ]
     order = sorted(range(len(rows)), key=lambda k: rows[k].start - rows[k].stop)
     kept = [k for k in order[1:_MOST] if rows[k].stop - rows[k].start >= _LEAST]
-    return Stretches(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
+    return Segments(tuple(rows), rows[order[0]], tuple(rows[k] for k in sorted(kept)))
 
 
 def on_grid(
@@ -135,12 +135,6 @@ def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> 
         return None
     inner = ((max(begin, first), min(begin + samples, last)) for begin, samples in gaps)
     return tuple(Gap(begin - first, end - begin) for begin, end in inner if begin < end)
-
-
-def check_choice(gaps: str, source: Source) -> None:
-    """Raise RecordingError if `gaps` is not a valid choice for missing samples."""
-    if gaps not in ("error", "segments", "fill"):
-        raise source.error(f"gaps= must be error, segments or fill, not {gaps!r}")
 
 
 def rows_between(samples: int, rate: float, start: float | None, stop: float | None) -> slice:
@@ -193,8 +187,9 @@ def completed(
         lost = np.flatnonzero(missing[:, k])
         if len(lost) > MOST_MISSING * n:
             raise RecordingError(
-                f"{len(lost) / n:.0%} of the samples are missing, but at most {MOST_MISSING:.0%} can be "
-                "filled in; read the longest segment without gaps with gaps='segments' (--gaps segments)"
+                f"{percent(len(lost) / n)} of the samples are missing, but at most {percent(MOST_MISSING)} "
+                "can be filled in; read the longest segment without gaps with gaps='segments' "
+                "(--gaps segments)"
             )
         x = bridged(full[:, k], missing[:, k])
         rng = np.random.default_rng(seed_of(x))

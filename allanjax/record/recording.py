@@ -1,11 +1,10 @@
 """Static recordings of gyros and accelerometers."""
 
-import html
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,20 +12,20 @@ from jaxtyping import Bool, Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import RecordingError
 from allanjax.base.late import presented
-from allanjax.base.tables import html_table, printable
+from allanjax.base.tables import as_html, columns_from, printable
 from allanjax.base.wording import duration
 from allanjax.record.columns import Axis, Column, DeadAxis, axes_of, default_names, recognise, scales_of
 from allanjax.record.completion import (
     Gap,
     bridged,
-    check_choice,
     completed,
     gaps_of,
     gaps_within,
     notes_on,
     rows_between,
-    stretches_of,
+    segments_of,
 )
+from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.units import SI, Sensor
 from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
 
@@ -80,7 +79,7 @@ class Recording(ByValue):
         names: Sequence[str] | None = None,
         auxiliary: Mapping[str, Float[np.ndarray, " samples"]] | None = None,
         name: str = "",
-        gaps: Literal["error", "segments", "fill"] = "error",
+        gaps: GapChoice = "error",
     ) -> "Recording":
         """Make a recording from an array, one column per axis.
 
@@ -121,14 +120,14 @@ class Recording(ByValue):
                 raise source.error(
                     f"auxiliary column {key!r} has the shape {column_values.shape}, not ({len(table)},)"
                 )
-        check_choice(gaps, source)
+        ReadOptions(gaps=gaps)  # A check of the choice.
         if gaps != "segments":
             return build(table, rate, columns, units, extra, name, notes, source, fill=gaps == "fill")
-        found = stretches_of(table, np.zeros(len(table), bool))
-        rows, notes = found.longest, (*notes, *found.notes(len(table)))
+        segments = segments_of(table, np.zeros(len(table), bool))
+        rows, notes = segments.longest, (*notes, *segments.notes(len(table)))
         extra = {key: column[rows] for key, column in extra.items()}
-        source, others = source.after(rows.start), [table[other] for other in found.others]
-        missing = found.gaps(np.arange(len(table)) / rate, rate) or None
+        source, others = source.after(rows.start), [table[other] for other in segments.others]
+        missing = segments.gaps(np.arange(len(table)) / rate, rate) or None
         return build(
             table[rows], rate, columns, units, extra, name, notes, source, others=others, gaps=missing
         )
@@ -259,7 +258,7 @@ class Recording(ByValue):
         source = Source(self.name or "recording")
         rows = rows_between(self.n, self.rate, start, stop)
         check_length(rows.stop - rows.start, source)
-        note = f"samples {rows.start} to {rows.stop - 1} of {self.n} read"
+        note = f"samples {rows.start:,} to {rows.stop - 1:,} of {self.n:,} read"
         values = self.values[rows]
         values, axes, dead, left_out = _living(
             values, self.axes, values[0] / self.own_scales, self.names, source
@@ -293,11 +292,8 @@ class Recording(ByValue):
             for axis, mean, std in zip(self.axes, own.mean(axis=0), own.std(axis=0), strict=True)
         ]
         size = f"{self.n} samples at {self.rate:g} Hz, {duration(self.duration)}"
-        table = html_table(
-            f"{self.name or 'Recording'}: {size}", ("axis", "sensor", "unit", "mean", "std"), rows
-        )
-        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
-        return f"{table}<ul>{notes}</ul>" if notes else table
+        table = columns_from(("axis", "sensor", "unit", "mean", "std"), rows)
+        return as_html(f"{self.name or 'Recording'}: {size}", [table], self.notes)
 
 
 def build(

@@ -170,11 +170,11 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
     if unit is None or quantity is None:
         accepted = SAMPLE_UNITS[sensor]
         other: Sensor = "accel" if sensor == "gyro" else "gyro"
-        hint = f" {text!r} is a unit of {_A[other]}." if _quantity(unit, other) else ""
+        hint = f"; {text!r} is a unit of {_A[other]}" if _quantity(unit, other) else ""
         if unit is not None and unit.dimension == {"[count]": 1.0}:
-            hint = f" Counts need the size of one: {COUNT_SIZES[sensor]}."
+            hint = f"; for counts give the size of one, e.g. {COUNT_SIZES[sensor]}"
         raise UnitError(
-            f"unknown unit {text!r} for {_A[sensor]}.{hint} Accepted: {', '.join(accepted['rate'])} (rates); "
+            f"unknown unit {text!r} for {_A[sensor]}{hint}; accepted: {', '.join(accepted['rate'])} (rates); "
             f"{', '.join(accepted['increment'])} (increments)"
         )
     return SampleUnit(_display_name(text, unit.scale, SAMPLE_UNITS[sensor][quantity]), unit.scale, quantity)

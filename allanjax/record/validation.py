@@ -119,13 +119,9 @@ def constant_error(label: str, value: float, source: Source) -> RecordingError:
 
 def bad_cells(label: str, count: int, first: int, source: Source, text: str | None = None) -> RecordingError:
     """Return the RecordingError for `count` unusable cells of a column, the first of which holds `text`."""
-    limit = f"finite number{'s' * (count > 1)} within ±{LARGEST:.0e}"
-    cells = f"1 value is not a {limit}"
-    if count > 1:
-        cells = f"{count} values are not {limit}, the first"
-    found = (
-        f"column {label!r}: {cells} at {source.locate(first)}: {text or source.missing}; repair the file, "
-    )
+    value = f"{text or source.missing} instead of a finite number within ±{LARGEST:.0e}"
+    more = f", and {count - 1} more" if count > 1 else ""
+    found = f"column {label!r}: {source.locate(first)} has {value}{more}; repair the file, "
     part = "a part without bad values with start= and stop= (--start, --stop)"
     if text is not None:
         return source.error(f"{found}or read {part}")

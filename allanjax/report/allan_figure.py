@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -15,36 +15,14 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.navigation.rates import SampleRates
 from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.process import Process
-from allanjax.noise.terms.transient import Transient
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import Sensor
-from allanjax.report.figure import (
-    CLUSTER_TIME,
-    COLOURS,
-    DASHES,
-    PRECISE,
-    Frame,
-    KeyEntry,
-    Panel,
-    Points,
-    Residual,
-    allan_points,
-    drawn_terms,
-    facts_of,
-    ink,
-    label_in,
-    model_line,
-    rows_of,
-    term_entries,
-    term_style,
-    unit_of,
-    verdict_entry,
-    worst_place,
-    wrapped,
-)
+from allanjax.report import draw
+from allanjax.report.draw import Frame, KeyEntry, Panel, Points, Residual
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +33,7 @@ if TYPE_CHECKING:
 Drawable: TypeAlias = Fit | AllanDeviation | Recording | DataSheet
 # Cluster times of a data sheet's picture [s].
 _TIMES_OF_SHEET = np.geomspace(0.01, 1e4, 200)
-# Markers that tell curves apart in black and white.
+# Markers by which curves are distinguished in black and white.
 _MARKERS = "os^Dv*"
 
 
@@ -67,7 +45,7 @@ def plot_allan(
     labels: Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw Allan deviation against cluster time, one panel an axis, gyros above accelerometers.
+    """Draw the Allan deviation against cluster time, one panel per axis, gyros above accelerometers.
 
     Points are the estimates with their 68 % intervals. For a fit, a line is the model, broken lines are its
     terms, with N, B and K written on them and all coefficients below the panel, and a strip shows measured
@@ -88,23 +66,39 @@ def plot_allan(
         The matplotlib figure.
 
     Raises:
-        AllanjaxError: there is no such axis; not a label for each curve; `ax` for more than one axis.
+        AllanjaxError: there is no such axis, a curve has no label, or `ax` is given for more than one axis.
     """
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        frame = Frame(data.name, "from its data sheet", CLUSTER_TIME, True, False, has_points=False)
-        rows = rows_of([*data.models], None, axes)
-        return frame.draw([[_panel_of_sheet(data, list(data.models)[k])] for k in rows[0]], path, ax)
+        frame = Frame(data.name, "from its data sheet", draw.CLUSTER_TIME, True, False, has_points=False)
+        sheet, sensors = data, [*data.models]
+        rows = [[k] for k in draw.rows_of(sensors, None, axes)[0]]
+        return frame.draw(rows, lambda k: _panel_of_sheet(sheet, sensors[k]), path, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = _fit_and_curve(data)
     title = fit.name if fit is not None and fit.name else _kind_of(curve)
     has_fit = fit is not None
-    facts = facts_of(curve.n, curve.rate) + curve.describe_others()
-    frame = Frame(title, facts, CLUSTER_TIME, has_fit, has_fit)
-    rows = rows_of(curve.names, curve.axes, axes)
-    return frame.draw([[_panel(curve, fit, k) for k in row] for row in rows], path, ax)
+    facts = draw.facts_of(curve.n, curve.rate) + curve.describe_others()
+    facts += draw.absent_axes(fit) if axes is None else ""
+    frame = Frame(title, facts, draw.CLUSTER_TIME, has_fit, has_fit)
+    rows = draw.rows_of(curve.names, curve.axes, axes)
+    return frame.draw(rows, lambda k: _panel(curve, fit, k), path, ax)
+
+
+def plot_sample_rates(
+    result: SampleRates,
+    axes: Sequence[str] | str | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    how: Literal["picked", "averaged"] = "picked",
+) -> Figure:
+    """Draw the Allan deviations at each rate over one another, of samples picked or averaged."""
+    if how not in ("picked", "averaged"):
+        raise AllanjaxError(f'how is "picked" or "averaged", not {how!r}')
+    curves = getattr(result, how)
+    return plot_allan(curves, axes, path, labels=[f"{curve.rate:g} Hz, {how}" for curve in curves])
 
 
 def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
@@ -139,25 +133,26 @@ def _kind_of(curve: AllanDeviation) -> str:
 
 def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     """Allan deviations of an axis and, of a fit, the model, its terms and residuals."""
-    unit, scale = unit_of(None if curve.axes is None else curve.axes[k])
-    name, label = curve.names[k], label_in(_kind_of(curve), unit)
-    points = [allan_points(curve, k, scale)]
+    unit, scale = draw.unit_of(None if curve.axes is None else curve.axes[k])
+    name, label = curve.names[k], draw.label_in(_kind_of(curve), unit)
+    points = [draw.allan_points(curve, k, scale)]
     if fit is None:
         return Panel(name, label, points, draw_slopes, ())
     result = fit.results[k]
-    verdict = verdict_entry(result, "s")
+    verdict = draw.verdict_entry(result, "s")
     if not result.converged:
         return Panel(name, label, points, draw_slopes, [verdict])
     fit = fit.as_for(name)
-    entries = term_entries(fit, result, _is_transient, " (no Allan variance: not drawn)", _HEIGHT)
+    absent = " (no Allan variance: not drawn)"
+    entries = draw.term_entries(fit, result, lambda term: isinstance(term, Transient), absent, _HEIGHT)
 
-    def draw(panel: Axes) -> None:
+    def fill(panel: Axes) -> None:
         lines, total = _draw_model(panel, fit, result, scale)
         draw_slopes(panel)
         write_values(panel, result.coefficients, lines, total)
 
     residual = _residual(fit, k)
-    return Panel(name, label, points, draw, [*entries, verdict], residual, worst_place(result, "s"))
+    return Panel(name, label, points, fill, [*entries, verdict], residual, draw.worst_place(result, "s"))
 
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
@@ -166,56 +161,56 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[d
     total = np.zeros(len(time))
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
-        if _is_transient(term):
+        if isinstance(term, Transient):
             continue
         variance = np.asarray(term.allan_variance(time))
         total += variance
-        if label in drawn_terms(result):
+        if label in draw.drawn_terms(result):
             y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
-            (lines[label],) = panel.plot(time, y, label=name, **term_style(fit, result, label))
-    return lines, panel.plot(time, np.sqrt(total) / scale, **model_line())[0]
+            (lines[label],) = panel.plot(time, y, label=name, **draw.term_style(fit, result, label))
+    return lines, panel.plot(time, np.sqrt(total) / scale, **draw.model_line())[0]
 
 
 def _residual(fit: Fit, k: int) -> Residual:
     """Measured deviations over the model's."""
     curve, result = fit.curve, fit.results[k]
     model = fit.model_deviation(result.axis.name, curve.cluster_time)
-    measured = allan_points(curve, k)
+    measured = draw.allan_points(curve, k)
     points = Points(measured.x, 100.0 * (measured.y / model - 1.0), 100.0 * measured.spread / model)
     edf = curve.edf[:, k]
     chance = np.sqrt(quantile(np.array([[0.025], [0.975]]), edf) / edf) - 1.0
-    return Residual(points, edf > 0.5 / PRECISE**2, 100.0 * chance)
-
-
-def _is_transient(term: Process) -> bool:
-    return isinstance(term, Transient)
+    return Residual(points, edf > 0.5 / draw.PRECISE**2, 100.0 * chance)
 
 
 def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     """Expected Allan deviation of a sensor by its data sheet, and that of its terms."""
     coefficients, model = sheet.coefficients(sensor), sheet[sensor]
     axis = next(iter(coefficients.values())).axis
-    unit, scale = unit_of(axis)
+    unit, scale = draw.unit_of(axis)
     time = _TIMES_OF_SHEET
     curves = [np.sqrt(np.asarray(term.allan_variance(time))) / scale for term in model.terms]
     total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"marker": "none"}
-    styles = [{"color": COLOURS[k], "linestyle": DASHES[k], "linewidth": 1.3} for k in range(len(curves))]
+    styles = [
+        {"color": draw.COLOURS[k], "linestyle": draw.DASHES[k], "linewidth": 1.3} for k in range(len(curves))
+    ]
 
-    def draw(panel: Axes) -> None:
+    def fill(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
-        (sum_line,) = panel.plot(time, total, **model_line())
+        (sum_line,) = panel.plot(time, total, **draw.model_line())
         draw_slopes(panel)
         write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
     key = [
-        KeyEntry(wrapped(f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}"), look)
+        KeyEntry(
+            f"{c.title} {c.symbol} = {without_error(x.value, x.std)} {x.unit}{_HEIGHT.get(c.term, '')}", look
+        )
         for c, look in zip(coefficients.values(), styles, strict=True)
         for x in (c.in_unit(),)
     ]
     own = [line.removeprefix(f"{sensor}: ") for line in sheet.statements if line.startswith(f"{sensor}: ")]
-    key += [KeyEntry(wrapped(line)) for line in own]
+    key += [KeyEntry(line) for line in own]
     points = Points(time, total, np.zeros((2, len(time))), style=hidden)
-    return Panel(sensor, label_in("Allan deviation", unit), [points], draw, key)
+    return Panel(sensor, draw.label_in("Allan deviation", unit), [points], fill, key)
 
 
 # --- Several ------------------------------------------------------------------------------------------------
@@ -257,21 +252,20 @@ def _plot_several(
         known |= zip(c.curve.names, c.curve.axes or [None] * len(c.curve.names), strict=True)
     of_curves = [axis for axis in known.values() if axis]
     if of_curves and len(of_curves) < len(known):
-        raise AllanjaxError("some of the curves are of arrays without a unit: draw them by themselves")
-    names = list(known)
+        raise AllanjaxError("some curves are of arrays without a unit: draw them separately")
+    names, of_axes = list(known), [*known.items()]
     facts = _facts_of_several([c.curve for c in curves])
     has_model = any(c.fit is not None for c in curves)
-    frame = Frame(_kind_of(curves[0].curve), facts, CLUSTER_TIME, has_model, has_strip=False)
-    panels = [
-        _panel_of_several([c for c in curves if name in c.curve.names], name, axis, ax is not None)
-        for name, axis in known.items()
-    ]
-    return frame.draw([[panels[k] for k in row] for row in rows_of(names, of_curves or None, axes)], path, ax)
+    frame = Frame(_kind_of(curves[0].curve), facts, draw.CLUSTER_TIME, has_model, has_strip=False)
+    rows = draw.rows_of(names, of_curves or None, axes)
+    return frame.draw(rows, lambda k: _panel_of_several(curves, *of_axes[k], ax is not None), path, ax)
 
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
     """Lengths and rates of the records; of more than two kinds, from the least to the largest."""
-    facts = list(dict.fromkeys(facts_of(curve.n, curve.rate) + curve.describe_others() for curve in curves))
+    facts = list(
+        dict.fromkeys(draw.facts_of(curve.n, curve.rate) + curve.describe_others() for curve in curves)
+    )
     if len(facts) <= 2:
         return "; ".join(facts)
     lengths, rates = sorted(c.n / c.rate for c in curves), sorted(c.rate for c in curves)
@@ -283,9 +277,10 @@ def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:
 
 def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, has_legend: bool) -> Panel:
     """Curves of the axes of one name; the legend is for axes of the caller's, which have no key."""
-    unit, scale = unit_of(axis)
+    curves = [c for c in curves if name in c.curve.names]
+    unit, scale = draw.unit_of(axis)
 
-    def draw(panel: Axes) -> None:
+    def fill(panel: Axes) -> None:
         for c in curves:
             if c.fit is not None and c.result(name) is not None:
                 time = _times_to_draw(c.curve)
@@ -303,9 +298,11 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
         if c is same[0]:
             own = {"color": c.colour, "marker": c.marker} if len(same) == 1 else {}
             label = ", ".join(o.label for o in same)
-            points.append(dataclasses.replace(allan_points(c.curve[name], 0, scale), label=label, style=own))
-    label = label_in(_kind_of(curves[0].curve), unit)
-    return Panel(name, label, points, draw, entries)
+            points.append(
+                dataclasses.replace(draw.allan_points(c.curve[name], 0, scale), label=label, style=own)
+            )
+    label = draw.label_in(_kind_of(curves[0].curve), unit)
+    return Panel(name, label, points, fill, entries)
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
@@ -314,20 +311,29 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     if labels is not None and len(labels) != len(data):
         raise AllanjaxError(f"{len(labels)} labels for {len(data)} curves: give one for each")
     pairs = [_fit_and_curve(x) for x in data]
-    kinds = {curve.kind for _, curve in pairs}
+    kinds = sorted({curve.kind for _, curve in pairs})
     if len(kinds) > 1:
-        raise AllanjaxError(f"{' and '.join(sorted(kinds))} deviations do not compare: draw them apart")
-    own = [str(getattr(x, "name", "") or k) for k, x in enumerate(data, 1)]
-    # Two of one name would look like one: they have the first of these after it by which all differ.
-    kinds_of_fits = [[x.objective if isinstance(x, Fit) else "measured" for x in data]]
-    kinds_of_fits.append([str(x.template) if isinstance(x, Fit) else "measured" for x in data])
-    for more in (*kinds_of_fits, [str(k) for k in range(1, len(own) + 1)]):
-        if len(set(own)) < len(own) == len(set(zip(own, more, strict=True))):
-            own = [f"{name} ({end})" for name, end in zip(own, more, strict=True)]
+        raise AllanjaxError(f"{' and '.join(kinds)} deviations cannot be compared: draw them separately")
     return [
-        _Curve(str(label), fit, curve, COLOURS[k % 6], _MARKERS[k % 6], ("-", *DASHES)[k % 6])
-        for k, (label, (fit, curve)) in enumerate(zip(labels or own, pairs, strict=True))
+        _Curve(str(label), fit, curve, draw.COLOURS[k % 6], _MARKERS[k % 6], ("-", *draw.DASHES)[k % 6])
+        for k, (label, (fit, curve)) in enumerate(zip(labels or _labels(data), pairs, strict=True))
     ]
+
+
+def _labels(data: Sequence[Drawable]) -> list[str]:
+    """Names of curves; where one has none or the name of another, with the first by which all differ.
+
+    That is how they were fitted, with which terms, or a number.
+    """
+    names = [str(getattr(x, "name", "")) for x in data]
+    if all(names) and len(set(names)) == len(names):
+        return names
+    fits = [x if isinstance(x, Fit) else None for x in data]
+    kinds = [["measured" if fit is None else f"{fit.objective.capitalize()} fit" for fit in fits]]
+    kinds += [["measured" if fit is None else str(fit.template) for fit in fits]]
+    kinds += [[str(k) for k in range(1, len(names) + 1)]]
+    pairs = next(p for of in kinds if len(set(p := [*zip(names, of, strict=True)])) == len(names))
+    return [f"{name} ({kind})" if name else kind for name, kind in pairs]
 
 
 def _entry(c: _Curve, name: str, own_points: bool) -> KeyEntry:
@@ -343,7 +349,7 @@ def _entry(c: _Curve, name: str, own_points: bool) -> KeyEntry:
         values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in shown) or "nothing detected"
         text += f": {values if result.measured else 'not a measurement of this sensor'}"
     marker: dict[str, Any] = {"marker": c.marker, "markevery": [1], "markersize": 3.5} if own_points else {}
-    return KeyEntry(wrapped(text), {**c.line, **marker})
+    return KeyEntry(text, {**c.line, **marker})
 
 
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
@@ -368,11 +374,16 @@ def draw_slopes(panel: Axes) -> None:
         # Where it leaves the panel.
         reach = min((right - left) / 2.0, np.inf if slope == 0.0 else (top - bottom) / 2.0 / abs(slope))
         ends = np.array([-reach, reach])
-        look: dict[str, Any] = {"color": ink(0.78), "linewidth": 0.7, "linestyle": (0, (1, 4)), "zorder": 0.5}
+        look: dict[str, Any] = {
+            "color": draw.ink(0.78),
+            "linewidth": 0.7,
+            "linestyle": (0, (1, 4)),
+            "zorder": 0.5,
+        }
         panel.plot(10.0 ** (x0 + ends), 10.0 ** (y0 + slope * ends), label=f"slope {name}", **look)
         end = 0.93 * reach
-        box = {"facecolor": ink(1.0), "edgecolor": "none", "pad": 0.6}
-        style: dict[str, Any] = {"color": ink(0.55), "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
+        box = {"facecolor": draw.ink(1.0), "edgecolor": "none", "pad": 0.6}
+        style: dict[str, Any] = {"color": draw.ink(0.55), "fontsize": _SIZE, "zorder": 0.6, "bbox": box}
         panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
@@ -386,7 +397,7 @@ def write_values(
     from matplotlib.patheffects import withStroke
 
     look: dict[str, Any] = {"fontsize": _SIZE, "rotation_mode": "anchor", "ha": "center", "va": "center"}
-    look |= {"path_effects": [withStroke(linewidth=1.5, foreground=ink(1.0))], "zorder": 4}
+    look |= {"path_effects": [withStroke(linewidth=1.5, foreground=draw.ink(1.0))], "zorder": 4}
     size = _SIZE * panel.figure.dpi / 72.0
     lower, upper = complex(*panel.bbox.p0), complex(*panel.bbox.p1)
     lines = {label: _pixels(panel, line) for label, line in drawn.items()}

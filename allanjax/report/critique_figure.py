@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import os
@@ -14,15 +15,17 @@ from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.tables import wrapped
+from allanjax.base.wording import plain
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.record.recording import Axis
+from allanjax.report import draw
 from allanjax.report.critique_story import (
     UNEXPLAINED,
     changes,
@@ -30,77 +33,44 @@ from allanjax.report.critique_story import (
     sentence,
     significance,
     what,
-    wrap,
 )
-from allanjax.report.figure import (
-    CLUSTER_TIME,
-    COLOURS,
-    FONT_SIZE,
-    FREQUENCY,
-    TIME,
-    Heading,
-    Sheet,
-    band_entry,
-    dots,
-    dress,
-    facts_of,
-    ink,
-    label_in,
-    literal,
-    mark_off_scale,
-    save,
-    style,
-    unit_of,
-)
+from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
 
 
-class Job(NamedTuple):
-    """Figure to be drawn: of a finding, None for an axis without; in which axis; if by request only."""
+class _Job(NamedTuple):
+    """Figure to be drawn: of a finding, None for an axis without; in which axis; and its file's name."""
 
     finding: Finding | None
     axis: str
-    is_extra: bool = False
-
-    def is_wanted(self, findings: Collection[Finding] | None) -> bool:
-        """Whether it is among the findings that were asked for."""
-        return not self.is_extra if findings is None else self.finding in findings
+    name: str
 
 
-def jobs(critique: Critique) -> list[Job]:
-    """Figures of the findings in their order, of axes without, and of parts of findings of several axes."""
+def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job]:
+    """Figures of the findings in their order, and of axes without; or of some findings or parts of findings.
+
+    Names are after the axis that is shown, or the axes that share what was found, and the cause; numbered
+    where a cause was found several times.
+    """
     listed = critique.findings
-    clean = [Job(None, axis.axis.name) for axis in critique.results if not axis.findings]
-    extra = [Job(f, f.axes[0], True) for axis in critique.results for f in axis.findings if f not in listed]
-    return [*(Job(f, f.shown) for f in listed), *clean, *extra]
-
-
-def figure_names(critique: Critique) -> tuple[str, ...]:
-    """File names of a critique's figures, numbered where a cause was found several times."""
-    return file_names(critique, [job for job in jobs(critique) if not job.is_extra])
-
-
-def file_names(critique: Critique, jobs: Sequence[Job]) -> tuple[str, ...]:
-    """Names after the axis that is shown, or the axes that share what was found, and the cause."""
+    pairs: list[tuple[Finding | None, str]] = [(finding, finding.shown) for finding in listed]
+    pairs += [(None, axis.axis.name) for axis in critique.results if not axis.findings]
+    if findings is not None:
+        pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
+        pairs = [pair for pair in pairs if pair[0] in findings]
     names: list[str] = []
-    for finding, axis, _ in jobs:
+    for finding, axis in pairs:
         where = "_".join(finding.axes) if finding in critique.shared_findings and finding else axis
-        names.append(where if finding is None else f"{where}_{finding.cause}")
+        names.append(f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}")
     earlier = [names[:k].count(name) for k, name in enumerate(names)]
-    start = critique.name or "recording"
-    return tuple(
-        f"{start}_{name}{f'_{k + 1}' if k else ''}.png" for name, k in zip(names, earlier, strict=True)
-    )
+    numbered = [f"{name}_{k + 1}" if k else name for name, k in zip(names, earlier, strict=True)]
+    return [_Job(*pair, name) for pair, name in zip(pairs, numbered, strict=True)]
 
 
-_AFTER, _SPAN, _BEFORE = COLOURS[0], COLOURS[1], COLOURS[3]
-# Style of a band in which simulations or an effect lie.
-_BAND: dict[str, Any] = {"alpha": 0.25, "linewidth": 0.0}
-# A record, what is said of it, its colour and its marker.
-_Stage = tuple[StageResiduals, str, str, str]
+_AFTER, _SPAN, _BEFORE = draw.COLOURS[0], draw.COLOURS[1], draw.COLOURS[3]
 _SHEET = Sheet(3.9, 2.5, gap=1.0, between=1.0)
-# Characters in a line of the text.
-_COLUMNS = 58
+# Characters in a line of the text, and the height of a line [inches].
+_COLUMNS, _LINE = 58, 0.17
 # Points that a series is thinned to.
 _POINTS = 600
 # Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
@@ -134,39 +104,47 @@ def plot_critique(
         critique: what `critique` returns.
         path: where to save them, as NAME_gyro_x_sinusoid.png; it is made if need be.
         findings: some of the critique's or of its axes', if only their figures are wanted.
-
-    Returns:
-        The matplotlib figures.
     """
+    return tuple(critique_figures(critique, path, findings).values())
+
+
+def critique_figures(
+    critique: Critique,
+    path: str | os.PathLike[str] | None = None,
+    findings: Collection[Finding] | None = None,
+    suffix: str = "png",
+) -> dict[str, Figure]:
+    """Figures of a critique by the names of their files with this suffix; see `plot_critique`."""
+    jobs = _jobs(critique, findings)
+    figures: dict[str, Figure] = {}
+    with draw.style():
+        # Axis by axis, since the curves of an axis are used again.
+        for name in critique.axes:
+            axis = critique[name]
+            record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, axis))
+            for job in jobs:
+                if job.axis == name:
+                    figures[job.name] = _draw(critique, axis, job.finding, record)
+    named = {f"{job.name}.{suffix}": figures[job.name] for job in jobs}
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
-    drawn = [job for job in jobs(critique) if job.is_wanted(findings)]
-    names = file_names(critique, drawn)
-    # Axis by axis, since the curves of an axis are used again.
-    order = sorted(range(len(drawn)), key=lambda k: critique.axes.index(drawn[k].axis))
-    figures: dict[int, Figure] = {}
-    axis, record = "", None
-    with style():
-        for k in order:
-            if record is None or drawn[k].axis != axis:
-                axis = drawn[k].axis
-                record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, critique[axis]))
-            figures[k] = _draw(critique, drawn[k], record)
-            if path is not None:
-                save(figures[k], Path(path) / names[k])
-    return tuple(figures[k] for k in range(len(drawn)))
+        for name, figure in named.items():
+            draw.save(figure, Path(path) / name)
+    return named
 
 
-def _draw(critique: Critique, job: Job, record: Callable[[int], StageResiduals]) -> Figure:
-    """Figure of a job; `record` gives the axis at a stage."""
-    axis, finding = critique[job.axis], job.finding
-    if finding is None:
-        return _of_clean(critique, axis, record)
-    if finding in critique.shared_findings:
-        return _of_shared(critique, finding)
-    own = next(f for f in (finding, finding.strongest) if f in axis.findings)
-    k = axis.findings.index(own)
-    return _of_finding(critique, finding, own, record, (k, min(k + 1, len(axis.stages) - 1)))
+class _Stage(NamedTuple):
+    """A record, when it was made, and the colour and marker of its curves."""
+
+    record: StageResiduals
+    when: str = ""
+    colour: str = _AFTER
+    marker: str = "o"
+
+    def points(self) -> dict[str, Any]:
+        """Style of the measured points."""
+        colour = self.colour if self.when == " after" else draw.ink(0.3)
+        return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
 def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
@@ -174,112 +152,93 @@ def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResidual
     return StageResiduals(axis.axis, 1.0, critique.rate, axis.stages[stage])
 
 
-def _of_finding(
-    critique: Critique,
-    finding: Finding,
-    own: Finding,
-    record: Callable[[int], StageResiduals],
-    stages: tuple[int, int],
+def _draw(
+    critique: Critique, axis: AxisCritique, finding: Finding | None, record: Callable[[int], StageResiduals]
 ) -> Figure:
-    """Figure of a finding, of which `own` is what was found in the axis that is shown."""
-    before, after = (record(k) for k in stages)
-    shown = [(before, "", _AFTER, "o")]
+    """Figure of a finding, or of an axis without; `record` gives the axis at a stage."""
+    if finding is None:
+        return _panels(critique, f"{axis.axis.name}: no finding", [_Stage(record(0))])[0]
+    if finding in critique.shared_findings:
+        # With the curves of the first axis.
+        records = [_record(critique, critique[name], -1) for name in finding.axes]
+        figure, effect = _panels(critique, "", [_Stage(records[0])], finding)
+        _draw_correlation(effect, records)
+        return figure
+    own = next(f for f in (finding, finding.strongest) if f in axis.findings)
+    k = axis.findings.index(own)
+    before, after = record(k), record(min(k + 1, len(axis.stages) - 1))
+    stages = [_Stage(before)]
     if before is not after:
-        shown = [(before, "before", _BEFORE, "o"), (after, "after", _AFTER, "s")]
-    figure, _, effect = _four_panels(critique, finding, shown)
-    draw = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(finding.cause, _draw_path)
+        stages = [_Stage(before, " before", _BEFORE), _Stage(after, " after", _AFTER, "s")]
+    figure, effect = _panels(critique, "", stages, finding)
+    draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(finding.cause, _draw_path)
     # Single samples and frequencies are those of the axis.
     is_own = finding.cause == OUTLIERS or finding.domain == "frequency"
-    draw(effect, before, after, own if is_own else finding)
+    draw_effect(effect, before, after, own if is_own else finding)
     return figure
-
-
-def _of_shared(critique: Critique, finding: Finding) -> Figure:
-    """Figure of a finding that axes share, with the curves of the first axis."""
-    records = [_record(critique, critique[name], -1) for name in finding.axes]
-    figure, _, effect = _four_panels(critique, finding, [(records[0], "", _AFTER, "o")])
-    _draw_correlation(effect, records)
-    return figure
-
-
-def _of_clean(critique: Critique, axis: AxisCritique, stage: Callable[[int], StageResiduals]) -> Figure:
-    stages = [(stage(0), "", _AFTER, "o")]
-    figure, (panels,) = _panels(critique, f"{axis.axis.name}: no finding", stages, [2])
-    _draw_curves(panels, stages, axis.axis)
-    return figure
-
-
-def _four_panels(critique: Critique, finding: Finding, stages: Sequence[_Stage]) -> tuple[Figure, Axes, Axes]:
-    """Figure with both curves and the description; its Allan panel, and the empty one for the effect."""
-    record = stages[0][0]
-    title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
-    figure, ((allan, psd), (effect, text)) = _panels(critique, title, stages, [2, 2])
-    _draw_curves((allan, psd), stages, record.axis)
-    _draw_text(text, finding, record.axis)
-    return figure, allan, effect
 
 
 def _panels(
-    critique: Critique, title: str, stages: Sequence[_Stage], rows: Sequence[int]
-) -> tuple[Figure, list[list[Axes]]]:
-    """Figure that pyplot knows nothing of, with its heading and the key of the curves, and its panels."""
+    critique: Critique, title: str, stages: Sequence[_Stage], finding: Finding | None = None
+) -> tuple[Figure, Axes]:
+    """Figure that pyplot knows nothing of, with both curves; and the last panel.
+
+    For a finding that is the empty one for its effect, beside the description.
+    """
     key = []
-    for _, label, colour, marker in stages:
-        end = f" {label}" if label else ""
-        key += [_measured(label, colour, marker), band_entry(f"95 % of simulations{end}", colour, 0.25)]
-    record = stages[0][0]
+    for stage in stages:
+        key += [draw.line_entry(**stage.points())]
+        key += [draw.band_entry(f"95 % of simulations{stage.when}", stage.colour, 0.25)]
+    record, lines, sheet = stages[0].record, [], _SHEET
+    if finding is not None:
+        title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
+        lines = _description(finding, record.axis)
+        below = max(sheet.bottom, _LINE * (len(lines) + 1) - sheet.height)
+        sheet = dataclasses.replace(sheet, bottom=below)
     name = f"{critique.name}, {title}" if critique.name else title
-    figure, panels = _SHEET.draw(Heading(name, facts_of(record.n, critique.rate), key), rows, Figure)
+    heading = Heading(name, draw.facts_of(record.n, critique.rate), key)
+    figure, panels = sheet.draw(heading, [2, 2] if finding else [2], Figure)
     FigureCanvasAgg(figure)
-    return figure, panels
-
-
-def _measured(label: str, colour: str, marker: str) -> Line2D:
-    """Entry of the key for the measured points of a stage."""
-    end = f" {label}" if label else ""
-    shown = colour if label == "after" else ink(0.3)
-    return Line2D([], [], label=f"measured{end}", **dots(marker=marker, color=shown))
+    _draw_curves(panels[0], stages, record.axis)
+    if finding is not None:
+        text = panels[1][1]
+        text.set_axis_off()
+        look: dict[str, Any] = {"va": "top", "transform": text.transAxes, "linespacing": 1.35}
+        text.text(0.0, 1.0, draw.literal("\n".join(lines)), **look)
+    return figure, panels[-1][0]
 
 
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
-    units = (unit_of(axis), density_unit(axis))
-    names = ((CLUSTER_TIME, "Allan deviation"), (FREQUENCY, "one-sided PSD"))
+    units = (draw.unit_of(axis), density_unit(axis))
+    names = ((draw.CLUSTER_TIME, "Allan deviation"), (draw.FREQUENCY, "one-sided PSD"))
     for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
         name = axis.name if panel is panels[0] else ""
-        dress(panel, name, x_label, label_in(y_label, unit), log="xy")
+        draw.dress(panel, name, x_label, draw.label_in(y_label, unit), log="xy")
     medians, points = [], []
-    for record, label, colour, marker in stages:
-        entry = _measured(label, colour, marker)
-        look = dots(marker=marker, color=entry.get_color(), label=entry.get_label(), zorder=3)
-        for panel, (_, scale), curve in zip(panels, units, summaries(record), strict=True):
+    for stage in stages:
+        look = stage.points()
+        for panel, (_, scale), curve in zip(panels, units, summaries(stage.record), strict=True):
             x, median, y = curve.place, curve.median / scale, curve.measured / scale
-            panel.fill_between(x, curve.low / scale, curve.high / scale, color=colour, **_BAND)
-            panel.plot(x, median, color=colour, linewidth=1.0)
-            panel.plot(x, y, **look)
+            panel.fill_between(x, curve.low / scale, curve.high / scale, **draw.band(stage.colour))
+            panel.plot(x, median, color=stage.colour, linewidth=1.0)
+            panel.plot(x, y, zorder=3, **look)
         medians.append(median)
-        points.append((x, y, entry.get_color()))
+        points.append((x, y, look["color"]))
     # Those of the PSD limit its vertical scale.
     low, high = panels[1].get_ylim()
     middle = np.concatenate(medians)
     panels[1].set_ylim(max(low, middle.min() / _BELOW), min(high, middle.max() * _ABOVE))
     for x, y, shown in points:
-        mark_off_scale(panels[1], x, y, shown)
+        draw.mark_off_scale(panels[1], x, y, shown)
 
 
-def _add_key(panel: Axes) -> None:
-    """Write the key of a panel above it."""
-    panel.legend(
-        frameon=False,
-        fontsize=FONT_SIZE - 1.0,
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncols=4,
-        borderaxespad=0.2,
-        borderpad=0.0,
-        columnspacing=1.2,
-        handlelength=1.5,
-    )
+def _finish(panel: Axes, y: str, x: str = draw.TIME, log: str = "") -> None:
+    """Label a panel, with its key above it."""
+    draw.dress(panel, x=x, y=y, log=log)
+    look: dict[str, Any] = {"frameon": False, "fontsize": draw.FONT_SIZE - 1.0, "handlelength": 1.5}
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    panel.legend(ncols=4, borderpad=0.0, columnspacing=1.2, **look, **place)
 
 
 def _around(span: tuple[float, float], end: float, least: float = 0.0) -> tuple[float, float]:
@@ -291,18 +250,13 @@ def _around(span: tuple[float, float], end: float, least: float = 0.0) -> tuple[
 def _shade(panel: Axes, span: tuple[float, float], total: float) -> None:
     """Mark the span of an effect, unless that is nearly everywhere."""
     if span[1] - span[0] < _EVERYWHERE * total:
-        panel.axvspan(*span, color=_SPAN, label="effect", zorder=0, **_BAND)
+        panel.axvspan(*span, **draw.band(_SPAN, label="effect", zorder=0))
 
 
 def _blocks(length: int, most: int) -> tuple[Int[np.ndarray, " blocks"], Int[np.ndarray, " blocks"]]:
     """First samples of about equal blocks, and the blocks' lengths."""
     edges = np.unique(np.linspace(0, length, min(most, length) + 1).astype(int))
     return edges[:-1], np.diff(edges)
-
-
-def _finish(panel: Axes, ylabel: str) -> None:
-    dress(panel, x=TIME, y=ylabel)
-    _add_key(panel)
 
 
 def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -314,7 +268,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
     edges, length = _blocks(len(e), _POINTS)
     time = (first + edges + 0.5 * length) / record.rate
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
-    panel.fill_between(time, low, high, color=ink(0.75), linewidth=0.5, label="range of samples")
+    panel.fill_between(time, low, high, color=draw.ink(0.75), linewidth=0.5, label="range of samples")
     panel.plot(time, np.add.reduceat(e, edges) / length, color=_AFTER, linewidth=0.9, label="mean")
     if "times" in finding.details:
         t = np.array(values_of(finding.details["times"])[0], float)
@@ -322,7 +276,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
         panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     else:
         _shade(panel, finding.span, duration)
-    _finish(panel, label_in("whitened residual", "σ"))
+    _finish(panel, draw.label_in("whitened residual", "σ"))
 
 
 def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -331,39 +285,39 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     time = (edges + 0.5 * length) / record.rate
     rms = np.sqrt(np.add.reduceat(record.whitened**2, edges) / length)
     spread = TWO_SIDED_95 * np.sqrt(0.5 / length)
-    band = {"color": _AFTER, "label": "95 % of simulations", **_BAND}
-    panel.fill_between(time, 1.0 - spread, 1.0 + spread, **band)
-    panel.plot(time, rms, label="measured", **dots())
+    look = draw.band(_AFTER, label="95 % of simulations")
+    panel.fill_between(time, 1.0 - spread, 1.0 + spread, **look)
+    panel.plot(time, rms, label="measured", **draw.dots())
     _shade(panel, finding.span, record.n / record.rate)
-    _finish(panel, label_in("rms of\nwhitened residuals", "σ"))
+    _finish(panel, draw.label_in("rms of\nwhitened residuals", "σ"))
 
 
 def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
     """Draw single samples as recorded, where most of them equal the one before."""
-    unit, scale = unit_of(record.axis)
+    unit, scale = draw.unit_of(record.axis)
     x = record.stage.x
     same = np.concatenate([[0], np.cumsum(x[1:] == x[:-1])])
     length = min(_SHOWN_SAMPLES, record.n)
     first = int(np.argmax(same[length - 1 :] - same[: record.n - length + 1]))
     time = np.arange(first, first + length) / record.rate
     y = (x[first : first + length] - x.mean()) / scale
-    panel.step(time, y, where="mid", color=ink(0.75), linewidth=0.7)
-    panel.plot(time, y, label="samples as recorded", **dots())
-    _finish(panel, label_in("samples − mean", unit))
+    panel.step(time, y, where="mid", color=draw.ink(0.75), linewidth=0.7)
+    panel.plot(time, y, label="samples as recorded", **draw.dots())
+    _finish(panel, draw.label_in("samples − mean", unit))
 
 
 def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, finding: Finding) -> None:
     """Draw means of blocks of samples, and the effect that was found."""
-    unit, scale = unit_of(before.axis)
+    unit, scale = draw.unit_of(before.axis)
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
-    name = f"means of {before.n / len(edges) / before.rate:.2g} s"
-    panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **dots())
+    name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
+    panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **draw.dots())
     some = np.arange(before.n)[:: max(before.n // 5000, 1)]
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
     quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
-    _finish(panel, label_in(f"{quantity} − mean", unit))
+    _finish(panel, draw.label_in(f"{quantity} − mean", unit))
 
 
 def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
@@ -377,13 +331,12 @@ def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, f
     # Where many coefficients share a point, the largest of a line: it must not be averaged away.
     line = finding.cause == "sinusoid"
     shown = np.maximum.reduceat(power, edges) if line else np.add.reduceat(power, edges) / length
-    panel.plot(f[edges], shown, color=ink(0.3), linewidth=0.8, label="measured")
+    panel.plot(f[edges], shown, color=draw.ink(0.3), linewidth=0.8, label="measured")
     panel.axhline(1.0, color=_AFTER, linewidth=1.0, label="simulated, mean")
     _shade(panel, finding.span, nyquist)
     panel.set_yscale("log")
     panel.set_ylim(bottom=max(panel.get_ylim()[0], 0.1))
-    dress(panel, x=FREQUENCY, y=f"{'largest ' if line else ''}power\nover its expectation", log="y")
-    _add_key(panel)
+    _finish(panel, f"{'largest ' if line else ''}power\nover its expectation", draw.FREQUENCY, "y")
 
 
 # What shows a cause, if not means of samples or a spectrum.
@@ -402,22 +355,20 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
     enough = count >= _LEAST
     frequency = ((edges[:-1] + edges[1:] - 1) * rate / (4.0 * n))[enough]
     spread = TWO_SIDED_95 / np.sqrt(count[enough])
-    panel.fill_between(
-        frequency, -spread, spread, color=_AFTER, alpha=0.2, linewidth=0.0, label="95 % of simulations"
-    )
+    look = draw.band(_AFTER, 0.2, label="95 % of simulations")
+    panel.fill_between(frequency, -spread, spread, **look)
     for one, other in itertools.combinations(records, 2):
         a, b = one.whitened_coefficients, other.whitened_coefficients
         cross, power, other_power = (np.add.reduceat(product, first) for product in (a * b, a * a, b * b))
         r = (cross / np.sqrt(power * other_power))[enough]
         name = f"{one.axis.name}, {other.axis.name}"
         panel.plot(frequency, r, "o-", markersize=2.4, linewidth=0.8, label=name)
-    panel.axhline(0.0, color=ink(0.5), linewidth=0.6)
-    dress(panel, x=FREQUENCY, y="correlation\nof whitened residuals", log="x")
-    _add_key(panel)
+    panel.axhline(0.0, color=draw.ink(0.5), linewidth=0.6)
+    _finish(panel, "correlation\nof whitened residuals", draw.FREQUENCY, "x")
 
 
-def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
-    panel.set_axis_off()
+def _description(finding: Finding, axis: Axis) -> list[str]:
+    """Lines of the text beside the effect."""
     lines = [sentence(finding), ""]
     if finding.cause != "unexplained":
         evidence = "" if finding.evidence is None else f"evidence {finding.evidence:,.0f} nats"
@@ -428,6 +379,4 @@ def _draw_text(panel: Axes, finding: Finding, axis: Axis) -> None:
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
             lines.append(f"{what(before)} → {format_remainder(before, after)}")
-    text = literal("\n".join(wrap(line, _COLUMNS) for line in lines))
-    written = panel.text(0.0, 1.0, text, va="top", transform=panel.transAxes, linespacing=1.35)
-    written.set_in_layout(False)
+    return [part for line in lines for part in wrapped(line, _COLUMNS, rest="").split("\n")]

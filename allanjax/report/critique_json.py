@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from allanjax.base.wording import finite_or_none
@@ -42,13 +39,6 @@ def to_dict(critique: Critique) -> dict[str, Any]:
         "recording": {"name": critique.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
         **_plain(results),
     }
-
-
-def write_json(critique: Critique, path: str | os.PathLike[str]) -> None:
-    """Write `to_dict(critique)` to a JSON file."""
-    text = json.dumps(to_dict(critique), indent=2, ensure_ascii=False, allow_nan=False)
-    # A name may come from a file name that is not valid text.
-    Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _plain(value: Any) -> Any:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from allanjax.base.tables import WIDTH, printable, text_table
-from allanjax.base.wording import duration, format_with_error, plain, without_error
+from allanjax.base.tables import WIDTH, as_text, columns_from, printable, width_of, wrapped
+from allanjax.base.wording import (
+    duration,
+    format_p_value,
+    format_with_error,
+    percent,
+    plain,
+    times_ten,
+    without_error,
+)
 from allanjax.critic.finding import CoefficientChange, Discrepancy, Finding, cause_title
 from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
@@ -46,8 +53,6 @@ _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
 }
 # Value below which a finer unit is taken.
 _SMALL = 0.1
-# Spaces at which no line is broken: in "p = 1e-30", "0.552 ± 0.001 Hz" and "τ = 0.7 s".
-_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<]) |(?<=\d) (?=[A-Za-zµσ(])")
 
 # --- Numbers and statistics in words ------------------------------------------------------------------------
 
@@ -66,13 +71,13 @@ def parameters(finding: Finding) -> list[str]:
 def significance(finding: Finding) -> str:
     """How improbable a finding is by chance: a p-value where there is a test, else the odds."""
     if finding.p_value is not None:
-        return p_value(finding.p_value)
+        return format_p_value(finding.p_value)
     if finding.evidence is None:
         measured = finding.gain is not None or _is_counted_elsewhere(finding)
         return "" if measured else "visible directly in the samples"
     # Larger odds overflow.
     known = finding.evidence < 700.0
-    return f"odds {plain(np.exp(finding.evidence), 2) if known else 'above 1e+300'} : 1"
+    return f"odds {plain(np.exp(finding.evidence), 2) if known else f'above 10{times_ten(300)[3:]}'} : 1"
 
 
 def gain_of(finding: Finding) -> str:
@@ -145,15 +150,8 @@ def suited(unit: str, value: float) -> tuple[str, float]:
 
 
 def describe(d: Discrepancy) -> str:
-    """Discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1e-30)"."""
-    return f"{what(d)} ({p_value(d.p_value)})"
-
-
-def p_value(p: float) -> str:
-    """p-value in words, e.g. "p = 1e-30"."""
-    if p <= 1e-300:
-        return "p < 1e-300"
-    return f"p = {plain(p, 1 if p < 1e-3 else 2)}"
+    """Discrepancy in words, e.g. "simulated Allan deviation is 38 % low at τ = 0.7 s (p = 1×10⁻³⁰)"."""
+    return f"{what(d)} ({format_p_value(d.p_value)})"
 
 
 def what(d: Discrepancy) -> str:
@@ -186,19 +184,7 @@ def factor_off(size: float) -> str:
         return f"{plain(1.0 + size, 2)} times too high"
     if size < -0.95:
         return f"{plain(1.0 / max(1.0 + size, 1e-300), 2)} times too low"
-    return f"{percent(size)} {'low' if size < 0.0 else 'high'}"
-
-
-def percent(size: float) -> str:
-    """Relative size in per cent, e.g. "38 %" or "160 %"."""
-    return f"{plain(abs(100.0 * size), 2)} %"
-
-
-def wrap(text: str, width: int, first: str = "", rest: str = "") -> str:
-    """Text broken into lines, but not between a number and its unit."""
-    kept = _TOGETHER.sub("\u00a0", text)
-    wrapper = textwrap.TextWrapper(width, first, rest, break_long_words=False, break_on_hyphens=False)
-    return wrapper.fill(kept).replace("\u00a0", " ")
+    return f"{percent(abs(size))} {'low' if size < 0.0 else 'high'}"
 
 
 # --- The table of findings ----------------------------------------------------------------------------------
@@ -206,8 +192,8 @@ def wrap(text: str, width: int, first: str = "", rest: str = "") -> str:
 #: Most findings that a printed critique lists.
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
-# Spaces between two columns of a printed table, and an empty cell.
-_GAP, _NONE = 3, "–"
+# An empty cell of the table.
+_NONE = "–"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
     "frequency": "{}",
@@ -231,17 +217,13 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
     """
     for brief in (False, True):
         rows = [(str(k), *_row(f, critique, brief)) for k, f in enumerate(findings, 1)]
-        cells = [[printable(cell) for cell in row] for row in (_HEADINGS, *rows)]
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        if (space := WIDTH - _GAP * (len(widths) - 1)) >= sum(widths):
+        columns = columns_from(_HEADINGS, rows)
+        if width_of(columns) <= WIDTH:
             break
-    while sum(widths) > space:
-        widths[int(np.argmax(widths))] -= 1
-    cells = [[x if len(x) <= n else f"{x[: n - 1]}…" for x, n in zip(r, widths, strict=True)] for r in cells]
     about = f"nats: log-likelihood gained on held-out data; {_NONE}: not applicable"
     if any(len(f.axes) > 1 for f in findings):
         about = f"size: of the most affected axis; {about}"
-    return f"{text_table('', cells[0], cells[1:], right=('#', 'nats'))}\n\n{about}"
+    return f"{as_text('', [columns])}\n\n{about}"
 
 
 def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
@@ -352,14 +334,14 @@ _BRIEF, _FULL = 1, 3
 
 
 def story(critique: Critique) -> str:
-    """Table of the findings that change most, a line for each axis, warnings and notes."""
+    """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
     causes = _causes(critique)
     lines = [_headline(critique, causes)]
     if causes:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
         lines.append(f"and {len(causes) - MOST} more: critique.details()")
-    return "\n".join([*lines, "", *_end(critique, _BRIEF)])
+    return printable("\n".join([*lines, "", *_end(critique, _BRIEF)]))
 
 
 def details(critique: Critique) -> str:
@@ -367,9 +349,9 @@ def details(critique: Critique) -> str:
     causes = _causes(critique)
     lines = [_headline(critique, causes)]
     for k, finding in enumerate(causes, 1):
-        lines += ["", _wrapped(f"{k}. {sentence(finding)}")]
+        lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
-            lines.append(_wrapped(f"Changes: {text}.", "  "))
+            lines.append(wrapped(f"Changes: {text}.", first="  "))
     return "\n".join([*lines, "", *_end(critique, _FULL)])
 
 
@@ -397,8 +379,8 @@ def _end(critique: Critique, most: int) -> list[str]:
     notes = critique.notes[:_BRIEF] if most == _BRIEF else critique.notes
     remarks += [f"note: {note}" for note in notes]
     if more := len(critique.notes) - len(notes):
-        remarks.append(f"and {more} more note{'s' if more > 1 else ''}: critique.details()")
-    return [*map(_wrapped, lines), *([""] if remarks else []), *map(_wrapped, remarks)]
+        remarks.append(f"and {more} more note{'s' if more > 1 else ''}: see details() or the JSON file")
+    return [*map(wrapped, lines), *([""] if remarks else []), *map(wrapped, remarks)]
 
 
 def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
@@ -447,10 +429,6 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
         )
         warnings.append(f"{axis.axis.name}: the noise model does not fit the data: {axis.misfit}; {then}")
     return tuple(warnings)
-
-
-def _wrapped(text: str, first: str = "") -> str:
-    return wrap(text, WIDTH, first, "  ")
 
 
 # --- A finding in full --------------------------------------------------------------------------------------
@@ -505,7 +483,7 @@ def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
         if after.p_value < UNEXPLAINED:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
-    return "gone" if after.p_value > UNEXPLAINED else f"still there ({p_value(after.p_value)})"
+    return "gone" if after.p_value > UNEXPLAINED else f"still there ({format_p_value(after.p_value)})"
 
 
 def changes(finding: Finding, axis: Axis) -> list[str]:
@@ -531,11 +509,6 @@ def _notable(before: float, after: float) -> bool:
     if not known.all():
         return bool(known.any())
     return abs(after - before) > _NOTABLE * max(abs(before), abs(after))
-
-
-def critique_text(critique: Critique) -> str:
-    """The critique as standard output can show it, for `print`."""
-    return printable(story(critique))
 
 
 def finding_text(finding: Finding) -> str:

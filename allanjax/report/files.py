@@ -28,7 +28,12 @@ _COEFFICIENT_COLUMNS = (
 
 def write_json(fit: Fit, path: str | os.PathLike[str], check: Check | None = None) -> None:
     """Write `to_dict(fit)` to a file of JSON, with the check of its recording if there is one."""
-    text = json.dumps(with_check(fit, check), indent=2, ensure_ascii=False, allow_nan=False)
+    write_document(with_check(fit, check), path)
+
+
+def write_document(document: Any, path: str | os.PathLike[str]) -> None:
+    """Write plain dictionaries and lists to a file of JSON."""
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     # Numbers of a list side by side: in texts there are no line breaks.
     text = _NUMBERS.sub(lambda match: f"[{', '.join(match[1].split()).replace(',,', ',')}]", text)
     # A name may come from a file name that is no text.
@@ -83,7 +88,6 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 FILES: tuple[tuple[str, Callable[[Fit, Path], object]], ...] = (
     ("_allan.csv", write_curve_csv),
     ("_coefficients.csv", write_coefficients_csv),
-    ("_allan.png", lambda fit, path: fit.plot(path=path)),
 )
 
 
@@ -93,8 +97,9 @@ def write_results(
     directory: str | os.PathLike[str],
     name: str,
     check: Check | None = None,
+    figure_format: str = "png",
 ) -> tuple[Path, ...]:
-    """Write NAME.json, NAME_{allan,coefficients}.csv and NAME_{allan,psd}.png; returns their paths.
+    """Write NAME.json, NAME_{allan,coefficients}.csv and figures NAME_{allan,psd}.png; returns their paths.
 
     Without a spectrum, as for a recording read in chunks, there is no NAME_psd.png.
     """
@@ -107,8 +112,10 @@ def write_results(
     for suffix, write in FILES:
         paths.append(directory / f"{name}{suffix}")
         write(fit, paths[-1])
+    paths.append(directory / f"{name}_allan.{figure_format}")
+    fit.plot(path=paths[-1])
     if spectrum is not None:
-        paths.append(directory / f"{name}_psd.png")
+        paths.append(directory / f"{name}_psd.{figure_format}")
         plot_psd(spectrum, fit, path=paths[-1])
     return tuple(paths)
 

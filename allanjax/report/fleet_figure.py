@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from allanjax.base.errors import AllanjaxError
@@ -18,22 +17,10 @@ from allanjax.base.wording import plain
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
-from allanjax.report.figure import (
-    COLOURS,
-    SENSORS,
-    Heading,
-    Sheet,
-    band_entry,
-    dots,
-    dress,
-    ink,
-    literal,
-    points_entry,
-    save_and_close,
-    style,
-)
+from allanjax.report import draw
+from allanjax.report.draw import Heading, Sheet
 
-_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = COLOURS
+_BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = draw.COLOURS
 _MEDIAN, _OUTLYING = _BLUE, _RED
 # Colours of each group's points, by turns; None is the usual one.
 _GROUPS = (None, _GREEN, _PURPLE, _ORANGE, _SKY)
@@ -65,7 +52,7 @@ _NEAR = 8.0
 _BAND = (0.05, 0.95)
 
 
-def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) -> Figure:
+def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw each coefficient of every unit, one panel per coefficient, gyros beside accelerometers.
 
     Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
@@ -76,29 +63,21 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
     were detected in no unit, or were held, have no panel. Up to twelve units are named below the axes,
     without the beginning that all names have in common.
 
-    Args:
-        table: of a fleet's coefficients, `FleetResult.table`.
-        path: a file to save the picture to, by its suffix .png, .svg or .pdf.
-
-    Returns:
-        The matplotlib figure.
-
     Raises:
         AllanjaxError: the table lacks a column.
     """
+    table = fleet.table
     if missing := set(table_schema().names) - set(table.columns):
-        raise AllanjaxError(
-            f"a fleet's table has a column {', '.join(sorted(missing))}; pass the table of FleetResult"
-        )
+        raise AllanjaxError(f"the fleet's table lacks the column {', '.join(sorted(missing))}")
     drawn = _drawn(table)
     groups = list(table["group"].unique())
-    sensors = [sensor for sensor in SENSORS if (drawn["sensor"] == sensor).any()]
+    sensors = [sensor for sensor in draw.SENSORS if (drawn["sensor"] == sensor).any()]
     coefficients = list(drawn["coefficient"].unique())
     rows, columns = max(len(coefficients), 1), max(len(sensors), 1)
     names = _short_names(table)
     below = _TICK_LETTER * max(map(len, names.values()), default=0)
     sheet = dataclasses.replace(_SHEET, between=_SHEET.between + below, bottom=_SHEET.bottom + below)
-    with style():
+    with draw.style():
         heading = Heading(f"{table['recording'].nunique()} units", _remarks(table, drawn), _key(table))
         figure, panels = sheet.draw(heading, [columns] * rows if coefficients else [0])
         for coefficient, row in zip(coefficients, panels, strict=False):
@@ -108,12 +87,7 @@ def plot_fleet(table: pd.DataFrame, path: str | os.PathLike[str] | None = None) 
                     panel.remove()
                     continue
                 _draw_panel(panel, of, groups, names)
-        return save_and_close(figure, path)
-
-
-def plot_fleet_result(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
-    return plot_fleet(fleet.table, path)
+        return draw.save_and_close(figure, path)
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:
@@ -151,7 +125,8 @@ def _group_colours(table: pd.DataFrame) -> list[tuple[str, str | None]]:
     if len(groups) > len(_GROUPS):
         return [("estimates, 95 % intervals; one colour per group", _GROUPS[0])]
     counts = table.groupby("group")["recording"].nunique()
-    return [(literal(f"group {g} ({counts[g]})"), colour) for g, colour in zip(groups, _GROUPS, strict=False)]
+    names = [draw.literal(f"group {g} ({counts[g]})") for g in groups]
+    return [*zip(names, _GROUPS, strict=False)]
 
 
 def _remarks(table: pd.DataFrame, drawn: pd.DataFrame) -> str:
@@ -162,7 +137,7 @@ def _remarks(table: pd.DataFrame, drawn: pd.DataFrame) -> str:
     left = table[table["measured"] & ~table["detected"]]
     kinds = set(zip(drawn["coefficient"], drawn["sensor"], strict=True))
     pairs = dict.fromkeys(zip(left["coefficient"], left["sensor"], strict=True))
-    for sensor, name in SENSORS.items():
+    for sensor, name in draw.SENSORS.items():
         if absent := [title_of(c, s) for c, s in pairs if s == sensor and (c, s) not in kinds]:
             text += f"; {name}: no unit has {', '.join(absent)}"
     return text
@@ -170,18 +145,22 @@ def _remarks(table: pd.DataFrame, drawn: pd.DataFrame) -> str:
 
 def _key(table: pd.DataFrame) -> list[Any]:
     """Entries of the key for points, lines and bands."""
-    no_line: dict[str, Any] = {"markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
-    remarked = (table["measured"] & (table["remarks"] != "")).any()
-    hollow = Line2D([], [], color=ink(0.3), marker="o", label="with a remark", **no_line | {"linewidth": 0.8})
-    cross = Line2D([], [], color=ink(0.6), marker="x", label="not a measurement", **no_line)
+    hollow: dict[str, Any] = {"markersize": 4, "linewidth": 0.0, "markerfacecolor": "none"}
+    grey = hollow | {"color": draw.ink(0.6)}
+    remarked = hollow | {"color": draw.ink(0.3), "linewidth": 0.8}
+    has_remark = (table["measured"] & (table["remarks"] != "")).any()
     return [
-        *(points_entry(name, colour) for name, colour in _group_colours(table)),
-        *([hollow] if remarked else []),
-        *([] if table["measured"].all() else [cross]),
-        Line2D([], [], color=ink(0.6), marker="v", label="not detected: 95 % limit", **no_line),
-        points_entry("outlying", _OUTLYING),
-        Line2D([], [], color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
-        band_entry("90 % of them", _MEDIAN, 0.15),
+        *(draw.points_entry(name, colour) for name, colour in _group_colours(table)),
+        *([draw.line_entry(marker="o", label="with a remark", **remarked)] if has_remark else []),
+        *(
+            []
+            if table["measured"].all()
+            else [draw.line_entry(marker="x", label="not a measurement", **grey)]
+        ),
+        draw.line_entry(marker="v", label="not detected: 95 % limit", **grey),
+        draw.points_entry("outlying", _OUTLYING),
+        draw.line_entry(color=_MEDIAN, linewidth=1.4, label="median of the other estimates"),
+        draw.band_entry("90 % of them", _MEDIAN, 0.15),
     ]
 
 
@@ -190,7 +169,7 @@ def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str], names: dict[st
     coefficient, sensor, unit = of[["coefficient", "sensor", "unit"]].iloc[0]
     axes = list(of["axis"].unique())
     title = title_of(coefficient, sensor)
-    dress(panel, f"{SENSORS[sensor]}: {title}", y=title if unit == "1" else f"{title}\n[{unit}]")
+    draw.dress(panel, f"{draw.SENSORS[sensor]}: {title}", y=title if unit == "1" else f"{title}\n[{unit}]")
     panel.set_xticks(range(len(axes)), axes)
     panel.set_xlim(-0.5, len(axes) - 0.5)
     pad = 72.0 * _TICK_LETTER * max(map(len, names.values()), default=0)
@@ -203,7 +182,7 @@ def _draw_panel(panel: Axes, of: pd.DataFrame, groups: list[str], names: dict[st
     if names:
         # The unit in the middle has its name, too, below that of the axis.
         panel.xaxis.remove_overlapping_locs = False
-        panel.set_xticks(units["x"], [literal(names[str(u)]) for u in units["recording"]], minor=True)
+        panel.set_xticks(units["x"], [draw.literal(names[str(u)]) for u in units["recording"]], minor=True)
 
 
 def _set_scale(panel: Axes, of: pd.DataFrame) -> None:
@@ -251,18 +230,18 @@ def _draw_group(panel: Axes, of: pd.DataFrame, colour: str | None) -> None:
     if usual.any():
         low, median, high = np.quantile(y[usual], (_BAND[0], 0.5, _BAND[1]))
         reach = [x[0] - _BESIDE_POINTS, x[-1] + _BESIDE_POINTS]
-        panel.fill_between(reach, low, high, color=_MEDIAN, alpha=0.15, linewidth=0.0, zorder=1)
+        panel.fill_between(reach, low, high, **draw.band(_MEDIAN, 0.15, zorder=1))
         panel.plot(reach, [median, median], color=_MEDIAN, linewidth=1.4, zorder=2)
     limit = ~detected & measured
-    panel.plot(x[limit], y[limit], "v", color=ink(0.6), mfc="none", markersize=3.5, mew=0.7)
-    panel.plot(x[~measured], y[~measured], "x", color=ink(0.6), markersize=4.0, mew=0.9)
+    panel.plot(x[limit], y[limit], "v", color=draw.ink(0.6), mfc="none", markersize=3.5, mew=0.7)
+    panel.plot(x[~measured], y[~measured], "x", color=draw.ink(0.6), markersize=4.0, mew=0.9)
     # Many units' bars must not hide their points.
     bars = 0.8 if len(of) <= _MANY else 0.4
     ends = np.nan_to_num(np.stack([y - of["lower_95"].to_numpy(), of["upper_95"].to_numpy() - y]), posinf=0.0)
-    hollow = {"markerfacecolor": ink(1.0), "markeredgewidth": 0.9, "markersize": 3.8}
-    for rows, shown, zorder in ((usual, colour or ink(0.3), 3), (outlying, _OUTLYING, 4)):
+    hollow = {"markerfacecolor": draw.ink(1.0), "markeredgewidth": 0.9, "markersize": 3.8}
+    for rows, shown, zorder in ((usual, colour or draw.ink(0.3), 3), (outlying, _OUTLYING, 4)):
         for part, more in ((rows & ~remarked, {}), (rows & remarked, hollow)):
-            look = dots(2.6, color=shown, elinewidth=bars, zorder=zorder, **more)
+            look = draw.dots(2.6, color=shown, elinewidth=bars, zorder=zorder, **more)
             panel.errorbar(x[part], y[part], np.maximum(ends[:, part], 0.0), **look)
 
 
@@ -286,4 +265,4 @@ def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     look: dict[str, Any] = {"color": _OUTLYING, "fontsize": 7, "va": "center", "arrowprops": arrow}
     look |= {"ha": "left" if right else "right", "textcoords": "axes fraction"}
     for name, point, y in zip(names, points, level, strict=False):
-        panel.annotate(literal(name), tuple(point), (at, y), **look)
+        panel.annotate(draw.literal(name), tuple(point), (at, y), **look)

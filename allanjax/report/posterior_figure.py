@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from scipy.ndimage import gaussian_filter
 
@@ -22,30 +21,11 @@ from allanjax.noise.estimate import Estimate
 from allanjax.posterior.likelihood import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
-from allanjax.report.figure import (
-    CLUSTER_TIME,
-    COLOURS,
-    FONT_SIZE,
-    FREQUENCY,
-    Heading,
-    Sheet,
-    allan_points,
-    band_entry,
-    dots,
-    dress,
-    facts_of,
-    ink,
-    label_in,
-    mark_off_scale,
-    points_entry,
-    rows_of,
-    save_and_close,
-    style,
-    unit_of,
-)
+from allanjax.report import draw
+from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
 
-_COLOUR = COLOURS[0]
+_COLOUR = draw.COLOURS[0]
 # Draws of a parameter, and the ends of its scale.
 _Draws = Float[np.ndarray, " draws"]
 _Ends = tuple[float, float]
@@ -81,9 +61,9 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
     draws = posterior.draws / scales
     ranges = [_range(x) for x in draws.T]
     count = len(marginals)
-    with style():
+    with draw.style():
         lines = "lines: median and 68 % interval, prior (broken); contours: 68 and 95 %"
-        remark = lines if posterior.converged else f"NOT CONVERGED. {lines}"
+        remark = lines if posterior.converged else f"not converged; {lines}"
         heading = Heading(f"{posterior.axis.name}: posterior", remark)
         figure, panels = _CORNER.draw(heading, range(1, count + 1))
         for row, column in [(i, j) for i in range(count) for j in range(i + 1)]:
@@ -91,11 +71,11 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
             if row == column:
                 prior = posterior.priors[posterior.labels[row]]
                 _draw_margin(panel, draws[:, row], ranges[row], prior, scales[row])
-                panel.set_title(_heading(marginals[row]), fontsize=FONT_SIZE)
+                panel.set_title(_heading(marginals[row]), fontsize=draw.FONT_SIZE)
             else:
                 _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
             _label(panel, marginals, row, column)
-        return save_and_close(figure, path)
+        return draw.save_and_close(figure, path)
 
 
 def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
@@ -149,11 +129,11 @@ def _draw_margin(panel: Axes, x: _Draws, ends: _Ends, prior: Prior, scale: float
     panel.stairs(density, edges, color=_COLOUR, linewidth=1.0)
     some = np.linspace(*ends, 200)
     prior_density = np.exp(np.asarray(prior.log_density(some * scale))) * scale
-    panel.plot(some, prior_density, color=ink(0.3), linewidth=1.0, linestyle="--", label="prior")
+    panel.plot(some, prior_density, color=draw.ink(0.3), linewidth=1.0, linestyle="--", label="prior")
     low, median, high = np.quantile(x, [0.16, 0.5, 0.84])
-    panel.axvline(median, color=ink(), linewidth=1.2)
+    panel.axvline(median, color=draw.ink(), linewidth=1.2)
     for end in (low, high):
-        panel.axvline(end, color=ink(), linewidth=0.7)
+        panel.axvline(end, color=draw.ink(), linewidth=0.7)
     panel.set_xlim(ends)
     panel.set_ylim(0.0, 1.08 * density.max())
     panel.set_yticks([])
@@ -201,46 +181,46 @@ def plot_posterior(
     Raises:
         AllanjaxError: there is no such axis.
     """
-    chosen = [posterior.results[k] for k in rows_of(posterior.axes, None, axes)[0]]
+    chosen = [posterior.results[k] for k in draw.rows_of(posterior.axes, None, axes)[0]]
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
-    with style():
+    with draw.style():
         key = [
-            points_entry("measured, 68 % interval"),
-            Line2D([], [], color=_COLOUR, linewidth=1.2, label="median of the model's curves"),
-            band_entry("68 % of them", _COLOUR, 0.45),
-            band_entry("95 %", _COLOUR, 0.2),
+            draw.points_entry("measured, 68 % interval"),
+            draw.line_entry(color=_COLOUR, linewidth=1.2, label="median of the model's curves"),
+            draw.band_entry("68 % of them", _COLOUR, 0.45),
+            draw.band_entry("95 %", _COLOUR, 0.2),
         ]
-        heading = Heading(posterior.fit.name or "Posterior", facts_of(measured.n, measured.rate), key)
+        heading = Heading(posterior.fit.name or "Posterior", draw.facts_of(measured.n, measured.rate), key)
         figure, panels = _SHEET.draw(heading, [2] * len(chosen))
         for result, (left, right) in zip(chosen, panels, strict=True):
             _draw_deviation(left, result, measured)
             _draw_density(right, result, spectrum, measured.n)
-            state = "" if result.converged else ", NOT CONVERGED"
-            dress(left, f"{result.axis.name}{state}", log="xy")
-            dress(right, log="xy")
-        return save_and_close(figure, path)
+            state = "" if result.converged else ", not converged"
+            draw.dress(left, f"{result.axis.name}{state}", log="xy")
+            draw.dress(right, log="xy")
+        return draw.save_and_close(figure, path)
 
 
 def _draw_band(
     panel: Axes, x: Float[np.ndarray, " points"], curves: Float[np.ndarray, "draws points"]
 ) -> None:
     low_95, low_68, median, high_68, high_95 = np.quantile(curves, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
-    panel.fill_between(x, low_95, high_95, color=_COLOUR, alpha=0.2, linewidth=0.0, label="95 %")
-    panel.fill_between(x, low_68, high_68, color=_COLOUR, alpha=0.3, linewidth=0.0, label="68 %")
+    panel.fill_between(x, low_95, high_95, **draw.band(_COLOUR, 0.2, label="95 %"))
+    panel.fill_between(x, low_68, high_68, **draw.band(_COLOUR, 0.3, label="68 %"))
     panel.plot(x, median, color=_COLOUR, linewidth=1.2, label="median", zorder=2.5)
 
 
 def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation) -> None:
-    unit, scale = unit_of(result.axis)
+    unit, scale = draw.unit_of(result.axis)
     sizes = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _CURVE_POINTS)))
     time = sizes / curve.rate
     _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / scale)
-    points = allan_points(curve[result.axis.name], 0, scale)
+    points = draw.allan_points(curve[result.axis.name], 0, scale)
     points.draw(panel)
     positive = points.y[points.y > 0.0]
     panel.set_xlim(time[0] / 1.4, time[-1] * 1.4)
     panel.set_ylim(positive.min(initial=np.inf) / 2.5, positive.max(initial=0.0) * 2.0)
-    panel.set(xlabel=CLUSTER_TIME, ylabel=label_in("Allan deviation", unit))
+    panel.set(xlabel=draw.CLUSTER_TIME, ylabel=draw.label_in("Allan deviation", unit))
 
 
 def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> None:
@@ -250,11 +230,11 @@ def _draw_density(panel: Axes, result: AxisPosterior, spectrum: Any, n: int) -> 
     if spectrum is not None:
         density, frequency = spectrum[result.axis.name].density[:, 0] / scale, spectrum.frequency
         shown = (frequency > 0.0) & (density > 0.0)
-        panel.plot(frequency[shown], density[shown], label="measured", **dots(2.0, alpha=0.6))
+        panel.plot(frequency[shown], density[shown], label="measured", **draw.dots(2.0, alpha=0.6))
     _draw_band(panel, f, curves)
     # Single ordinates scatter over decades below the density; a few of them leave the panel.
     panel.set_xlim(f[0] / 1.4, f[-1] * 1.4)
     panel.set_ylim(curves.min() / 30.0, curves.max() * 5.0)
     if spectrum is not None:
-        mark_off_scale(panel, frequency[shown], density[shown], ink(0.3))
-    panel.set(xlabel=FREQUENCY, ylabel=label_in("one-sided PSD", unit))
+        draw.mark_off_scale(panel, frequency[shown], density[shown], draw.ink(0.3))
+    panel.set(xlabel=draw.FREQUENCY, ylabel=draw.label_in("one-sided PSD", unit))

@@ -5,7 +5,6 @@ from dataclasses import fields
 from importlib.resources import files
 from typing import Any, Literal
 
-from allanjax.estimate.horizon import SCHEMA_VERSION as HORIZON_VERSION
 from allanjax.fleet.options import FitOptions
 
 Name = Literal["check", "fit", "critique", "fleet", "horizon"]
@@ -35,11 +34,12 @@ def schema(name: Name) -> dict[str, Any]:
     """
     if name == "fleet":
         return _of_fleet()
-    if name == "horizon":
-        return _of_horizon()
     # A fit holds the check of its recording.
     path = files(__package__).joinpath(f"{'fit' if name == 'check' else name}.schema.json")
-    document, plural = json.loads(path.read_text(encoding="utf-8")), f"{name}s"
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    if name == "horizon":
+        return document
+    plural = f"{name}s"
     definitions = document.pop("$defs")
     if name == "check":
         document = definitions["check"]
@@ -76,66 +76,6 @@ def _closed(description: str, properties: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _of_horizon() -> dict[str, Any]:
-    """Schema of the numbers for a filter between its corrections."""
-    text, number = {"type": "string"}, {"type": "number"}
-    maybe = {"type": ["number", "null"]}
-    interval = {"type": "array", "items": maybe, "minItems": 2, "maxItems": 2}
-    numbers = {
-        "unit": text,
-        "value": number,
-        "std": maybe,
-        "interval_68": interval,
-        "interval_95": interval,
-        "upper_limit_95": maybe,
-        "lower_limit_95": maybe,
-    }
-    estimate = _closed("In the usual unit, and in SI.", {**numbers, "si": _closed("In SI.", numbers)})
-    pair = {"white": number, "walk": number}
-    curve = {"type": "array", "items": number}
-    curves = ("time", "error", "bound", "raw_error", "raw_prediction")
-    axis = _closed(
-        "One axis.",
-        {
-            "name": text,
-            "sensor": {"enum": ["gyro", "accel"]},
-            "white": {"description": "N of the filter.", **estimate},
-            "walk": {"description": "K of the filter, or of its Gauss–Markov process.", **estimate},
-            "correlation_time": {"description": "Null for a walk.", "anyOf": [estimate, {"type": "null"}]},
-            "bias_std_si": {"description": "Standard deviation of the process; null for a walk.", **maybe},
-            "mismatch": {"description": "Largest ratio between predicted and true error.", **number},
-            "bounding_si": _closed(
-                "Values that bound the error.", {**pair, "correlation_time": maybe, "bias_std": maybe}
-            ),
-            "raw_si": _closed("N and K of the fit; zero if they are not detected.", pair),
-            "inflation": _closed(
-                "Ratios to the raw values; null if there are none.", {"white": maybe, "walk": maybe}
-            ),
-            "raw_factor": {"description": "Error over the prediction of a filter with raw N, K.", **maybe},
-            "shares": {
-                "description": "Shares of the terms in the variance at the horizon.",
-                "type": "object",
-                "additionalProperties": number,
-            },
-            "sets": {"description": "Number of likely sets of terms in the average.", "type": "integer"},
-            "curves_si": _closed(
-                "Standard deviations of the error over time [s].", dict.fromkeys(curves, curve)
-            ),
-        },
-    )
-    document = {
-        "schema_version": {"const": HORIZON_VERSION},
-        "recording": _closed("The recording.", {"name": text}),
-        "horizon_s": {"description": "Time between corrections.", **number},
-        "process": {"enum": ["walk", "markov"]},
-        "probability": {"description": "Probability of the bounds.", **number},
-        "axes": {"type": "array", "items": axis},
-        "notes": {"description": "Assumptions about a data sheet.", "type": "array", "items": text},
-    }
-    about = "White noise and bias process for filters that are corrected every `horizon_s`."
-    return {"$schema": _DRAFT, "title": "allanjax horizon", **_closed(about, document)}
-
-
 def _of_fleet() -> dict[str, Any]:
     """Schema of a recording of a fleet."""
     fit = schema("fit")
@@ -154,12 +94,13 @@ def _of_fleet() -> dict[str, Any]:
             "allanjax_version": {"type": "string", "description": "Version of allanjax that made the fit."},
         },
     )
+    fits = fit["$defs"]["bundle"]["properties"]["fits"] | {"description": "One per sensor, if rates differ."}
+    properties = {"key": key, "fit": {"$ref": "#/$defs/fit"}, "fits": fits}
     return {
         "$schema": _DRAFT,
         "title": "allanjax recording of a fleet",
-        **_closed(
-            "One recording of a fleet, as in recordings/NAME.json.",
-            {"key": key, "fit": {"$ref": "#/$defs/fit"}},
-        ),
+        **_closed("One recording of a fleet, as in recordings/NAME.json.", properties),
+        "required": ["key"],
+        "oneOf": [{"required": ["fit"]}, {"required": ["fits"]}],
         "$defs": {name: part for name, part in fit["$defs"].items() if name != "bundle"},
     }

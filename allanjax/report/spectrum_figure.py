@@ -1,7 +1,8 @@
-"""Figure of a spectrum: power spectral densities, a fitted model and its terms."""
+"""Figures of spectra with a fitted model, autocorrelations, wavelet variances and wavelet decompositions."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,31 +12,17 @@ from jaxtyping import Float, Int
 
 from allanjax.base.chi_squared import chi_squared_factors, quantile
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.parameter import Parametrized
-from allanjax.report.figure import (
-    FREQUENCY,
-    PRECISE,
-    Frame,
-    KeyEntry,
-    Panel,
-    Points,
-    Residual,
-    drawn_terms,
-    facts_of,
-    ink,
-    label_in,
-    model_line,
-    rows_of,
-    term_entries,
-    term_style,
-    verdict_entry,
-    worst_place,
-    wrapped,
-)
+from allanjax.report import draw
+from allanjax.report.draw import Frame, Heading, KeyEntry, Panel, Points, Residual, Sheet
+from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
+from allanjax.wavelets.decomposition import WaveletDecomposition
+from allanjax.wavelets.variance import WaveletVariance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +34,10 @@ if TYPE_CHECKING:
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4
+_CORRELATIONS = Sheet(3.4, 2.2, left=1.1)
+_OCTAVES = Sheet(5.6, 0.8, between=0.12, left=1.6)
+# More samples than this are drawn as the range of each of so many stretches.
+_DRAWN = 4000
 
 
 def plot_psd(
@@ -57,13 +48,13 @@ def plot_psd(
     *,
     ax: Axes | None = None,
 ) -> Figure:
-    """Draw one-sided power spectral density against frequency, gyros above accelerometers.
+    """Draw the one-sided power spectral density against frequency, gyros above accelerometers.
 
     Points are the estimates, averaged after Hou (2004) table 3.4, with their 68 % intervals. Without a fit,
-    the grey band is the flat part from which N below the panel follows by eq. (3.41). With one, the black
-    line is the density that samples of the model have, aliases included; broken lines are its terms as in
-    `plot_allan`, a vertical line is a sinusoid, and a strip shows measured over model minus one, averaged to
-    four points an octave. A drift ramp has no density.
+    the grey band is the flat part, whose mean density 2·N² gives the N below the panel, eq. (3.41). With one,
+    the black line is the density that samples of the model have, aliases included; broken lines are its terms
+    as in `plot_allan`, a vertical line is a sinusoid, and a strip shows measured over model minus one,
+    averaged to four points per octave. A drift ramp has no density.
     Densities are in (deg/h)²/Hz and µg²/Hz.
 
     Args:
@@ -82,14 +73,17 @@ def plot_psd(
             than one axis.
     """
     spectrum = spectrum.averaged()
-    title = fit.name if fit is not None and fit.name else "power spectral density"
+    title = fit.name if fit is not None and fit.name else "Power spectral density"
     has_fit = fit is not None
-    facts = facts_of(spectrum.n, spectrum.rate)
-    frame = Frame(title, facts, FREQUENCY, has_fit, has_fit)
-    rows = rows_of(spectrum.names, spectrum.axes, axes)
+    facts = draw.facts_of(spectrum.n, spectrum.rate)
+    if fit is not None and fit.curve.others and spectrum.n == fit.curve.n:
+        facts += f" (the longest of {1 + len(fit.curve.others)} segments)"
+    facts += draw.absent_axes(fit) if axes is None else ""
+    frame = Frame(title, facts, draw.FREQUENCY, has_fit, has_fit)
+    rows = draw.rows_of(spectrum.names, spectrum.axes, axes)
     # In axes of the caller's there is no key to say what the band is; a fit has an N of its own.
     has_band = ax is None and spectrum.axes is not None and fit is None
-    return frame.draw([[_panel(spectrum, fit, k, has_band) for k in row] for row in rows], path, ax)
+    return frame.draw(rows, lambda k: _panel(spectrum, fit, k, has_band), path, ax)
 
 
 def plot_spectrum(
@@ -106,44 +100,46 @@ def plot_spectrum(
 def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> Panel:
     """Power spectral density of an axis and, of a fit, the model, its terms and residuals."""
     unit, scale = ("", 1.0) if spectrum.axes is None else density_unit(spectrum.axes[k])
-    result = None if fit is None else _result(spectrum, fit, k)
-    fit = fit if fit is None or result is None or not result.converged else fit.as_for(result.axis.name)
-    walk = _random_walk(spectrum, k) if has_band else None
-    key = [] if result is None else [verdict_entry(result, "Hz")]
-    if fit is not None and result is not None and result.converged:
-        key = [*term_entries(fit, result, _is_nowhere, " (no density: not drawn)"), *key]
-    if has_band:
-        key.append(_walk_entry(walk))
-
-    def draw(panel: Axes) -> None:
-        if walk is not None and walk.band is not None:
-            panel.axvspan(*walk.band, color=ink(0.93), linewidth=0.0, zorder=0, label="flat part")
-        if fit is not None and result is not None and result.converged:
-            _draw_model(panel, spectrum, fit, result, scale)
-
+    name, label = spectrum.names[k], draw.label_in("one-sided PSD", unit)
     ends = [end[:, k] for end in spectrum.confidence_interval(0.68)]
     points = [Points.of(spectrum.frequency, spectrum.density[:, k], ends, scale)]
-    residual = _residual(spectrum, k, result) if result is not None and result.converged else None
-    worst = worst_place(result, "Hz") if residual is not None and result is not None else np.nan
-    return Panel(spectrum.names[k], label_in("one-sided PSD", unit), points, draw, key, residual, worst)
+    if fit is None:
+        walk = _random_walk(spectrum, name) if has_band else None
+
+        def fill(panel: Axes) -> None:
+            if walk is not None and walk.band is not None:
+                panel.axvspan(*walk.band, color=draw.ink(0.93), linewidth=0.0, zorder=0, label="flat part")
+
+        return Panel(name, label, points, fill, [_walk_entry(walk)] if has_band else [])
+    result = _result(spectrum, fit, name)
+    verdict = draw.verdict_entry(result, "Hz")
+    if not result.converged:
+        return Panel(name, label, points, lambda _: None, [verdict])
+    own = fit.as_for(name)
+    entries = draw.term_entries(own, result, _is_nowhere, " (no density: not drawn)")
+    return Panel(
+        *(name, label, points),
+        lambda panel: _draw_model(panel, spectrum, own, result, scale),
+        [*entries, verdict],
+        _residual(spectrum, k, result),
+        draw.worst_place(result, "Hz"),
+    )
 
 
-def _result(spectrum: PowerSpectrum, fit: Fit, k: int) -> AxisFit:
-    name, end = spectrum.names[k], "give it the power_spectrum of the recording that was fitted"
+def _result(spectrum: PowerSpectrum, fit: Fit, name: str) -> AxisFit:
+    end = "pass the power_spectrum of the fitted recording"
     if spectrum.axes is None or name not in fit.axes:
         raise AllanjaxError(f"the fit has no axis {name!r}, only {', '.join(fit.axes)}; {end}")
     if not np.isclose(spectrum.rate, fit.curve.rate, rtol=1e-9):
-        rates = (
-            f"the spectrum is of samples at {spectrum.rate:g} Hz, the fit of samples at {fit.curve.rate:g} Hz"
-        )
+        rates = f"the spectrum has samples at {spectrum.rate:g} Hz, the fit at {fit.curve.rate:g} Hz"
         raise AllanjaxError(f"{rates}; {end}")
     return fit[name]
 
 
-def _random_walk(spectrum: PowerSpectrum, k: int) -> Estimate | None:
+def _random_walk(spectrum: PowerSpectrum, name: str) -> Estimate | None:
     """N of an axis by the flat part of its spectrum; None if it is nowhere flat."""
     try:
-        return spectrum.random_walk(spectrum.names[k])
+        return spectrum.random_walk(name)
     except AllanjaxError:
         return None
 
@@ -154,31 +150,28 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     frequency = _frequencies(spectrum, model)
     total = np.zeros(len(frequency))
     for label, term in zip(result.term_labels, model.processes, strict=True):
-        style: dict[str, Any] = {
-            "label": title_of(label, result.axis.sensor),
-            **term_style(fit, result, label),
-        }
-        drawn = label in drawn_terms(result)
+        look = {"label": title_of(label, result.axis.sensor), **draw.term_style(fit, result, label)}
+        drawn = label in draw.drawn_terms(result)
         if not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
             total += density
             if drawn:
-                panel.plot(frequency, density / scale, **style)
+                panel.plot(frequency, density / scale, **look)
         elif drawn:
             for line in _line_of(term):
-                panel.axvline(line, **style)
-    panel.plot(frequency, total / scale, **model_line())
+                panel.axvline(line, **look)
+    panel.plot(frequency, total / scale, **draw.model_line())
 
 
 def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
     """Frequencies at which the model is drawn [Hz], dense enough for the peak of a resonance."""
     lowest, highest = spectrum.frequency[[0, -1]]
-    found = [np.geomspace(lowest, highest, 400)]
+    parts = [np.geomspace(lowest, highest, 400)]
     away = np.geomspace(1e-5, 0.5, 40)
     for p in model.parameters:
         if p.parameter.kind == "line" and not model.terms[p.term].deterministic:
-            found += [float(model.values[p.label] or 0.0) * factor for factor in (1.0 - away, 1.0 + away)]
-    f = np.unique(np.concatenate(found))
+            parts += [float(model.values[p.label] or 0.0) * factor for factor in (1.0 - away, 1.0 + away)]
+    f = np.unique(np.concatenate(parts))
     return f[(lowest <= f) & (f <= highest)]
 
 
@@ -203,7 +196,7 @@ def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
         100.0 * np.maximum(spread, 0.0),
     )
     chance = 100.0 * (quantile(np.array([[0.025], [0.975]]), dof) / dof - 1.0)
-    return Residual(points, (dof > 2.0 / PRECISE**2) & ~has_line, chance)
+    return Residual(points, (dof > 2.0 / draw.PRECISE**2) & ~has_line, chance)
 
 
 def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
@@ -225,9 +218,134 @@ def _is_nowhere(term: NoiseTerm) -> bool:
 
 
 def _walk_entry(walk: Estimate | None) -> KeyEntry:
-    """Entry of N from the flat part, by (3.41)."""
+    """Entry of N from the flat part."""
     if walk is None or walk.band is None:
-        return KeyEntry(wrapped("no N from the PSD: it is nowhere flat over an octave"))
+        return KeyEntry("no N from the PSD: it is nowhere flat over an octave")
     low, high = walk.band
     text = f"N from the flat part: {walk.in_unit().describe()} ({plain(low, 3)} to {plain(high, 3)} Hz)"
-    return KeyEntry(wrapped(text), {"color": ink(0.93), "linewidth": 7.0, "solid_capstyle": "butt"})
+    return KeyEntry(text, {"color": draw.ink(0.93), "linewidth": 7.0, "solid_capstyle": "butt"})
+
+
+def plot_autocorrelation(
+    result: Autocorrelation,
+    axes: Sequence[str] | str | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw autocorrelations over the lag, as figure 3.8 of Hou (2004), gyros above accelerometers.
+
+    The grey band is ± 1.96 standard errors of the model, if there are any; the dotted lines are the value at
+    lag zero over e, and the lag at which the curve comes there.
+    """
+    rows = draw.rows_of(result.names, result.axes, axes)
+    draw.check_single(ax, sum(map(len, rows)))
+    if ax is not None:
+        _draw_correlation(ax, result, rows[0][0])
+        return draw.figure_of(ax, path)
+    with draw.style():
+        heading = Heading("Autocorrelation", draw.facts_of(result.n, result.rate))
+        figure, panels = _CORRELATIONS.draw(heading, [len(row) for row in rows])
+        for row, axes_of in zip(rows, panels, strict=True):
+            for k, panel in zip(row, axes_of, strict=True):
+                _draw_correlation(panel, result, k)
+                panel.set_title(result.names[k], loc="left", fontweight="bold")
+                if panel is not axes_of[0]:
+                    panel.set_ylabel("")
+        return draw.save_and_close(figure, path)
+
+
+def _draw_correlation(panel: Axes, result: Autocorrelation, k: int) -> None:
+    unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+    value, error = result.value[:, k] / scale, result.standard_error[:, k] / scale
+    if np.isfinite(error).all():
+        band: dict[str, Any] = {"color": draw.ink(0.85), "linewidth": 0.0, "label": "95 % under the model"}
+        panel.fill_between(result.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
+    panel.plot(result.lag, value, color=draw.ink(0.3), linewidth=1.0, label="estimate")
+    below = np.flatnonzero(math.e * value < value[0])
+    if below.size:
+        dotted: dict[str, Any] = {"color": draw.ink(0.5), "linewidth": 0.8, "linestyle": ":"}
+        panel.axhline(value[0] / math.e, **dotted)
+        panel.axvline(result.lag[below[0]], **dotted)
+    panel.set_xlim(-0.02 * result.lag[-1], result.lag[-1])
+    panel.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
+    draw.dress(panel, x="lag [s]", y=draw.label_in("autocorrelation", unit))
+
+
+def plot_wavelet_variance(
+    variance: WaveletVariance,
+    axes: Sequence[str] | str | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    ax: Axes | None = None,
+) -> Figure:
+    """Draw wavelet variances with their 68 % intervals against the scale, gyros above accelerometers."""
+    ends = variance.confidence_interval(0.68)
+
+    def panel(k: int) -> Panel:
+        unit, scale = ("", 1.0) if variance.axes is None else square_unit(variance.axes[k])
+        points = Points.of(variance.scale, variance.variance[:, k], [end[:, k] for end in ends], scale)
+        return Panel(variance.names[k], draw.label_in("wavelet variance", unit), [points], lambda _: None, [])
+
+    facts = f"{variance.wavelet}, {draw.facts_of(variance.n, variance.rate)}"
+    frame = Frame("Wavelet variance", facts, "scale [s]", False, False)
+    rows = draw.rows_of(variance.names, variance.axes, axes)
+    return frame.draw(rows, panel, path, ax)
+
+
+def plot_decomposition(
+    decomposition: WaveletDecomposition,
+    axis: str | None = None,
+    levels: Sequence[int] | None = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw an axis as measured, its details and the last approximation, one below the other, over time.
+
+    As figure 3.6 of Hou (2004), with what was taken out between. Long records are drawn as the range of each
+    of some thousand stretches.
+
+    Args:
+        decomposition: what `wavelet_decomposition` returns.
+        axis: name of the axis; the first by default.
+        levels: levels of the details to draw, and of the approximation the last of them; by default all.
+        path: file for the figure, with the suffix .png, .svg or .pdf.
+
+    Raises:
+        AllanjaxError: there is no such axis or level.
+    """
+    recording = decomposition.recording
+    k = draw.rows_of(recording.names, None, axis)[0][0]
+    name = recording.names[k]
+    unit, scale = draw.unit_of(recording.axes[k])
+    shown = sorted(levels) if levels else list(range(1, decomposition.levels + 1))
+    parts = [("measured", recording)]
+    for level in shown:
+        low, high = (plain(float(f), 2) for f in decomposition.band[level - 1])
+        parts.append((f"level {level}\n{low}–{high} Hz", decomposition.details(level)))
+    lowest = plain(float(decomposition.band[shown[-1] - 1, 0]), 2)
+    parts.append((f"below\n{lowest} Hz", decomposition.approximation(shown[-1])))
+    with draw.style():
+        record = f"{decomposition.wavelet}, {draw.facts_of(recording.n, recording.rate)}"
+        heading = Heading(f"{name}, wavelet decomposition [{unit}]", record)
+        figure, panels = _OCTAVES.draw(heading, [1] * len(parts))
+        for row, ((label, part), (panel,)) in enumerate(zip(parts, panels, strict=True)):
+            draw.dress(panel)
+            _draw_range(panel, part.values[:, k] / scale, recording.rate, row in (0, len(parts) - 1))
+            panel.set_ylabel(label, rotation=0, ha="right", va="center")
+            panel.yaxis.set_label_coords(-0.11, 0.5)
+            panel.set_xlim(0.0, recording.n / recording.rate)
+            panel.tick_params(labelbottom=row == len(parts) - 1)
+        panel.set_xlabel(draw.TIME)
+        return draw.save_and_close(figure, path)
+
+
+def _draw_range(panel: Axes, x: Any, rate: float, measured: bool) -> None:
+    """Draw samples over time, of a long record the range of each stretch."""
+    colour = draw.ink(0.3) if measured else draw.COLOURS[0]
+    if len(x) <= _DRAWN:
+        panel.plot(np.arange(len(x)) / rate, x, color=colour, linewidth=0.7)
+        return
+    stretch = -(-len(x) // _DRAWN)
+    starts = np.arange(0, len(x), stretch)
+    low, high = np.minimum.reduceat(x, starts), np.maximum.reduceat(x, starts)
+    panel.fill_between((starts + stretch / 2.0) / rate, low, high, color=colour, linewidth=0.4)

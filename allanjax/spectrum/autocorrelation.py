@@ -24,11 +24,11 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.tables import text_table, wrapped
-from allanjax.base.wording import duration, significant
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, plain, significant
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.model import Model
-from allanjax.noise.notation import Modelling, models_of
+from allanjax.noise.notation import Modelling, model_of
 from allanjax.record.columns import OfAxes, names_of
 from allanjax.record.io.given import RecordingLike, living_samples
 from allanjax.record.recording import Axis
@@ -37,14 +37,14 @@ from allanjax.record.units import default_coefficient_unit, unit_scale
 if TYPE_CHECKING:
     import pandas as pd
 
-# By default lags go to this part of the record.
+# Longest lag by default, as a share of the record.
 _LONGEST = 0.1
-# Autocovariance at the end of the record, relative to that at lag zero, from which on it has no end in it.
+# Autocovariance at the end of the record, relative to lag zero, above which it outlasts the record.
 _ENDED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Autocorrelation(ByValue, OfAxes):
+class Autocorrelation(ByValue, OfAxes, Tabled):
     """Estimated autocorrelation of each axis, mean subtracted, against the lag.
 
     Attributes:
@@ -137,25 +137,28 @@ class Autocorrelation(ByValue, OfAxes):
             columns[f"{name} standard error{unit}"] = self.standard_error[:, k] / scale
         return pd.DataFrame(columns)
 
-    def __str__(self) -> str:
+    def _title(self) -> str:
+        return repr(self)
+
+    def _tables(self) -> list[list[Column]]:
         rows = []
         for k, name in enumerate(self.names):
             unit, scale = ("", 1.0) if self.axes is None else square_unit(self.axes[k])
             error = float(self.standard_error[0, k]) / scale
             shown = "" if np.isnan(error) else significant(error, 2)
             rows.append((name, significant(float(self.value[0, k]) / scale), shown, unit))
-        table = text_table(repr(self), ("axis", "at lag 0", "1σ", "unit"), rows, right=("at lag 0", "1σ"))
-        remarks = dict.fromkeys(self.remarks)
-        notes = [
-            f"{', '.join(n for n, own in zip(self.names, self.remarks, strict=True) if own == r)}: {r}"
-            for r in remarks
-        ]
-        return "\n".join([table, *map(wrapped, notes)])
+        return [columns_from(("axis", "at lag 0", "1σ", "unit"), rows)]
+
+    def _notes(self) -> list[str]:
+        axes: dict[str, list[str]] = {}
+        for name, remark in zip(self.names, self.remarks, strict=True):
+            axes.setdefault(remark, []).append(name)
+        return [f"{', '.join(names)}: {remark}" for remark, names in axes.items()]
 
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.value.shape[1]} axes"
         return (
-            f"Autocorrelation({names}; {self.n} samples at {self.rate:.6g} Hz; "
+            f"Autocorrelation({names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
             f"lags up to {duration(self.lag[-1])})"
         )
 
@@ -210,11 +213,11 @@ def autocorrelation(
     lags = int(np.floor(longest * rate * (1.0 + 1e-9))) + 1
     if not 2 <= lags <= n - 1:
         raise AllanjaxError(
-            f"longest_lag must be from {1.0 / rate:g} s to {(n - 2) / rate:g} s here; got {longest:g} s"
+            f"longest_lag must be from {1.0 / rate:g} s to {(n - 2) / rate:g} s here, not {longest:g} s"
         )
     pairs = n - np.arange(lags)
     value = np.stack([_sums(x - x.mean(), lags) / pairs for x in values.T], axis=1)
-    models = [None] * len(labels) if model is None else models_of(model, labels)
+    models = [None if model is None else model_of(model, axis) for axis in axes or labels]
     errors, remarks = zip(*(_standard_error(m, n, rate, lags) for m in models), strict=True)
     return Autocorrelation(np.arange(lags) / rate, value, np.stack(errors, axis=1), remarks, n, rate, axes)
 
@@ -257,8 +260,8 @@ def autocovariance(model: Model, n: int, rate: float) -> tuple[Float[np.ndarray,
     """Autocovariance of n samples under the stationary terms of a model, and the names of the others.
 
     It is −δ²G/h², h being the sample interval. G is known up to a multiple of t², so that R is known up to a
-    constant: that is taken from the end of the record, where a stationary term has R = 0. A term whose R has
-    not come to rest there is counted among the others.
+    constant, which is taken from the end of the record, where a stationary term has R = 0. A term whose R has
+    not decayed there is one of the others.
     """
     sampled = model.sampled(rate)
     total, others = np.zeros(n), []

@@ -4,13 +4,13 @@ The orthonormal cosine transform (DCT-II) of n rate samples has coefficients
 
     c_j = √(2/n) Σ_k x_k cos(a_j (k + ½)),    a_j = πj/n,    j = 1 … n−1,
 
-at frequencies j·rate/2n. The bias is in c_0 alone and leaves with it. White noise and a random walk have
+at frequencies j·rate/2n. The bias is in c_0 alone, which is left out. White noise and a random walk have
 uncorrelated coefficients exactly (the mean-free random walk's principal components *are* cosines), flicker
 and Markov noise almost: the squared correlations of a coefficient with all others sum to 3 % (flicker) and at
 most 9 % (Markov) at the lowest frequency, to 0.1 % at the sixtieth. Quantization is an exception: its first
 and its last reading are in all coefficients, which matters where hardly any other noise is. So this is
-Whittle's likelihood without what makes it approximate for drifting sensors: the periodogram of the
-differenced record, its usual form, has leakage from the record's ends that is common to all low frequencies.
+Whittle's likelihood, but accurate for drifting sensors: its usual form, the periodogram of the differenced
+record, has leakage from the record's ends that is common to all low frequencies.
 
 The expectation of c_j² follows from the phase covariance G (`noise.model`) without approximation,
 
@@ -33,13 +33,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.allan.covariance import discrete_gauss
+from allanjax.allan.pyramid import check_finite
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 
 # Coefficients up to this one are a bin each, and have their exact expectation.
 _SINGLE = 64
-#: Bins an octave above these.
+#: Bins per octave above these.
 PER_OCTAVE = 6
 # Nodes of the quadratures over lags, between two of their edges.
 _LAG_ORDER = 12
@@ -56,13 +57,13 @@ def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..
 
 
 class Part(NamedTuple):
-    """Part of a spectrum: the transforms of segments of one length and rate, of a record the whole.
+    """Part of a spectrum: the transforms of segments of one length and rate; for a record, all of it.
 
     Attributes:
         n: number of values in a segment.
         rate: their rate [Hz].
-        edges: first coefficients of the bins, and the one after the last. They begin at 1, with bins of
-            single coefficients up to 64, or well above.
+        edges: first coefficient of each bin, and the one after the last. They begin at 1, with bins of single
+            coefficients up to 64, or well above 64.
         segments: number of segments.
     """
 
@@ -78,14 +79,14 @@ class Part(NamedTuple):
 
     @property
     def low(self) -> int:
-        """Number of lowest coefficients that feel the record's finite length, each of which is a bin."""
+        """Number of lowest coefficients that the record's finite length affects; each is a bin."""
         if self.edges[0] > 1:
             return 0
         return min(int(np.argmax(np.append(np.diff(self.edges) > 1, True))), _SINGLE)
 
     @property
     def node_frequencies(self) -> Float[np.ndarray, "2 m"]:
-        """Two frequencies [Hz] in each bin, which have the mean and the variance of its coefficients'."""
+        """Two frequencies [Hz] per bin, with the mean and the variance of its coefficients' frequencies."""
         away = np.sqrt((np.diff(self.edges) ** 2 - 1.0) / 12.0)
         return self.middle + np.stack([-away, away]) * self.rate / (2.0 * self.n)
 
@@ -97,7 +98,7 @@ class Bins(ByValue):
     Attributes:
         n: number of samples.
         rate: sample rate [Hz].
-        parts: the transforms, those of the lowest frequencies first.
+        parts: the transforms, lowest frequencies first.
     """
 
     n: int
@@ -122,9 +123,9 @@ class Bins(ByValue):
         around: Sequence[tuple[float, float]] = (),
         per_octave: int = PER_OCTAVE,
     ) -> Bins:
-        """Bins of single coefficients, then so many an octave; finer ones around lines and resonances.
+        """Bins of single coefficients, then logarithmic ones, and finer ones around lines and resonances.
 
-        Each of these is given by its frequency and its width [Hz]; a width of 0 stands for any.
+        `around` are the frequency and width [Hz] of each of these; a width of 0 stands for any.
         """
         top = min(_SINGLE, n - 1)
         growing = top * 2.0 ** (np.arange(1, np.ceil(per_octave * np.log2(n / top))) / per_octave)
@@ -151,12 +152,12 @@ class Bins(ByValue):
 
     def sums(self, products: Float[np.ndarray, "n-1 ..."]) -> Float[np.ndarray, "m ..."]:
         """Sums of products of a record's coefficients over each bin."""
-        return np.add.reduceat(products, self.edges[:-1] - 1, axis=0)
+        return _binned(products, self.edges)
 
     def statistics(
         self, c: Float[np.ndarray, "n-1 axes"], ramp: Float[np.ndarray, " n-1"]
     ) -> SpectralStatistics:
-        """Statistics [axes, m] of axes with these coefficients, and of a ramp with these."""
+        """Statistics [axes, m] from the coefficients of the axes and those of a ramp."""
         squares, cross, gram = (self.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
         return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
 
@@ -167,7 +168,7 @@ class Bins(ByValue):
 
 
 def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
-    """Edges of logarithmic bins of the coefficients first … stop−1; single up to 64 if first is 1."""
+    """Edges of logarithmic bins of the coefficients first … stop−1; if first is 1, single ones up to 64."""
     single = np.arange(1, _SINGLE + 1) if first == 1 else np.zeros(0, int)
     rest = np.rint(np.geomspace(first + len(single), stop, bins - len(single) + 1)).astype(int)
     return np.append(single, rest)
@@ -214,7 +215,7 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
     """Cosine coefficients of a deterministic term of unit amplitude (`NoiseTerm.column`) in n samples.
 
     Raises:
-        FitError: it does not vary within the record, and so is part of the bias.
+        FitError: it does not vary within the record, so it cannot be separated from the bias.
     """
     column = np.asarray(term.column((np.arange(n) + 0.5) / rate))
     if not np.ptp(column) > 0.0:
@@ -226,21 +227,21 @@ def term_column(term: NoiseTerm, n: int, rate: float) -> Float[np.ndarray, " n-1
 
 
 def joint_statistics(
-    stretches: Sequence[Float[np.ndarray, "_ axes"]], rate: float
+    segments: Sequence[Float[np.ndarray, "_ axes"]], rate: float
 ) -> tuple[Bins, SpectralStatistics]:
-    """Bins and statistics [axes, m] of stretches of a record, one after the other, each less its own mean.
+    """Bins and statistics [axes, m] of segments of a record, one after the other, each less its own mean.
 
-    Between stretches the coefficients of white noise and random walks are independent, those of flicker and
-    Markov noise nearly. The bins are those of the first stretch, the longest, as far as they say how long.
+    Coefficients of different segments are independent for white noise and random walks, and nearly so for
+    flicker and Markov noise. `Bins.n` is the length of the first segment, the longest.
     """
     parts: list[Part] = []
     sums = []
-    for x in stretches:
+    for x in segments:
         bins = Bins.of(len(x), rate)
         parts += bins.parts
         sums.append(bins.statistics(cosine_transform(x - x.mean(axis=0)), ramp_column(len(x), rate)))
     joint = SpectralStatistics(*(np.concatenate(some, axis=1) for some in zip(*sums, strict=True)))
-    return Bins(len(stretches[0]), rate, tuple(parts)), joint
+    return Bins(len(segments[0]), rate, tuple(parts)), joint
 
 
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
@@ -251,17 +252,15 @@ def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
 # Averaged cosine spectra of a stream: statistics for Whittle's likelihood of a record of any length.
 #
 # Means of D successive samples are themselves samples of the same sensor, read D times more slowly: phase
-# differences over a longer interval. So the spectrum of a long record can be put together from several
-# rates, each for the frequencies that it suits. Level k is the series of means over D^k samples. At each
-# level but the last the series is cut into segments of L values, these are transformed one by one (see
-# `cosine`), and the squares of their coefficients are summed, but for the lowest: there neighbouring
-# segments are correlated, and the next level has these frequencies. The last level is short enough to be
-# kept and transformed as a whole. A record that is short enough has that level only, and its statistics are
-# those of the record itself.
+# differences over a longer interval. So the spectrum of a long record can be assembled from several rates,
+# each for suitable frequencies. Level k is the series of means over D^k samples. At each level but the last
+# the series is cut into segments of L values, these are transformed one by one (see `cosine`), and the
+# squares of their coefficients are summed, but for the lowest: there neighbouring segments are correlated,
+# and the next level has these frequencies. The last level is short enough to be kept and transformed at once.
+# A record that is short enough has that level only, and its statistics are those of the record itself.
 #
-# Blocks and segments are aligned to the stream's sample numbers, and a piece of a stream keeps the values at
-# its ends that belong to segments of which it has a part. So pieces can be merged, and give what the whole
-# would.
+# Blocks and segments are aligned to the stream's sample numbers, and a piece of a stream keeps the values of
+# incomplete segments at its ends. So merged pieces give the same as the entire stream.
 
 # Values of a level that are averaged to one of the next.
 _FACTOR = 8
@@ -269,9 +268,9 @@ _FACTOR = 8
 _SEGMENT = 2**13
 # Lowest coefficient of a level that is used; the next level is used up to _FACTOR times that coefficient.
 _LOWEST = 2**8
-# Longest last level, which is kept and transformed as a whole.
+# Longest last level, which is kept and transformed at once.
 _KEPT = 2**18
-# Bins of the last level: the same number for every length, and six an octave or more.
+# Bins of the last level: the same number for every length, at least six per octave.
 _LAST_BINS = 128
 # Segments that are transformed together, which bounds the memory.
 _TOGETHER = 64
@@ -353,8 +352,8 @@ class SegmentSpectra:
     """Spectral statistics of a piece of a stream, of bounded size whatever its length.
 
     Adjacent pieces are joined by `merge`, in any grouping, and give the statistics of the whole to rounding.
-    A stream that comes in chunks is `total = total.merge(of(chunk, rate, total.stop))`, best by chunks of 10⁵
-    samples and more.
+    A stream that comes in chunks is `total = total.merge(of(chunk, rate, total.stop))`, best in chunks of at
+    least 10⁵ samples.
 
     Attributes:
         rate: sample rate [Hz].
@@ -374,7 +373,7 @@ class SegmentSpectra:
         """Statistics of these samples [rad/s or m/s²].
 
         Args:
-            values: the samples, one column an axis.
+            values: the samples, one column per axis.
             rate: sample rate [Hz].
             start: number of the first in the stream.
 
@@ -386,13 +385,8 @@ class SegmentSpectra:
             raise AllanjaxError(f"values must have the shape [samples, axes], not {values.shape}")
         if not 0.0 < rate < np.inf:
             raise AllanjaxError(f"the sample rate must be positive and finite, not {rate} Hz")
-        bad = ~np.isfinite(values)
-        if bad.any():
-            row, axis = np.argwhere(bad)[0]
-            raise AllanjaxError(
-                f"sample {start + row} of axis {axis} is not finite: use samples without gaps, or one segment"
-            )
-        # The values that are kept are copied: the array may be a buffer that is filled again.
+        check_finite(values, start)
+        # Values that are kept are copied, since the array may be a buffer that is filled again.
         last = values if len(values) > _KEPT else values.copy()
         return cls(float(rate), start, start + len(values), (), last)._shortened()
 
@@ -438,15 +432,9 @@ class SegmentSpectra:
 
     def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> SegmentSpectra:
         """Statistics of some of the axes."""
+        of_axes = ("head", "tail", "squares", "cross")
         segmented = tuple(
-            SegmentedLevel(
-                level.first,
-                level.head[:, keep],
-                level.tail[:, keep],
-                level.count,
-                level.squares[:, keep],
-                level.cross[:, keep],
-            )
+            dataclasses.replace(level, **{name: getattr(level, name)[:, keep] for name in of_axes})
             for level in self.segmented
         )
         return dataclasses.replace(self, segmented=segmented, last=self.last[:, keep])

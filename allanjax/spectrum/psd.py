@@ -1,7 +1,7 @@
 """Power spectral density of a static recording, averaged over frequency as Hou (2004) does in section 3.4.2.
 
 The periodogram is eq. (3.39), one-sided, but of the record without its straight line and under a Hann window.
-Without them a drift would leak: the periodogram of a random walk is twice its density at every frequency, and
+Otherwise a drift would leak: the periodogram of a random walk is twice its density at every frequency, and
 a ramp or a strong line can bury the floor. The cost of the window: neighbouring ordinates are correlated
 (by 4/9 in power, and 1/36 two apart), so that a mean of many has 1/1.94 of the degrees of freedom.
 """
@@ -18,6 +18,7 @@ from jaxtyping import ArrayLike, Float, Int
 from allanjax.base.chi_squared import chi_squared_factors, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
 from allanjax.noise.estimate import AxisReadings, Estimate, Readings
 from allanjax.noise.terms import (
     AngleRandomWalk,
@@ -30,7 +31,7 @@ from allanjax.noise.terms import (
 from allanjax.record.columns import OfAxes
 from allanjax.record.io.given import RecordingLike, living_samples
 from allanjax.record.recording import Axis
-from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.spectrum.autocorrelation import square_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,7 +45,7 @@ _SHORT_WINDOW = 4096
 def window_weights(name: str, length: int) -> Float[np.ndarray, " length"]:
     """Weights of a window by its name in `scipy.signal`; AllanjaxError if there is none."""
     if name == "hann":
-        # The one that is usual, as `scipy.signal` has it, which takes half a second to load.
+        # As in `scipy.signal`, which takes half a second to load.
         return np.sin(np.pi * np.arange(length) / length) ** 2
     from scipy.signal import get_window
 
@@ -80,9 +81,9 @@ def ordinate_correlation(window: str, length: int, segments: int) -> Float[np.nd
 
 # The flat band of a power spectral density, and the noise in it that is not white.
 #
-# The flat part of real spectra is a shallow valley between noises that fall and noises that rise with
-# frequency. Its mean is above the white noise's density by what these contribute, which no test on the valley
-# alone can tell. So a rough sum of white and other noise is fitted to the whole spectrum, to know how much.
+# The flat part of real spectra is a shallow valley between noise that falls and noise that rises with
+# frequency. Their contribution raises its mean above the white noise's density, which no test on the valley
+# alone can detect. So a rough sum of white and other noise is fitted to the entire spectrum.
 
 # A flat part spans this factor in frequency, has so many points, and a slope known to be less than this.
 _OCTAVE = 2.0
@@ -118,10 +119,10 @@ def coloured_density(
 def component_densities(
     density: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"], shapes: Float[np.ndarray, "m k"]
 ) -> Float[np.ndarray, "m k"]:
-    """Densities [that of the first argument] of which a rough sum of these shapes is made.
+    """Contributions of these shapes to a density, from a rough fit of their sum.
 
-    It is fitted with coefficients that are not negative, weighted with the degrees of freedom at the sum
-    itself, robust to lines.
+    It is a fit with non-negative coefficients, weighted with the degrees of freedom at the sum itself, and
+    robust to lines.
     """
     from scipy.optimize import nnls
 
@@ -138,25 +139,24 @@ def component_densities(
 
 
 def flattest(
-    frequency: Float[np.ndarray, " m"],
-    density: Float[np.ndarray, " m"],
-    coloured: Float[np.ndarray, " m"],
-    count: Int[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-    share: Float[np.ndarray, " m"],
-) -> tuple[int, int] | None:
-    """First and last point of the band that `PowerSpectrum.flat_band` describes; None if there is none.
+    s: PowerSpectrum, density: Float[np.ndarray, " m"], coloured: Float[np.ndarray, " m"], skip: int = 0
+) -> slice | None:
+    """Points of the band that `PowerSpectrum.flat_band` describes; None if there is none.
 
     Args:
-        frequency, density, dof: of the points of a spectrum.
-        coloured: what is not white in the density.
-        count: ordinates in each point.
-        share: what each point contributes to the degrees of freedom of a long band.
+        s: the spectrum, averaged.
+        density: density of an axis at its points, which may be divided by that of a term.
+        coloured: contribution of other noise to that.
+        skip: number of lowest points to leave out.
 
     The logarithm of χ² over its ν degrees of freedom has the mean ψ(ν/2) − ln(ν/2) and the variance ψ'(ν/2).
     """
     from scipy.special import digamma, polygamma
 
+    frequency, count, dof = s.frequency[skip:], s.count[skip:], s.dof[skip:]
+    density, coloured = density[skip:], coloured[skip:]
+    # Neighbours are correlated, so that a band has fewer degrees of freedom than its points together.
+    share = s.degrees_of_freedom(s.count.sum()) * count / s.count.sum()
     x = np.log(frequency / frequency[-1])
     y = np.log(density) - digamma(dof / 2.0) + np.log(dof / 2.0)
     w = share / dof / polygamma(1, dof / 2.0)
@@ -186,7 +186,7 @@ def flattest(
         return None
     error = 2.0 / sums(share) + (sums(count * coloured) / sums(count * density)) ** 2
     best = np.argmin(np.where(flat, error, np.inf))
-    return int(first[best]), int(last[best])
+    return slice(int(first[best]) + skip, int(last[best]) + skip + 1)
 
 
 def spectral_coefficient(
@@ -194,12 +194,12 @@ def spectral_coefficient(
 ) -> Estimate:
     """Coefficient of a noise term from the mean of a density over that of the term with coefficient 1.
 
-    Of white noise the density over 2: N = √(density / 2), Hou (2004) eq. (3.41).
+    For white noise N = √(density / 2), Hou (2004) eq. (3.41).
 
     Args:
         term: the term's class.
         square: that mean, the coefficient's square [SI].
-        others: what other noise contributes to it.
+        others: contribution of other noise to it.
         dof: degrees of freedom of that mean.
         axis: the axis.
         band: lowest and highest frequency [Hz] averaged.
@@ -232,13 +232,13 @@ def spectral_coefficient(
 
 # Coefficients of noise terms read off a spectrum, each where the spectrum has the term's slope.
 #
-# IEEE Std 952 and Hou (2004) section 3.4.2 tell the terms by the slopes of the log-log plot: +2
+# IEEE Std 952 and Hou (2004) section 3.4.2 identify terms by the slopes of the log-log plot: +2
 # quantization, 0 angle (velocity) random walk, −1 bias instability, −2 rate random walk, −3 the flicker
 # rate ramp that stands for a drift ramp (4.58). A coefficient is the value of a line of that slope at the
 # term's frequency: the density over that of the term with coefficient 1, (4.28), (3.41), (4.38), (4.52),
 # (4.58), averaged where it is constant.
 
-#: The terms that slopes tell, by falling slope, and these slopes.
+#: The terms that slopes identify, by falling slope, and these slopes.
 SLOPES: dict[type[NoiseTerm], int] = {
     Quantization: 2,
     AngleRandomWalk: 0,
@@ -246,7 +246,7 @@ SLOPES: dict[type[NoiseTerm], int] = {
     RateRandomWalk: -2,
     DriftRamp: -3,
 }
-# Of the lowest ordinates the record's straight line has taken a part.
+# Lowest ordinates that removing the record's straight line has reduced.
 _TAKEN = 2
 # A term is read where it contributes more than this share.
 _SHARE = 0.5
@@ -255,41 +255,32 @@ _SHARE = 0.5
 def unit_densities(frequency: Float[np.ndarray, " m"], rate: float) -> Float[np.ndarray, "m terms"]:
     """One-sided density of each of these terms with coefficient 1, at frequencies [Hz].
 
-    It is that of samples, means over their intervals, with aliases: near the Nyquist frequency it leaves the
-    straight line, as a real spectrum does. Quantization has 8 sin²(πf/rate)·rate (4.28).
+    It is that of samples, which are means over their intervals, with aliases: near the Nyquist frequency it
+    leaves the straight line, as a real spectrum does. Quantization has 8 sin²(πf/rate)·rate (4.28).
     """
     terms = [term().with_unit_amplitude() for term in SLOPES]
     densities = [t.psd(frequency) if t.deterministic else t.sampled_psd(frequency, rate) for t in terms]
     return np.stack([2.0 * np.asarray(density) for density in densities], axis=1)
 
 
-def slope_stretch(
-    frequency: Float[np.ndarray, " m"],
-    density: Float[np.ndarray, " m"],
-    count: Int[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-    share: Float[np.ndarray, " m"],
-    rate: float,
-    term: type[NoiseTerm],
-) -> tuple[slice, float, float] | None:
-    """Stretch of frequencies with a term's slope, by the rule of `PowerSpectrum.readings`; None if none.
+def slope_band(s: PowerSpectrum, term: type[NoiseTerm]) -> tuple[slice, float, float] | None:
+    """Band of a spectrum of one axis, averaged, that has a term's slope, by the rule of `readings`.
 
     Returns:
-        The stretch, and in it the mean of the squared coefficient and of what other terms contribute to it.
-        The arguments are those of `flattest`; `rate` is the sample rate [Hz].
+        The points of the band, and the means in it of the squared coefficient and of what other terms
+        contribute to that; None if there is no such band.
     """
-    shapes = unit_densities(frequency, rate)
-    parts = component_densities(density, dof, shapes)
+    density, shapes = s.density[:, 0], unit_densities(s.frequency, s.rate)
+    parts = component_densities(density, s.dof, shapes)
     k = list(SLOPES).index(term)
     square = density / shapes[:, k]
     others = (parts.sum(axis=1) - parts[:, k]) / shapes[:, k]
-    found = flattest(*(x[_TAKEN:] for x in (frequency, square, others, count, dof, share)))
-    if found is None:
+    band = flattest(s, square, others, _TAKEN)
+    if band is None:
         return None
-    stretch = slice(found[0] + _TAKEN, found[1] + _TAKEN + 1)
-    weight = count[stretch] / count[stretch].sum()
-    mean, rest = float(weight @ square[stretch]), float(weight @ others[stretch])
-    return (stretch, mean, rest) if rest < _SHARE * mean else None
+    weight = s.count[band] / s.count[band].sum()
+    mean, rest = float(weight @ square[band]), float(weight @ others[band])
+    return (band, mean, rest) if rest < _SHARE * mean else None
 
 
 #: Estimators of the density, explained at `power_spectrum`.
@@ -304,9 +295,6 @@ _NO_UNIT = (
     "{} the unit of the samples, which an array lacks: make a recording, "
     "Recording.from_array(values, rate, gyro_unit=…)"
 )
-
-
-# --- Averaging over frequency -------------------------------------------------------------------------------
 
 
 def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
@@ -327,9 +315,6 @@ def octave_groups(m: int) -> Int[np.ndarray, " groups"]:
     return starts
 
 
-# --- Results ------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class PowerSpectrum(ByValue, OfAxes):
     """Estimated one-sided power spectral density of each axis against frequency.
@@ -344,7 +329,7 @@ class PowerSpectrum(ByValue, OfAxes):
         rate: sample rate [Hz].
         method: "logarithmic" or "welch".
         window: its name in `scipy.signal`.
-        segments: stretches of the record averaged; 1 for "logarithmic".
+        segments: segments of the record that were averaged; 1 for "logarithmic".
         axes: the recording's axes, or None for an array.
     """
 
@@ -419,18 +404,15 @@ class PowerSpectrum(ByValue, OfAxes):
         Raises:
             AllanjaxError: there is no such axis, or no flat band.
         """
-        k, s = self._index(axis), self.averaged()
-        # Neighbours are correlated, so that a band has fewer degrees of freedom than its points together.
-        share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
-        found = flattest(s.frequency, s.density[:, k], s._coloured(k), s.count, s.dof, share)
-        if found is None:
+        s = self[axis].averaged()
+        band = flattest(s, s.density[:, 0], s._coloured())
+        if band is None:
             raise AllanjaxError(
-                f"{axis}: the power spectral density has no flat octave from {s.frequency[0]:.3g} Hz to "
-                f"{s.frequency[-1]:.3g} Hz; give the band of the white noise, band=(low, high) in Hz"
+                f"{axis}: the power spectral density has no flat octave from "
+                f"{plain(s.frequency[0], 3)} Hz to {plain(s.frequency[-1], 3)} Hz; "
+                "give the band of the white noise, band=(low, high) in Hz"
             )
-        first, last = found
-        edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
-        return float(edges[first]), float(edges[last + 1])
+        return s._ends(band)
 
     def random_walk(self, axis: str, band: tuple[float, float] | None = None) -> Estimate:
         """Angle (velocity) random walk N of an axis, Hou (2004) eq. (3.41): √(mean density in the band / 2).
@@ -446,22 +428,22 @@ class PowerSpectrum(ByValue, OfAxes):
         Raises:
             AllanjaxError: no such axis, no flat part, no frequency in the band, or samples without a unit.
         """
-        k = self._index(axis)
-        if self.axes is None:
+        own = self[axis]
+        if own.axes is None:
             raise AllanjaxError(_NO_UNIT.format("N needs"))
-        low, high = self.flat_band(axis) if band is None else band
+        low, high = own.flat_band(axis) if band is None else band
         inside = (low <= self.frequency) & (self.frequency <= high)
         if not inside.any():
             raise AllanjaxError(
                 f"{axis}: the spectrum has no frequency from {low:g} Hz to {high:g} Hz; give (low, high) "
-                f"between {self.frequency[0]:.3g} Hz and {self.frequency[-1]:.3g} Hz"
+                f"between {plain(self.frequency[0], 3)} Hz and {plain(self.frequency[-1], 3)} Hz"
             )
         count = self.count[inside]
-        density = count @ self.density[inside, k] / count.sum()
-        coloured = count @ self._coloured(k)[inside] / count.sum()
+        density = count @ own.density[inside, 0] / count.sum()
+        coloured = count @ own._coloured()[inside] / count.sum()
         dof = float(self.degrees_of_freedom(count.sum()))
         halves = float(density) / 2.0, float(coloured) / 2.0
-        return spectral_coefficient(AngleRandomWalk, *halves, dof, self.axes[k], (low, high))
+        return spectral_coefficient(AngleRandomWalk, *halves, dof, own.axes[0], (low, high))
 
     def readings(self) -> Readings:
         """Coefficients of quantization, N, B, K and R of every axis read off the slopes of the density.
@@ -480,29 +462,32 @@ class PowerSpectrum(ByValue, OfAxes):
         if self.axes is None:
             raise AllanjaxError(_NO_UNIT.format("coefficients need"))
         title = "coefficients from slopes of the power spectral density, each over an octave or more"
-        return Readings(title, tuple(self._readings(k, axis) for k, axis in enumerate(self.axes)))
+        averaged = self.averaged()
+        return Readings(title, tuple(averaged[axis.name]._readings(axis) for axis in self.axes))
 
-    def _readings(self, k: int, axis: Axis) -> AxisReadings:
-        s = self.averaged()
-        share = s.degrees_of_freedom(s.count.sum()) * s.count / s.count.sum()
-        edges = (np.append(0, np.cumsum(s.count)) + 0.5) * s.frequency[0]
+    def _readings(self, axis: Axis) -> AxisReadings:
+        """Readings of a spectrum of one axis, averaged."""
         estimates: dict[str, Estimate | None] = {}
         for term in SLOPES:
-            found = slope_stretch(s.frequency, s.density[:, k], s.count, s.dof, share, s.rate, term)
+            found = slope_band(self, term)
             if found is None or term is AngleRandomWalk:
-                estimates[term.name()] = None if found is None else s.random_walk(axis.name)
+                estimates[term.name()] = None if found is None else self.random_walk(axis.name)
                 continue
-            stretch, square, others = found
-            band = float(edges[stretch.start]), float(edges[stretch.stop])
-            dof = float(s.degrees_of_freedom(s.count[stretch].sum()))
-            estimates[term.name()] = spectral_coefficient(term, square, others, dof, axis, band)
+            band, square, others = found
+            dof = float(self.degrees_of_freedom(self.count[band].sum()))
+            estimates[term.name()] = spectral_coefficient(term, square, others, dof, axis, self._ends(band))
         reason = "no octave has the slope of the term and is dominated by it"
         return AxisReadings(axis, estimates, {k: reason for k, e in estimates.items() if e is None})
 
-    def _coloured(self, k: int) -> Float[np.ndarray, " m"]:
-        """Density of an axis that is not white noise, at this spectrum's frequencies."""
+    def _ends(self, band: slice) -> tuple[float, float]:
+        """Lowest and highest frequency [Hz] of the ordinates in a band of points."""
+        edges = (np.append(0, np.cumsum(self.count)) + 0.5) * self.frequency[0]
+        return float(edges[band.start]), float(edges[band.stop])
+
+    def _coloured(self) -> Float[np.ndarray, " m"]:
+        """Density of one axis that is not white noise, at this spectrum's frequencies."""
         s = self.averaged()
-        coloured = coloured_density(s.frequency, s.density[:, k], s.dof, s.rate)
+        coloured = coloured_density(s.frequency, s.density[:, 0], s.dof, s.rate)
         return coloured if s is self else np.interp(self.frequency, s.frequency, coloured)
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -518,31 +503,21 @@ class PowerSpectrum(ByValue, OfAxes):
             columns[f"{name} [{unit}]" if unit else name] = self.density[:, k] / scale
         return pd.DataFrame(columns)
 
-    def _index(self, axis: str) -> int:
-        """Index of an axis by its name; AllanjaxError if there is none."""
-        if axis not in self.names:
-            raise AllanjaxError(f"the spectrum has no axis {axis!r}; it has {', '.join(self.names)}")
-        return self.names.index(axis)
-
     def __repr__(self) -> str:
         names = ", ".join(self.names) if self.axes else f"{self.density.shape[1]} axes"
         first, last = self.frequency[[0, -1]]
         segments = f" of {self.segments} segments" if self.segments > 1 else ""
         return (
             f"PowerSpectrum({self.method}{segments}, {self.window}; {names}; "
-            f"{self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.frequency)} frequencies from {first:.4g} Hz to {last:.4g} Hz)"
+            f"{self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.frequency)} frequencies from {plain(first, 4)} Hz to {plain(last, 4)} Hz)"
         )
 
 
 def density_unit(axis: Axis) -> tuple[str, float]:
     """Display unit of an axis's power spectral density, and its factor to SI."""
-    unit = default_coefficient_unit(axis.sensor, 0.0)
-    name = f"({unit})²/Hz" if "/" in unit else f"{unit}²/Hz"
-    return name, unit_scale(unit, axis.sensor) ** 2
-
-
-# --- The estimate -------------------------------------------------------------------------------------------
+    name, scale = square_unit(axis)
+    return f"{name}/Hz", scale
 
 
 def power_spectrum(
@@ -629,6 +604,6 @@ def _segment_length(n: int, rate: float, segment_time: float | None) -> int:
     if not _SEGMENTS <= segment_time * rate <= n:
         raise AllanjaxError(
             f"segment_time must be from {_SEGMENTS / rate:g} s ({_SEGMENTS} samples) to {n / rate:g} s (the "
-            f"record), got {segment_time:g} s"
+            f"record), not {segment_time:g} s"
         )
     return round(segment_time * rate)

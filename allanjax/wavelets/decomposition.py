@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -20,13 +20,14 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.per_axis import PerAxis, by_sensor
+from allanjax.base.tables import PerAxis
 from allanjax.base.wording import plain, significant
 from allanjax.noise.model import Model
-from allanjax.noise.notation import Modelling, models_of
+from allanjax.noise.notation import Modelling, model_of
 from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import Sensor
 from allanjax.spectrum.autocorrelation import square_unit
 from allanjax.wavelets.variance import WaveletFilter, bands, moments, pywavelets
 
@@ -39,8 +40,8 @@ if TYPE_CHECKING:
 class WaveletDecomposition(ByValue):
     """Decomposition of every axis of a recording into octaves.
 
-    Beyond its ends the record is continued by its reflection: near them approximations are uncertain over
-    about the length of the level's filter.
+    The record is extended by its reflection: near its ends approximations are uncertain over about the length
+    of the level's filter.
 
     Attributes:
         recording: the decomposed recording.
@@ -121,7 +122,7 @@ class WaveletDecomposition(ByValue):
             raise AllanjaxError(f"no level {level}: this decomposition has levels {lowest} to {self.levels}")
 
     def _with(self, kept: Sequence[int], note: str) -> Recording:
-        """The recording that these coefficients alone make, with a note."""
+        """The recording made of these coefficients alone, with a note."""
         only = [c if k in kept else np.zeros_like(c) for k, c in enumerate(self._coefficients)]
         values = pywavelets().waverec(only, self.wavelet, "symmetric", axis=0)[: self.recording.n]
         return replace(self.recording, values=values, others=(), notes=(*self.recording.notes, note))
@@ -172,9 +173,9 @@ def wavelet_decomposition(
 
 # De-noising at the level at which, by a fitted model, white noise falls below the drift.
 #
-# The thesis chooses the level by eye (figures 3.4 and 3.5): that from which on the mean of the details is not
-# zero. A fitted model says how much of each octave is noise without memory, white noise and quantization, and
-# how much is drift, all other random terms.
+# The thesis chooses the level by eye (figures 3.4 and 3.5): the first at which the mean of the details is not
+# zero. A fitted model determines how much of each octave is noise without memory (white noise and
+# quantization) and how much is drift (all other random terms).
 
 # The terms without memory; all other random ones are drift.
 _WHITE = (AngleRandomWalk, Quantization)
@@ -182,12 +183,12 @@ _WHITE = (AngleRandomWalk, Quantization)
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AxisDenoising(ByValue):
-    """Level at which an axis was de-noised, and the variances that it follows from.
+    """Level up to which an axis was de-noised, and the variances from which it follows.
 
     Attributes:
         axis: the axis.
-        level: details up to this level were taken out; 0 if none.
-        cutoff: highest frequency that is left, nominally, rate/2^(level+1) [Hz].
+        level: details up to this level were removed; 0 if none were.
+        cutoff: nominal highest frequency that is left, rate/2^(level+1) [Hz].
         white: [levels] wavelet variance of white noise and quantization at levels 1, 2, … under the model
             [rate²].
         drift: [levels] the same of all other random terms.
@@ -208,7 +209,7 @@ class AxisDenoising(ByValue):
             [significant(float(x[k]) / scale) if 0 <= k < len(x) else "" for x in (self.white, self.drift)]
             for k in (self.level - 1, self.level)
         ]
-        band = f"< {plain(self.cutoff, 3)}" if self.level else "all"
+        band = f"0 … {plain(self.cutoff, 3)}" if self.level else "all"
         return [(self.axis.name, str(self.level), band, *pairs[0], *pairs[1])]
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -223,7 +224,7 @@ class AxisDenoising(ByValue):
         )
 
     def __repr__(self) -> str:
-        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {self.cutoff:.3g} Hz>"
+        return f"<AxisDenoising {self.axis.name}: level {self.level}, below {plain(self.cutoff, 3)} Hz>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -236,13 +237,6 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
         results: one per axis.
     """
 
-    CALLED: ClassVar[str] = "the de-noised recording"
-    HEADINGS: ClassVar[tuple[str, ...]] = (
-        *("axis", "level", "band left", "white noise\nat level", "drift\nat level"),
-        *("white noise\nat next level", "drift\nat next level"),
-    )
-    RIGHT: ClassVar[tuple[str, ...]] = HEADINGS[1:]
-
     recording: Recording
     wavelet: str
     results: tuple[AxisDenoising, ...]
@@ -251,9 +245,11 @@ class Denoised(ByValue, PerAxis[AxisDenoising]):
         name = f"{self.recording.name}: " if self.recording.name else ""
         return f"{name}de-noised with {self.wavelet} up to the last level at which white noise prevails"
 
-    def _cells(self) -> list[tuple[str, ...]]:
-        units = {r.axis.sensor: square_unit(r.axis)[0] for r in self.results}
-        return by_sensor(self.results, lambda sensor: ("", "Hz", *[units[sensor]] * 4))
+    def _heads(self, sensor: Sensor) -> list[str]:
+        unit = next(square_unit(r.axis)[0] for r in self.results if r.axis.sensor == sensor)
+        places = ("level", "next level")
+        kinds = (f"{kind}\nat {at} ({unit})" for at in places for kind in ("white noise", "drift"))
+        return ["axis", "level", "band left (Hz)", *kinds]
 
 
 def denoise(
@@ -268,8 +264,8 @@ def denoise(
 ) -> Denoised:
     """Remove the octaves of every axis in which, under its model, white noise exceeds drift.
 
-    The level is the highest at which the wavelet variance of white noise and quantization exceeds that of all
-    other random terms; lines and ramps do not count. Beyond it drift prevails.
+    Octaves are removed up to the highest level at which the wavelet variance of white noise and quantization
+    exceeds that of all other random terms; lines and ramps do not count.
 
     Args:
         data: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
@@ -285,7 +281,7 @@ def denoise(
     recording = as_recording(data, rate, gyro_unit, accel_unit, names)
     filters = WaveletFilter.of(wavelet)
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
-    models = models_of(model, [axis.name for axis in recording.axes])
+    models = [model_of(model, axis) for axis in recording.axes]
     # All axes may have the same model.
     levels, known = decomposition.levels, {}
     for of_axis in models:
@@ -311,17 +307,14 @@ def _variances(
     model: Model, wavelet: WaveletFilter, levels: int, recording: Recording
 ) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
     """Wavelet variances of white noise and of drift under a model."""
-    random = model.without(
-        [label for label, t in zip(model.term_labels, model.terms, strict=True) if t.deterministic]
-    )
-    labels, terms = random.term_labels, random.terms
-    of_kind = []
-    for is_white in (True, False):
-        others = [b for b, t in zip(labels, terms, strict=True) if isinstance(t, _WHITE) is not is_white]
-        part = random.without(others)
-        level, of_record = np.arange(1, levels + 1), (recording.n, recording.rate)
-        of_kind.append(moments(part, wavelet, level, *of_record)[0] if len(part) else np.zeros(levels))
-    return of_kind[0], of_kind[1]
+    level, terms = np.arange(1, levels + 1), list(zip(model.term_labels, model.terms, strict=True))
+
+    def variances(is_white: bool) -> Float[np.ndarray, " levels"]:
+        others = [b for b, t in terms if t.deterministic or isinstance(t, _WHITE) is not is_white]
+        part = model.without(others)
+        return moments(part, wavelet, level, recording.n, recording.rate)[0] if len(part) else 0.0 * level
+
+    return variances(True), variances(False)
 
 
 def _reason(

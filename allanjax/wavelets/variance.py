@@ -1,16 +1,15 @@
-"""Wavelet variance of a static recording: its power in octaves of frequency, free of the record's ends.
+"""Wavelet variance of a static recording: its power in octaves of frequency, unaffected by its ends.
 
 At level j it is the mean square of the coefficients of the maximal overlap transform (MODWT), with unit
-scaling gain, of which those that depend on samples beyond the record are left out (Percival & Walden 2000,
+scaling gain, without those that depend on samples beyond the record (Percival & Walden 2000,
 section 8.3: the unbiased estimate). Level j covers the octave from rate/2^(j+1) to rate/2^j nominally, and
 has the scale 2^(j−1) samples. With the Haar wavelet it is half the overlapping Allan variance at clusters as
-long as the scale, to rounding.
+long as the scale, up to rounding.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
@@ -21,10 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from allanjax.allan.covariance import AllanCovariance
+from allanjax.allan.covariance import AllanCovariance, padded_quadrature
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.noise.process import Process, numbers_as_data
@@ -36,8 +36,6 @@ from allanjax.spectrum.autocorrelation import square_unit
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_HAAR = (1.0, 1.0)
 
 
 def pywavelets() -> ModuleType:
@@ -57,7 +55,7 @@ class WaveletFilter:
         name: the wavelet's name in PyWavelets, e.g. "haar" or "sym4".
         low: scaling filter, of sum 1.
         high: wavelet filter, of sum 0; square sums of both are 1/2.
-        vanishing_moments: degrees of polynomials, from 0 on, that the wavelet filter takes to zero.
+        vanishing_moments: number of degrees of polynomials, from 0 on, that the wavelet filter removes.
     """
 
     name: str
@@ -70,27 +68,26 @@ class WaveletFilter:
         """Filters of the wavelet of this name.
 
         Raises:
-            AllanjaxError: no such wavelet, one that is not orthogonal, or PyWavelets is not installed, which
-                "haar" does without.
+            AllanjaxError: no such wavelet, one that is not orthogonal, or PyWavelets is not installed ("haar"
+                does not need it).
         """
         if name == "haar":
-            half = np.array(_HAAR) / 2.0
-            return cls(name, tuple(half), (half[0], -half[1]), 1)
+            return cls(name, (0.5, 0.5), (0.5, -0.5), 1)
         pywt = pywavelets()
         if name not in pywt.wavelist(kind="discrete") or not pywt.Wavelet(name).orthogonal:
             raise AllanjaxError(
                 f"{name!r} is not an orthogonal wavelet of PyWavelets; use e.g. haar, db2, db4, sym4, coif1"
             )
-        found = pywt.Wavelet(name)
-        low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (found.dec_lo, found.dec_hi))
-        return cls(name, low, high, found.vanishing_moments_psi)
+        wavelet = pywt.Wavelet(name)
+        low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (wavelet.dec_lo, wavelet.dec_hi))
+        return cls(name, low, high, wavelet.vanishing_moments_psi)
 
     def length(self, level: int) -> int:
         """Samples that a coefficient at this level depends on, (2^level − 1)(L − 1) + 1."""
         return (2**level - 1) * (len(self.low) - 1) + 1
 
     def most_levels(self, n: int) -> int:
-        """Highest level with a coefficient that n samples determine without an assumption on what is beyond.
+        """Highest level with a coefficient that depends on no sample beyond the n samples.
 
         Raises:
             AllanjaxError: there is none.
@@ -101,20 +98,20 @@ class WaveletFilter:
         return levels
 
     def impulse(self, level: int) -> Float[np.ndarray, " length"]:
-        """Equivalent wavelet filter of a level: its coefficients are these sums of samples."""
-        found = _spread(self.high, level - 1)
+        """Equivalent wavelet filter of a level."""
+        impulse = _spread(self.high, level - 1)
         for k in range(level - 1):
-            found = np.convolve(found, _spread(self.low, k))
-        return found
+            impulse = np.convolve(impulse, _spread(self.low, k))
+        return impulse
 
     def gain(
         self, levels: int, frequency: Float[np.ndarray, "octaves points"], resolved: int
     ) -> Float[np.ndarray, "levels octaves points"]:
         """Squared gains of the wavelet filters of levels 1 … `levels`, at frequencies [cycles per sample].
 
-        Points are in octaves, the highest first: of octave k, which ends at 2^−(k+1), the filters of the
-        steps up to k + `resolved` of the cascade vary slowly from point to point. Those beyond vary so fast
-        that their mean is taken, which is the energy of the rest of the cascade.
+        Points are in octaves, the highest first. In octave k, which ends at 2^−(k+1), the filters of the
+        cascade's steps up to k + `resolved` vary slowly from point to point. Later ones vary so fast that
+        their mean is taken, which is the energy of the rest of the cascade.
         """
         octave = np.arange(len(frequency))[:, None]
         passed, gains = np.ones_like(frequency), []
@@ -141,12 +138,6 @@ def _spread(coefficients: tuple[float, ...], step: int) -> Float[np.ndarray, " l
     return found
 
 
-@functools.cache
-def wavelet_filter(name: str) -> WaveletFilter:
-    """Filters of the wavelet of this name, as `WaveletFilter.of` finds them."""
-    return WaveletFilter.of(name)
-
-
 # Expectation and covariance of wavelet variances under a noise model.
 #
 # A coefficient W_j at level j is a sum of samples whose weights h_j sum to zero, that is, of phases whose
@@ -156,13 +147,13 @@ def wavelet_filter(name: str) -> WaveletFilter:
 #
 #     E V_j = 2R ∫₀^½ |H_j|² S df,    Σ_s C_jk(s)² = 2R² ∫₀^½ |H_j|² |H_k|² S² df,
 #
-# where V_j is the mean of W_j² over the M_j coefficients that no end of the record has touched, and C_jk(s)
+# where V_j is the mean of W_j² over the M_j coefficients that the record's ends do not affect, and C_jk(s)
 # the covariance of W_j and W_k at lag s. For many coefficients cov(V_j, V_k) is 2 Σ_s C_jk(s)²/max(M_j, M_k)
 # (Percival & Walden 2000, section 8.3). At the highest levels they are few: there it is multiplied by the
 # ratio of the exact sum over pairs of coefficients to this one under white noise, which all noise resembles
 # within the octave of a level.
 #
-# S is smooth: it enters by its values at a few frequencies an octave, whose weights are integrals of the
+# S is smooth: it enters by its values at a few frequencies per octave, whose weights are integrals of the
 # gains times Lagrange polynomials. They are data, so that one program serves records of any length and
 # rate. The Haar wavelet has another formula, which is exact: its variance is half the Allan variance
 # (`allan.covariance`).
@@ -176,9 +167,9 @@ _COUNTED = 8
 
 
 class WaveletCovariance(AllanCovariance):
-    """Quadrature for the covariance of wavelet variance estimates: all of it that no model enters.
+    """Quadrature for the covariance of wavelet variance estimates: its part that is common to all models.
 
-    What `AllanCovariance` has for lags, this has for frequencies [Hz], the same for all pairs of levels.
+    `lags` are frequencies [Hz] here, the same for all pairs of levels.
 
     Attributes:
         gains: weights of the spectrum at the frequencies in the expectation of each level.
@@ -192,9 +183,9 @@ class WaveletCovariance(AllanCovariance):
     ) -> WaveletCovariance:
         """Quadrature for estimates at these levels, 1 and up, of n rate samples at `rate` [Hz].
 
-        `capacity`: number of levels that arrays are padded to, if there are fewer.
+        Arrays are padded to `capacity` levels, if there are fewer.
         """
-        m, size = len(levels), max(capacity, len(levels))
+        m = len(levels)
         i, j = np.triu_indices(m)
         count = n - np.array([wavelet.length(k) for k in levels]) + 1
         nodes, points, basis = _quadrature()
@@ -206,21 +197,9 @@ class WaveletCovariance(AllanCovariance):
         products = 2.0 * rate**2 * width * squares[..., i, j]
         few = _few_coefficients(count, wavelet, levels)[i, j]
         weights = (2.0 * few / np.maximum(count[i], count[j]) * products).reshape(-1, len(i))
-        place = np.full((size, size), len(i))
-        place[i, j] = place[j, i] = np.arange(len(i))
-        pairs = size * (size + 1) // 2
-        more = ((0, 0), (0, pairs - len(i)))
-        return cls(
-            np.asarray(1.0 / rate),
-            np.asarray(n / rate),
-            np.asarray(m),
-            np.pad(2.0 ** (levels - 1), (0, size - m), constant_values=1.0),
-            np.pad(np.stack([i, j]), more),
-            place,
-            np.repeat(rate * nodes.reshape(-1, 1), pairs, axis=1),
-            np.pad(weights, more),
-            np.pad(gains.reshape(-1, m), ((0, 0), (0, size - m))),
-        )
+        lags = np.repeat(rate * nodes.reshape(-1, 1), len(i), axis=1)
+        gains = np.pad(gains.reshape(-1, m), ((0, 0), (0, max(capacity - m, 0))))
+        return cls(**padded_quadrature(n, rate, 2 ** (levels - 1), capacity, lags, weights), gains=gains)
 
     def kernel(self, term: Process) -> Float[Array, "lags pairs"]:
         """Spectrum of one noise term at the quadrature's frequencies, the same for all pairs."""
@@ -274,7 +253,7 @@ def _few_coefficients(
     return found
 
 
-# Levels for which compiled functions have room: those of 10⁷ samples.
+# Levels that compiled functions are padded to: those of 10⁷ samples.
 _CAPACITY = 24
 
 
@@ -368,8 +347,8 @@ class WaveletVariance(ByValue, OfAxes):
         names = ", ".join(self.names) if self.axes else f"{self.variance.shape[1]} axes"
         first, last = self.scale[[0, -1]]
         return (
-            f"WaveletVariance({self.wavelet}; {names}; {self.n} samples at {self.rate:.6g} Hz; "
-            f"{len(self.level)} levels of scales from {first:.4g} s to {last:.4g} s)"
+            f"WaveletVariance({self.wavelet}; {names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
+            f"{len(self.level)} levels of scales from {plain(first, 4)} s to {plain(last, 4)} s)"
         )
 
 
@@ -395,32 +374,31 @@ def wavelet_variance(
         data: a recording, or equally spaced samples [samples, axes] or [samples]; a data frame, or a path.
         rate: sample rate [Hz], for an array only: a recording has its own.
         wavelet: an orthogonal wavelet by its name in PyWavelets, such as "db2" or "sym4". Longer filters
-            leave less of neighbouring octaves in a level, and have fewer levels. All but "haar" do not see a
+            let less of neighbouring octaves into a level, but have fewer levels. All but "haar" remove a
             drift ramp.
-        levels: number of levels; by default all of which the record determines a coefficient.
-        model: a noise model with values, under which the degrees of freedom are; white noise if there is
-            none.
-        gyro_unit, accel_unit, names: of an array, as `Recording.from_array` takes them; without a unit the
-            variances are in the array's own, whatever that is.
+        levels: number of levels; by default all with a coefficient that the record determines.
+        model: a noise model with values, for the degrees of freedom; by default white noise.
+        gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`; without a
+            unit the variances are in the square of the array's unit.
 
     Raises:
-        AllanjaxError: no rate or not a positive one, samples that are not finite or constant, too few for
-            the levels, an unknown wavelet; PyWavelets is not installed ("haar" needs it not).
+        AllanjaxError: no positive rate, samples that are not finite or constant, too few for the levels, an
+            unknown wavelet; PyWavelets is not installed ("haar" does not need it).
     """
     values, rate, axes = living_samples(data, rate, gyro_unit, accel_unit, names)
-    found, n = WaveletFilter.of(wavelet), len(values)
-    most = found.most_levels(n)
+    filters, n = WaveletFilter.of(wavelet), len(values)
+    most = filters.most_levels(n)
     if levels is not None and not 1 <= levels <= most:
         raise AllanjaxError(f"{n} samples allow 1 to {most} levels of {wavelet}, not {levels}")
     level = np.arange(1, (levels or most) + 1)
-    variance = np.stack([mean_squares(x, found, level[-1]) for x in values.T], axis=1)
+    variance = np.stack([mean_squares(x, filters, level[-1]) for x in values.T], axis=1)
     noise = Model((AngleRandomWalk(1.0),)) if model is None else as_model(model)
-    expected, covariance = moments(noise, found, level, n, rate)
+    expected, covariance = moments(noise, filters, level, n, rate)
     edf = 2.0 * expected**2 / np.diag(covariance)
     return WaveletVariance(
         level=level,
         variance=variance,
-        count=n - np.array([found.length(int(j)) for j in level]) + 1,
+        count=n - np.array([filters.length(int(j)) for j in level]) + 1,
         edf=np.broadcast_to(edf[:, None], variance.shape),
         n=n,
         rate=rate,
@@ -432,18 +410,18 @@ def wavelet_variance(
 def mean_squares(
     x: Float[np.ndarray, " n"], wavelet: WaveletFilter, levels: int
 ) -> Float[np.ndarray, " levels"]:
-    """Mean squares of the coefficients of each level that no end of the record has touched."""
-    smooth, found = x - x.mean(), []
+    """Mean squares of the coefficients of each level that the record's ends do not affect."""
+    smooth, powers = x - x.mean(), []
     for k in range(levels):
-        found.append(np.mean(_filtered(smooth, wavelet.high, 2**k) ** 2))
+        powers.append(np.mean(_filtered(smooth, wavelet.high, 2**k) ** 2))
         smooth = _filtered(smooth, wavelet.low, 2**k)
-    return np.array(found)
+    return np.array(powers)
 
 
 def _filtered(
     x: Float[np.ndarray, " n"], coefficients: tuple[float, ...], step: int
 ) -> Float[np.ndarray, " valid"]:
-    """Samples after a filter with `step` samples from one coefficient to the next, within them."""
+    """Samples after a filter with `step` samples between its coefficients, where it is within the record."""
     valid = len(x) - step * (len(coefficients) - 1)
     found = np.zeros(valid)
     for k, c in enumerate(reversed(coefficients)):
@@ -454,7 +432,7 @@ def _filtered(
 def geometry_of(
     wavelet: WaveletFilter, levels: Int[np.ndarray, " m"], n: int, rate: float
 ) -> AllanCovariance:
-    """Quadrature for the covariance of estimates at these levels, of the Haar wavelet for twice of them."""
+    """Quadrature for the covariance of estimates at these levels, of twice the estimates for "haar"."""
     if wavelet.name == "haar":
         return AllanCovariance.of(n, rate, 2 ** (levels - 1), capacity=_CAPACITY)
     return WaveletCovariance.of_levels(n, rate, wavelet, levels, _CAPACITY)

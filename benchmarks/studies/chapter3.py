@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 import allanjax as aj
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.wording import percent
 from allanjax.noise.terms import (
     AngleRandomWalk,
     BiasInstability,
@@ -120,7 +121,7 @@ def rows_of(case: Case, n: int, records: int, seed: int) -> list[list[str]]:
         for k in range(len(truth)):
             good = np.isfinite(value[:, k])
             error = (value[good, k] - truth[k]) / scale[k]
-            read = "" if good.all() else f" ({good.mean():.0%})"
+            read = "" if good.all() else f" ({percent(float(good.mean()))})"
             cells.append(f"{error.mean():+.1f}, {rms(error):.1f}{read}" if good.any() else "–")
         rows.append([name, str(own.shape[1]), *cells, f"{seconds:.2g}"])
     return rows

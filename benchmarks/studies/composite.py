@@ -227,7 +227,7 @@ def named_axes(findings: list[Any], effect: Effect) -> set[str]:
 
 def left_out(critique: Any, effect: Effect) -> bool:
     """Whether it lies in a part of the record that the first look did not give to the fit."""
-    if (stretch := critique.fit.stretch) is None or effect.span is None:
+    if (stretch := critique.fit.longest_part) is None or effect.span is None:
         return False
     return effect.span[1] <= stretch[0] or effect.span[0] >= stretch[1]
 

@@ -252,7 +252,7 @@ def run(
     if presets:
         parts = [(name, part) for name, p in aj.SENSORS.items() for part in p.simulate(600.0, seed)]
         found = [(name, aj.inspect(part)) for name, part in parts]
-        said = [f"{name}: {seen}" for name, seen in found if seen.said or not seen.at_rest]
+        said = [f"{name}: {seen}" for name, seen in found if seen.left_out or not seen.at_rest]
         yield f"{len(found)} records of the presets: {'; '.join(said) or 'no alarm'}."
     names = list(TOUCHES)[:kinds]
     rows = [row for row in run_tasks(after_touching, [(name, seed, touched) for name in names]) if row]
@@ -265,8 +265,8 @@ def alarm_of(seed: int) -> tuple[str, str]:
     """What a clean record is, and what is said of it."""
     drawn = six(seed) if seed % 2 else single(seed // 2)
     seen, alarm = aj.inspect(drawn.recording(drawn.values)), ""
-    if seen.said:
-        alarm = f"{seen.said} ({seed})"
+    if seen.left_out:
+        alarm = f"{seen.left_out} ({seed})"
     elif not seen.at_rest:
         alarm = f"not static ({seed})"
     elif alone := seen.about("spikes"):
@@ -286,7 +286,7 @@ def after_touching(name: str, first: int, each: int) -> list[str]:
         if seen.refusal:
             refused += 1
             continue
-        cut += seen.stretch is not None
+        cut += seen.longest_part is not None
         after.append(off_by(seen.quiet(drawn.recording(x)).values, reference))
     quantiles = [*np.quantile(before, [0.5, 0.9]), *np.nanquantile(after, [0.5, 0.9, 1.0])]
     return [name, str(each), str(cut), str(refused), *(f"{q:.3g}" for q in quantiles)]

@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from allanjax.fleet.summary import judged
-from allanjax.fleet.table import table_of
+from allanjax.fleet.table import judged, table_of
 from benchmarks.common.study import run_tasks, share, table
 
 PACKAGES = ("pandas", "dask", "distributed")

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 import allanjax as aj
+from allanjax.base.wording import percent
 from benchmarks.common.study import run_tasks, share, table
 
 QUICK: dict[str, Any] = {"craft": 4, "records": 1, "grades": ("consumer",), "hours": 0.5, "minutes": 2.0}
@@ -55,9 +56,10 @@ def run(
     ratios = np.array([[float(x) for x in row[2:5]] for row in rows])
     yield f"## Growth of errors, {craft} craft of each grade\n\nBy chance ratios scatter by {scatter:.3f}."
     yield table(["sensor", "error", "1 s", "10 s", "100 s", "mostly from, at 100 s"], rows)
+    within = percent(float(np.mean(abs(ratios - 1.0) < 2.0 * scatter)))
     yield (
-        f"Of the {ratios.size} ratios, {np.mean(abs(ratios - 1.0) < 2.0 * scatter):.0%} are within two "
-        f"standard errors; mean {ratios.mean():.4f}, from {ratios.min():.3f} to {ratios.max():.3f}."
+        f"Of the {ratios.size} ratios, {within} are within two standard errors; mean {ratios.mean():.4f}, "
+        f"from {ratios.min():.3f} to {ratios.max():.3f}."
     )
     rows, aligned = [], []
     for label in FITS:

@@ -51,12 +51,17 @@ def stream(x: np.ndarray, start: int = 0) -> aj.AllanAccumulator:
     return found
 
 
-def test_of_records_and_of_streams_that_begin_later():
+def test_of_records_and_of_streams_that_begin_later_or_come_in_pieces():
     for n in (2, 3, 16, 17, 1000, 4097, 65_535, 140_000):
         for x in (noise(n, 1), noise(n, 2)):
             check(aj.allan_deviation(x, RATE, estimator="pyramid"), x)
     for n, start in ((2, 1), (3, 5), (17, 15), (40, 3), (1023, 77), (9000, 8191), (135_000, 13)):
         check(stream(noise(n), start).result(), noise(n), start)
+    # From 131,072 gathered samples on they are processed.
+    found, x = aj.AllanAccumulator(RATE, AXES, start=1001), noise(300_000)
+    for piece in np.split(x, [7, 100_000, 131_079, 131_080, 290_000]):
+        found.update(piece)
+    check(found.result(), x, 1001)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -73,15 +78,6 @@ def test_any_split_merges_to_the_whole(seed):
         pieces[k : k + 2] = [pieces[k].merge(pieces[k + 1])]
     assert pieces[0].n == n
     check(pieces[0].result(), x, start)
-
-
-def test_pieces_of_a_stream_that_are_processed_one_by_one():
-    """From 131,072 gathered samples on."""
-    x = noise(300_000)
-    found = aj.AllanAccumulator(RATE, AXES, start=1001)
-    for piece in np.split(x, [7, 100_000, 131_079, 131_080, 290_000]):
-        found.update(piece)
-    check(found.result(), x, 1001)
 
 
 def test_a_bias_costs_no_digits():

@@ -22,9 +22,9 @@ WRITTEN = {
     (12226.0, 19.6): "12,226 ± 20",
     (310756.0, 1234.0): "310,800 ± 1,200",
     (-0.001, 0.3): "0.00 ± 0.30",
-    (1e-4, 1e-5): "0.000100 ± 0.000010",
-    (0.99999e-4, 1e-6): "(10.00 ± 0.10)e-05",
-    (1.68e-5, 1.3e-7): "(1.680 ± 0.013)e-05",
+    (1e-3, 1e-4): "0.00100 ± 0.00010",
+    (0.99999e-3, 1e-5): "(10.00 ± 0.10)×10⁻⁴",
+    (1.68e-5, 1.3e-7): "(1.680 ± 0.013)×10⁻⁵",
     (0.25, 0.0): "0.25",
     (0.25, float("nan")): "0.25",
 }
@@ -50,7 +50,7 @@ def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
         assert estimate(0.5121, 0.0068, interval).describe().startswith("0.512 m (95 %: 0.")
     # Where only the interval is known, its width says how many digits there are.
     assert estimate(1.2, 0.0, (1.0, 1.4)).describe_interval() == "1.00 … 1.40"
-    assert estimate(1.68e-5, 1.3e-7, (1.66e-5, 1.70e-5)).describe_interval() == "(1.660 … 1.700)e-05"
+    assert estimate(1.68e-5, 1.3e-7, (1.66e-5, 1.70e-5)).describe_interval() == "(1.660 … 1.700)×10⁻⁵"
     limit, N = (bench.fit("small")["gyro_x"][name] for name in ("quantization", "N"))
     told = re.search(r"< ([\d,]+(?:\.\d+)?) arcsec", limit.in_unit().describe())[1]
     assert float(told) == pytest.approx(limit.in_unit().upper_limit, rel=5e-3)
@@ -60,12 +60,9 @@ def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
     assert rivalled.describe().count("markov") == 1
 
 
-DURATIONS = {(64, 1280.0): "0.05 s", (64, 0.32): "200 s", (1500, 1.0): "25 min", (3600, 1.0): "60 min"}
-DURATIONS |= {(99, 0.01): "2.75 h"}
-
-
 def test_short_records_are_in_seconds_long_ones_in_hours():
-    for (n, rate), text in DURATIONS.items():
+    lengths = {(64, 1280.0): "0.05 s", (64, 0.32): "200 s", (1500, 1.0): "25 min", (99, 0.01): "2.75 h"}
+    for (n, rate), text in lengths.items():
         assert text in repr(aj.Recording.from_array(np.arange(float(n)) % 7.0, rate, gyro_unit="deg/s"))
 
 
@@ -89,7 +86,7 @@ def test_what_an_encoding_does_not_have_is_written_in_words(monkeypatch):
     aj.write_json(bench.fit("small"), "fit.json")
     out, err = said(lambda: command("fit.json", "--axis", "gyro_x"))
     assert ("deg/sqrt(h)" in out, without_progress(err)) == (True, "")
-    assert [len(line) > 40 for line in out.splitlines() if set(line) == {"-", "+"}] == [True]
+    assert [len(line) > 40 for line in out.splitlines() if set(line) == {"-"}] == [True]
     assert r"\u221a" in said(lambda: command("fit.json", "--axis", "gyro_x", "--json"))[0]
     assert r"gr\xfcn.json" in said(lambda: command("grün.json"))[1]
     text, _ = said(lambda: print(bench.fit("small")["gyro_x"], bench.fit("small")["gyro_x"]["N"]))

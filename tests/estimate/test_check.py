@@ -107,7 +107,7 @@ def test_the_rate_is_compared_with_the_bandwidth():
     """
     line = aj.check(bench.recording("one_pole"))["bandwidth"]
     assert line.verdict == "fine"
-    width, _, rest = line.reason.partition(" Hz (gyro_x), the rate is ")
+    width, _, rest = line.reason.partition(" Hz (gyro_x); the rate is ")
     assert float(width) == pytest.approx(18.0, rel=0.08)
     assert float(rest.partition(" times")[0]) == pytest.approx(RATE / float(width), rel=0.02)
     w, z = np.exp(-0.8 * np.pi), np.random.default_rng(3).standard_normal(N)

@@ -43,7 +43,7 @@ def test_coefficients_are_those_of_the_likelihood_of_all_stretches(whole, fitted
     assert whole.n == 3000
     assert [len(other) for other in whole.others] == [2048, 300, 1500]
     assert fitted.objective == "whittle"
-    assert any("4 segments, 6848 samples" in note for note in fitted.notes)
+    assert any("4 segments, 6,848 samples" in note for note in fitted.notes)
     for k, result in enumerate(fitted.values()):
         stretches = [x[:, k] for x in (whole.values, *whole.others)]
         squares = np.concatenate([dst(np.diff(x), type=1, norm="ortho") ** 2 for x in stretches])

@@ -135,9 +135,12 @@ def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
 def test_ambiguities_name_what_is_swapped_or_doubtful_with_its_odds():
     walk = "rate random walk"
     for odds, told in (
-        ({"NK": 1.0, "NB": 0.5}, [f"{walk} or bias instability (probability 67 % and 33 %)"]),
-        ({"N": 1.0, "NK": 0.5}, [f"{walk} (probability 67 % without it, 33 % with it)"]),
-        ({"NK": 1.0, "N": 0.15}, [f"{walk} (probability 13 % without it, 87 % with it)"]),
+        (
+            {"NK": 1.0, "NB": 0.5},
+            [f"{walk} or bias instability (probabilities of the best sets: 67 % and 33 %)"],
+        ),
+        ({"N": 1.0, "NK": 0.5}, [f"{walk} (probabilities of the best sets: 67 % without it, 33 % with it)"]),
+        ({"NK": 1.0, "N": 0.15}, [f"{walk} (probabilities of the best sets: 13 % without it, 87 % with it)"]),
         # Improbable, and no ambiguity worth a word.
         ({"N": 1.0, "NK": 0.06}, []),
         ({"N": 1.0, "NK": 0.01}, []),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import run
+from commands import run, schema
 from fleets import ARW, axis, coefficient
 from imu_columns import refused
 
@@ -176,10 +176,8 @@ def test_rows_of_a_stored_fit(three):
     sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
     extension = {"further": ["sinusoid"], "model": [{"term": "sinusoid"}]}
     corrected = {"extension": extension, "selection": sets}
-    for more, labels, last, remark in (
-        (corrected, [ARW], "flicker", "line 2 Hz"),
-        ({}, [ARW, "sinusoid"], "sinusoid", ""),
-    ):
+    cases = (corrected, [ARW], "flicker", "line 2 Hz"), ({}, [ARW, "sinusoid"], "sinusoid", "")
+    for more, labels, last, remark in cases:
         three.store("b", [axis("gyro_x", both, **more)])
         result = three.run(three.files[1:2])
         table = result.table
@@ -345,16 +343,44 @@ def test_the_command_runs_a_cluster_of_its_own(characterized, logs):
     assert (nothing.exit_code, "*.parquet" in nothing.stderr) == (1, True)
 
 
+@pytest.mark.usefixtures("elsewhere")
+def test_sensors_of_two_rates_in_one_table_have_results_of_their_own(cluster):
+    """Each row repeats the last values of the other sensor; N holds within 4 σ of so many samples."""
+    rng, clocks, N = np.random.default_rng(8), {"gyro": 100.0, "accel": 62.5}, 1e-3
+    time = {name: np.arange(40.0 * rate) / rate + 1e-3 * (name == "accel") for name, rate in clocks.items()}
+    stamps, table = np.union1d(*time.values()), {}
+    for (name, rate), unit in zip(clocks.items(), ("rad/s", "m/s^2"), strict=True):
+        rows = np.maximum(np.searchsorted(time[name], stamps, "right") - 1, 0)
+        own = N * np.sqrt(rate) * rng.standard_normal((len(time[name]), 3))
+        table |= {f"{name}_{k} [{unit}]": x for k, x in zip("xyz", own[rows].T, strict=True)}
+    pd.DataFrame({"time [s]": stamps, **table}).to_csv("both.csv", index=False)
+    assert run("characterize", "both.csv", "--out", "there").exit_code == 0
+    for _ in range(2):
+        result = aj.characterize_fleet("both.csv", "out", scheduler=cluster)
+    assert (result.resumed, {*result.table["recording"]}, len({*result.table["axis"]})) == (1, {"both"}, 6)
+    of_unit = aj.load("out/recordings/both.json")
+    for name, rate in clocks.items():
+        fit = aj.load(f"there/both_{name}.json")
+        assert fit.curve.rate == of_unit[f"both ({name})"].curve.rate == pytest.approx(rate, rel=1e-3)
+        assert list(fit) == [f"{name}_{k}" for k in "xyz"]
+        assert all(abs(fit[axis]["N"].value - N) < 4.0 * N / np.sqrt(2 * 40.0 * rate) for axis in fit)
+    schema("fleet").validate(json.loads(Path("out/recordings/both.json").read_text(encoding="utf-8")))
+    (one, two) = json.loads(run("check", "both.csv", "--json").stdout)["checks"]
+    assert (one["file"], two["file"]) == ("both.csv (gyro)", "both.csv (accel)")
+
+
 def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
     values = np.array([[1.0], [1.06], [0.94], [1.03], [0.97], [9.0]])
     limits = np.array([[np.nan], *5 * [[20_000.0]]])
     few = ("gyro", "bias_instability", 12_347.0 * np.ones((6, 1)), 0.05)
-    _, head, _, row, unit = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()[:5]
-    assert all(word in head for word in ("N (deg/√h)", "B (deg/√h)", "detected", "outlying"))
+    lines = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits))).splitlines()
+    assert all(word in lines[1] for word in ("N (deg/√h)", "B (deg/√h)", "detected", "outlying"))
     # Their standard deviation is 0.0474, and 9 is nine times the median.
     cells = ("gyro_x", "1.000 ± 0.047", "12,350 ± 620", "N 6, B 1 of 6", "unit_5")
-    assert all(cell in row for cell in cells)
-    assert unit == "unit_5: outlying in gyro_x N (×9.0 the median)"
+    assert all(cell in lines[3] for cell in cells)
+    ranges = [["axis", "N 5…95 % (deg/√h)"], ["gyro_x", "0.946 … 1.054"]]
+    assert [line.split(maxsplit=1) for line in lines[5:8:2]] == ranges
+    assert lines[8] == "unit_5: outlying in gyro_x N (×9.0 the median)"
     # Where the others have limits alone, there is no median.
     *_, row, unit = str(fleet.judged((*few, limits / 1e4))).splitlines()[:5]
     assert (row.split()[-1], unit) == ("unit_0", "unit_0: outlying in gyro_x B")

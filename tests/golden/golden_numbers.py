@@ -97,7 +97,7 @@ def _chosen(name):
     yield from _of_fit("chosen", fit)
     yield "chosen/warnings", Number("same", len(fit.warnings))
     yield "chosen/dead", Number("same", [axis.axis.name for axis in fit.dead])
-    stretch = [-1.0, -1.0] if fit.stretch is None else list(fit.stretch)
+    stretch = [-1.0, -1.0] if fit.longest_part is None else list(fit.longest_part)
     yield "chosen/stretch", Number("seconds", stretch)
 
 

@@ -81,7 +81,7 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     assert event.first / RATE == pytest.approx(first, abs=5.0)
     assert event.last / RATE == pytest.approx(last, abs=40.0 if slow else 2.0)
     assert event.share > 0.005 or kind == "silent"
-    start, stop = result.stretch
+    start, stop = result.longest_part
     assert stop <= first + 0.01 or start >= last - 0.01
     # The longer side, but for some seconds beside the event.
     assert stop - start > max(first, 300.0 - last) - (45.0 if slow else 6.0)
@@ -98,11 +98,11 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     assert_allclose(result.rms, touched[rows].std(axis=0), rtol=0.01)
     assert result.quiet(own(touched)).n == rows.stop - rows.start
     asked = aj.inspect(own(touched), as_is=True)
-    assert (asked.stretch, asked.refusal, bool(asked.about("disturbances"))) == (None, "", True)
-    # What is accumulated cannot be cut any more: a refusal that names the stretch to read.
-    assert result.uncut().stretch is None
+    assert (asked.longest_part, asked.refusal, bool(asked.about("disturbances"))) == (None, "", True)
+    # What is accumulated cannot be cut any more: a refusal that names the part to read.
+    assert result.uncut().longest_part is None
     assert f"start={start:g}, stop={stop:g}" in result.uncut().refusal
-    moved = aj.inspect(own(touched), may_move=True).stretch
+    moved = aj.inspect(own(touched), may_move=True).longest_part
     assert (moved is None) == (kind in ("step", "shift", "warm-up"))
 
 
@@ -110,7 +110,7 @@ def test_what_changes_no_coefficient_is_a_note():
     x = values(6)
     x[15_000] += 12.0 * SIGMA
     result = aj.inspect(recording(x))
-    assert (result.warnings, result.stretch, result.refusal, len(result.notes)) == ((), None, "", 1)
+    assert (result.warnings, result.longest_part, result.refusal, len(result.notes)) == ((), None, "", 1)
     assert [(event.kind, event.matters) for event in result.events] == [("spike", False)]
 
 
@@ -163,18 +163,18 @@ def test_a_stream_that_was_handled_says_what_to_read(tmp_path):
     whole = aj.inspect(recording(x))
     accumulator.snapshot(tmp_path / "rig.npz")
     for one in (accumulator, aj.AllanAccumulator.restore(tmp_path / "rig.npz")):
-        assert one.inspect().stretch == whole.stretch
+        assert one.inspect().longest_part == whole.longest_part
     left, right = aj.AllanAccumulator(RATE, NAMES), aj.AllanAccumulator(RATE, NAMES, start=12_345)
     left.update(x[:12_345])
     right.update(x[12_345:])
-    # Windows begin elsewhere: the stretch is the same to a second or so.
-    assert_allclose(left.merge(right).inspect().stretch, whole.stretch, atol=1.5)
+    # Windows begin elsewhere: the part is the same to a second or so.
+    assert_allclose(left.merge(right).inspect().longest_part, whole.longest_part, atol=1.5)
     fit = accumulator.fit("N + K")
     assert not fit.converged
-    assert "start={:g}, stop={:g}".format(*whole.stretch) in fit["gyro_x"].reason
+    assert "start={:g}, stop={:g}".format(*whole.longest_part) in fit["gyro_x"].reason
     # What it says to read has a result.
     calm = aj.AllanAccumulator(RATE, NAMES)
-    calm.update(x[slice(*(round(time * RATE) for time in whole.stretch))])
+    calm.update(x[slice(*(round(time * RATE) for time in whole.longest_part))])
     assert calm.fit("N + K")["gyro_x"].measured
 
 
@@ -280,17 +280,13 @@ def test_rates_and_lengths():
 
 def test_noise_below_the_resolution_and_samples_that_are_held():
     """The share of equal neighbours is 60 % where the noise is 0.4 steps; then few values are left."""
-    kind = "resolution"
-    for steps, subjects in (
-        (0.4, set()),
-        (1.0, {(kind, "widened")}),
-        (1.8, {(kind, "widened")}),
-        (3.0, {(kind, "not a measurement")}),
-    ):
+    for steps, means in ((0.4, ""), (1.0, "widened"), (1.8, "widened"), (3.0, "not a measurement")):
         x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
         result = aj.inspect(recording(x))
-        assert {(fact.kind, fact.consequence) for fact in result.facts} == subjects
-        for k, fact in enumerate(fact for fact in result.facts if fact.kind == "resolution"):
+        assert {(f.kind, f.consequence) for f in result.facts} == (
+            {("resolution", means)} if means else set()
+        )
+        for k, fact in enumerate(result.facts):
             assert fact.axes == (NAMES[k],)
             # The rms of differences of rounded noise, over the root of two, in steps.
             rms = np.diff(x[:, k]).std() / np.sqrt(2.0)

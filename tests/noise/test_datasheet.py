@@ -51,12 +51,9 @@ FIGURES = [
 ]  # fmt: skip
 
 
-def test_figures_are_converted():
+def test_figures_are_converted_with_assumptions_and_differences_stated():
     for figures, expected in FIGURES:
         assert finite(aj.datasheet({"gyro": figures})["gyro"]) == pytest.approx(expected, rel=1e-5)
-
-
-def test_what_is_assumed_and_what_differs_is_stated():
     figures = {"random_walk": "0.34 deg/√h", "noise_density": "0.008 deg/s/√Hz", "sided": "two"}
     figures |= {"lsb": "0.1 deg/s", "rate": "2000 Hz", "conditions": "at 25 °C"}
     found = aj.datasheet({"gyro": figures})
@@ -64,7 +61,7 @@ def test_what_is_assumed_and_what_differs_is_stated():
     told = "\n".join(found.statements)
     # 0.008·60/0.34, and the share of the steps' power in N².
     share = (0.1 / math.sqrt(12 * 2000) * 60 / 0.34) ** 2
-    for words in ("gyro: at 25 °C", f"noise_density gives {0.008 * 60 / 0.34:.2f} ", f"{100 * share:.2g} %"):
+    for words in ("gyro: at 25 °C", f"density would give {0.008 * 60 / 0.34:.2f} ", f"{100 * share:.2g} %"):
         assert words in told
     rms = aj.datasheet({"gyro": RMS_NOISE | {"bandwidth_is": "first-order"}})
     assert f"{30 * math.pi / 2:.4g} Hz" in rms.statements[0]
@@ -100,12 +97,8 @@ def test_files_and_names(tmp_path, monkeypatch):
     Path("bad.toml").write_text("[gyro\n")
     Path("mine").write_text("[gyro]\nrandom_walk = '0.1 deg/√h'\n", encoding="utf-8")
     found = aj.datasheet("sheet.toml")
-    assert (found.name, found.source, *found.models) == (
-        "ADIS16470",
-        "Analog Devices, front page",
-        "gyro",
-        "accel",
-    )
+    named = ("ADIS16470", "Analog Devices, front page", "gyro", "accel")
+    assert (found.name, found.source, *found.models) == named
     assert finite(found["accel"]) == pytest.approx({"bias_instability": 13e-6 * G0 / LEAST}, rel=1e-5)
     assert list(aj.datasheet("mine").models) == ["gyro"]
     for text in ("ICM-42688-P", "icm42688p", "ICM 42688-P"):
@@ -135,7 +128,7 @@ SHEETS = {
 RMS = {("BMI270", "accel"): 1.51e-3 * G0 / math.sqrt(160), ("ICM-20602", "gyro"): 0.04 * DEG / math.sqrt(200)}
 
 
-def test_sheets_are_those_by_hand():
+def test_sheets_are_those_by_hand_and_have_a_source():
     scales = {"w": (DEG / 60, 1 / 60), "1": (DEG / math.sqrt(2), G0 / math.sqrt(2)), "2": (DEG, G0)}
     for name, printed in SHEETS.items():
         for k, (N, kind, B) in enumerate(printed):
@@ -146,16 +139,13 @@ def test_sheets_are_those_by_hand():
             assert finite(found) == pytest.approx(expected, rel=1e-5), name
     for (name, sensor), N in RMS.items():
         assert finite(aj.datasheet(name)[sensor])[WALK] == pytest.approx(N, rel=0.06)
-
-
-def test_every_sheet_can_be_read_and_has_a_source():
     assert list(aj.datasheets()) == sorted(aj.datasheets(), key=str.casefold)
     for found in map(aj.datasheet, aj.datasheets()):
         assert found.source
         assert {s.partition(":")[0] for s in found.statements} == set(found.models)
 
 
-def test_convert_by_units_alone():
+def test_convert_units_and_sheets(tmp_path):
     one, two = run("convert", 0.003, "deg/s/√Hz", "--to", "deg/√h").stdout.splitlines()
     assert f"= {0.18 / math.sqrt(2.0):.6g} deg/√h" in one
     assert "= 0.18 deg/√h" in two
@@ -163,15 +153,12 @@ def test_convert_by_units_alone():
     assert f"= {0.003 * math.sqrt(2.0):.6g} dps/sqrt(Hz)" in one_sided
     squares = run("convert", 2, "(deg/h)²/Hz", "--to", "deg²/h", "--sided", "one").stdout
     assert f"= {1.0 / 3600.0:.6g} deg²/h" in squares
-
-
-def test_convert_a_sheet(tmp_path):
     sheet = tmp_path / "adis16470.toml"
     sheet.write_text(ADIS16470, encoding="utf-8")
     walk = json.loads(run("convert", "--sheet", sheet, "--json").stdout)["coefficients"][0]
     assert (walk["sensor"], walk["coefficient"], walk["unit"]) == ("gyro", WALK, "deg/√h")
     assert [walk["value"], walk["si"]] == pytest.approx([0.008 * x / math.sqrt(2.0) for x in (60.0, DEG)])
-    assert re.search(r"deg/√h.*\n *gyro +0\.150 ", run("convert", "--sheet", "stim300").stdout)
+    assert re.search(r"deg/√h.*\n─+\ngyro +0\.150 ", run("convert", "--sheet", "stim300").stdout)
     for words in ((3, "mdps/√Hz", "--to", "µg"), (3, "foo", "--to", "g"), ("--sheet", "BMI88")):
         assert run("convert", *words).exit_code == 1
     for words in ([], [3], [3, "g"], ["--sheet", "a.toml", "--to", "g"], [3, "g", "--to", "mg", "--json"]):
@@ -204,7 +191,7 @@ def test_a_sheet_goes_where_a_fit_goes(elsewhere):
     commands = ["export own.toml --to vins-mono --rate 200", "horizon own.toml --horizon 10"]
     commands += ["navigate own.toml --latitude 51", "simulate --sheet BMI088 --duration 1 --out a.csv"]
     assert [run(*words.split()).exit_code for words in commands] == [0, 0, 0, 0]
-    for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1? ")):
+    for name, near in (("BMI", "BMI088 or BMI160"), ("ADIS16495", "ADIS16495-1?")):
         refuses(re.escape(f"did you mean {near}"), aj.datasheet, name)
 
 

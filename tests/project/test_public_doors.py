@@ -1,4 +1,4 @@
-"""Tests go through public doors: names that `allanjax` or a room's `__all__` offers, and results' attributes.
+"""Tests go through public doors: names that `allanjax` or a package's `__all__` offers, and attributes.
 
 A test of an inner function dies with it, and says nothing of what a user gets.
 """
@@ -18,7 +18,7 @@ MOST = 8
 
 
 def is_public(name: str) -> bool:
-    """Whether a dotted name of the package is offered by `allanjax` itself or in the `__all__` of a room."""
+    """Whether a dotted name of the package is offered by `allanjax` itself or by a package's `__all__`."""
     module, _, last = name.rpartition(".")
     if name in ALLOWED or (module == "allanjax" and last in dir(aj)):
         return True

@@ -230,11 +230,8 @@ def test_what_goes_wrong_in_a_later_chunk(tmp_path):
         assert counts == [row - 1, ROWS - row, ROWS]
         save(FRAME.drop(index=row), path)
         refused(chunks, f"0.02 s (2 intervals)|row {row} ")
-    slower = np.where(k < 2000, k / RATE, 20.0 + (k - 2000) / 90.0)
-    for times, words in (
-        (np.where(k == 2000, 19.99, k / RATE), "repeats|row 2000"),
-        (slower, "100 Hz at first"),
-    ):
+    again, slower = np.where(k == 2000, 19.99, k / RATE), np.where(k < 2000, k / RATE, 20 + (k - 2000) / 90)
+    for times, words in ((again, "repeats|row 2000"), (slower, "100 Hz at first")):
         save(FRAME.assign(**{"time [s]": times}), path)
         refused(chunks, words)
     slower = k / RATE * (1.0 + 1e-7 * k)

@@ -73,7 +73,7 @@ def test_what_is_there_stays_and_what_is_not_is_counted(written, late):
 def test_empty_cells_are_missing_of_their_axis_alone(written):
     table = whole(3000).drop(columns="time [s]")
     table.iloc[[5, 900, 901], 0] = np.nan
-    assert refused(written(table), "3 values|--gaps fill", rate=RATE).about == "gaps"
+    assert refused(written(table), "and 2 more|--gaps fill", rate=RATE).about == "gaps"
     recording = aj.read(written(table), rate=RATE, gaps="fill")
     assert [np.flatnonzero(lost).tolist() for lost in recording.missing.T] == [[5, 900, 901], [], []]
     assert np.array_equal(filled(table.iloc[:, :3].to_numpy()).values, recording.values)
@@ -87,7 +87,7 @@ def test_empty_cells_are_missing_of_their_axis_alone(written):
     x[100:400] = np.nan
     assert filled(x).missing.sum() == 300
     x[400] = np.nan
-    refused(lambda: filled(x), "30%|--gaps segments")
+    refused(lambda: filled(x), "30 %|--gaps segments")
 
 
 def test_packets_recorded_twice_are_left_out(written):
@@ -153,10 +153,8 @@ def test_a_completed_record_has_the_spectrum_of_a_whole_one():
     b, a = butter(2, 0.5)
     walk = rng.standard_normal(n) + 0.05 * np.cumsum(rng.standard_normal(n))
     low_pass = lfilter(b, a, rng.standard_normal(n + 500))[500:]
-    for x, expected in (
-        (walk, 1.0 + (0.05 / (2.0 * np.sin(np.pi * f))) ** 2),
-        (low_pass, np.abs(freqz(b, a, 2.0 * np.pi * f)[1]) ** 2),
-    ):
+    slow, steep = 1.0 + (0.05 / (2.0 * np.sin(np.pi * f))) ** 2, np.abs(freqz(b, a, 2.0 * np.pi * f)[1]) ** 2
+    for x, expected in ((walk, slow), (low_pass, steep)):
         y = filled(np.where(lost_at(n), np.nan, x)[:, None]).values[:, 0]
         ratio = np.abs(np.fft.rfft(y - y.mean())[1:]) ** 2 / n / expected
         # Four standard errors of two thousand exponential values, and a twentieth for the averaging.
@@ -200,7 +198,7 @@ def test_whatever_is_given_is_filled_as_a_file_is(written):
         np.testing.assert_array_equal(found.curve.deviation, curve.deviation)
     for command in (aj.fit, aj.check, aj.critique):
         refused(command, "gaps=", recording=table, rate=RATE, gaps="drop")
-    refused(lambda: aj.fit(table, "N", rate=RATE), "1 value is")
+    refused(lambda: aj.fit(table, "N", rate=RATE), "has nan")
 
 
 def in_stretches(x, lengths):

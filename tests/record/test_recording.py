@@ -75,7 +75,7 @@ def test_a_part_has_its_first_sample_and_not_the_one_at_its_end(recording):
     part = recording.between(500 / recording.rate, 1500 / recording.rate)
     np.testing.assert_array_equal(part.values, recording.values[500:1500])
     np.testing.assert_array_equal(part.auxiliary["count"], np.arange(500, 1500))
-    assert "500 to 1499 of 2000" in part.notes[-1]
+    assert "500 to 1,499 of 2,000" in part.notes[-1]
     between = recording.between(500.4 / recording.rate, 1500.4 / recording.rate)
     np.testing.assert_array_equal(between.auxiliary["count"], np.arange(501, 1501))
     assert recording.between(stop=8.0).n == np.ceil(8.0 * 123.4567)
@@ -170,25 +170,17 @@ COEFFICIENTS = [
     ("deg/√h, deg/sqrt(h), deg/√hr, deg/√(h), deg/h^0.5, °/√h, deg/h^(1/2), deg·h^-0.5", "rad/√s", DEG / 60),
     ("deg/rt(h), deg/rthr, deg/root-h", "rad/s^0.5", DEG / 60),
     ("deg/h/√h, (deg/h)/√h, deg/h^1.5, deg/hr/sqrt(hr)", "rad/s/√s", DEG / 3600 / 60),
-    ("rad/s/√Hz", "rad/√s", 1.0),
-    ("deg/s/√Hz, dps/sqrt(Hz)", "rad/s/√Hz", DEG),
-    ("arcsec", "rad", DEG / 3600),
-    ("µg/√Hz, ug/rtHz", "m/s²/√Hz", 1e-6 * G0),
-    ("m/s/√h", "m/s/√s", 1 / 60),
-    ("m/s/h²", "m/s³", 1 / 3600**2),
-    ("h, hour", "s", 3600.0),
-    ("ppm", "1", 1e-6),
-    ("%, percent", "1", 1e-2),
-    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2),
-    ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
-]
+    ("rad/s/√Hz", "rad/√s", 1.0), ("deg/s/√Hz, dps/sqrt(Hz)", "rad/s/√Hz", DEG),
+    ("arcsec", "rad", DEG / 3600), ("µg/√Hz, ug/rtHz", "m/s²/√Hz", 1e-6 * G0),
+    ("m/s/√h", "m/s/√s", 1 / 60), ("m/s/h²", "m/s³", 1 / 3600**2),
+    ("h, hour", "s", 3600.0), ("ppm", "1", 1e-6), ("%, percent", "1", 1e-2),
+    ("(deg/h)²/Hz", "rad²/s", (DEG / 3600) ** 2), ("deg/h/[temperature]", "rad/s/[temperature]", DEG / 3600),
+]  # fmt: skip
 # What is not converted: units, the sensor, and what is named.
 NOT_CONVERTED = [
-    ("deg/h", "deg/√h", "gyro", "deg/s"),
-    ("deg/h", "furlong", "gyro", "furlong"),
-    ("g", "m/s²", "gyro", "accelerometer"),
-    ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
-]
+    ("deg/h", "deg/√h", "gyro", "deg/s"), ("deg/h", "furlong", "gyro", "furlong"),
+    ("g", "m/s²", "gyro", "accelerometer"), ("deg/h/[temperature]", "deg/h/[current]", None, "current"),
+]  # fmt: skip
 
 
 def test_units_of_coefficients():

@@ -55,14 +55,14 @@ def moved(**changes):
 # What writes the file, options of reading, what the error names, and its class unless it is RecordingError.
 OF_TEXT = {
     # Cells, whose lines are those of the file.
-    "text": (text(cells={(23, 1): "abc", (35, 1): "x"}), RATE, "gyro_y|line 23:|abc|--stop"),
-    "nan": (cell("nan"), RATE, "gyro_y|line 23:|gaps"),
-    "empty": (cell(""), RATE, "gyro_y|line 23:|gaps"),
-    "too large": (cell("1.01e100"), RATE, "gyro_y|line 23:|1.01e+100"),
-    "cell cut off": (line(2, "0.1,0.2,"), RATE, "gyro_z|line 2:"),
-    "no header": (text(cells={(4, 2): "x"}, edit=headless), DEG_S, "gyro_z|line 3: 'x'"),
-    "after a stretch": (text(cells={(35, 1): "x"}), {**RATE, "start": 0.22, "stop": 0.4}, "gyro_y|line 35:"),
-    "comments count": (cell("x", edit=lambda x: ["# lab", "", *x[:9], "# stop", *x[9:]]), RATE, "line 26:"),
+    "text": (text(cells={(23, 1): "abc", (35, 1): "x"}), RATE, "gyro_y|line 23 has|abc|--stop"),
+    "nan": (cell("nan"), RATE, "gyro_y|line 23 has|gaps"),
+    "empty": (cell(""), RATE, "gyro_y|line 23 has|gaps"),
+    "too large": (cell("1.01e100"), RATE, "gyro_y|line 23 has|1.01e+100"),
+    "cell cut off": (line(2, "0.1,0.2,"), RATE, "gyro_z|line 2 has"),
+    "no header": (text(cells={(4, 2): "x"}, edit=headless), DEG_S, "gyro_z|line 3 has 'x'"),
+    "after a stretch": (text(cells={(35, 1): "x"}), {**RATE, "start": 0.22, "stop": 0.4}, "gyro_y|line 35 "),
+    "comments count": (cell("x", edit=lambda x: ["# lab", "", *x[:9], "# stop", *x[9:]]), RATE, "line 26 "),
     "row too long": (line(9, "1,2,3,4"), RATE, "line 9 has 4 columns where 3"),
     "header again": (text(edit=lambda x: [*x[:9], x[0], *x[9:]]), RATE, "line 10|header"),
     # Lengths, rates, stretches.
@@ -262,7 +262,7 @@ def test_binary(tmp_path, name):
 
 # Changes to the arguments of `from_array`, and what its RecordingError names.
 ARRAYS = [
-    ({"values": BAD}, "'accel_y'|1 value|row 7"),
+    ({"values": BAD}, "'accel_y'|row 7|has"),
     ({"values": np.where(np.isnan(BAD), np.inf, NOISE)}, "'accel_y'|row 7|inf"),
     ({"values": 0.0 * NOISE}, "'gyro_x'|constant"),
     ({"values": NOISE[:15]}, "15 samples|16"),
@@ -274,7 +274,6 @@ ARRAYS = [
     ({"names": ["gx", "gy", "gz", "ax", "ay", "mag"]}, "'mag'|auxiliary="),
     ({"names": ["gx", "gx", "gz", "ax", "ay", "az"]}, "'gx' and 'gx'"),
     ({"auxiliary": {"temperature": np.ones(3)}}, "'temperature'|(3,)|(50,)"),
-    ({"gaps": "drop"}, "gaps=|drop"),
     *(({"rate": x}, "rate=") for x in (0, np.nan, np.inf, None, "100", 1j, np.ones(1))),
 ]
 
@@ -284,6 +283,7 @@ RECORDING = made(NOISE, 50.0, **UNITS, name="unit 7")
 # Other calls in a folder, what the error names, and its class unless it is RecordingError.
 CALLS = [
     (lambda f: RECORDING["mag"], "mag|gyro_x"),
+    (lambda f: made(NOISE, 1.0, **UNITS, gaps="drop"), "gaps=|drop"),
     (lambda f: RECORDING.select(), "gyro_x"),
     (lambda f: RECORDING.between(0.7), "unit 7|15 samples|start="),
     (lambda f: aj.write(RECORDING, f / "imu.mat"), "imu.mat|.parquet"),

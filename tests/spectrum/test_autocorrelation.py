@@ -90,15 +90,12 @@ def test_parameters_are_read_at_zero_and_at_one_over_e():
         assert table["accel_z", "markov variance"] == pytest.approx(0.01 / 9.80665e-6**2)
 
 
-def test_nothing_is_read_where_the_curve_does_not_fall_or_does_so_at_once():
+def test_what_cannot_be_read_or_estimated_is_explained():
     value = np.stack([[1.0, 0.9, 0.8, 0.4], [1.0, 0.3, 0.2, 0.1]], axis=1)
     read = aj.Autocorrelation(np.arange(4.0), value, value, ("", ""), 100, 1.0, AXES).markov()
     for axis, word in (("gyro_x", "1/e"), ("accel_z", "sample")):
         assert set(read[axis].estimates.values()) == {None}
         assert word in read[axis].reasons["markov correlation time"]
-
-
-def test_refused():
     refuses("longest_lag", aj.autocorrelation, record(50), 1.0, longest_lag=49.0)
     assert len(aj.autocorrelation(record(50), 1.0, longest_lag=48.0).lag) == 49
     refuses("gyro_unit", aj.autocorrelation(record(50), 1.0).markov)

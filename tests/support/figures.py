@@ -28,10 +28,10 @@ def strip_of(figure: Figure) -> Axes:
     return next(axes for axes in figure.axes if "[%]" in axes.get_ylabel())
 
 
-def texts(figure: Figure) -> list[str]:
-    """Texts within the panels, then those of the figure."""
-    in_panels = [text.get_text() for axes in figure.axes for text in axes.texts]
-    return in_panels + [text.get_text() for text in figure.texts]
+def texts(figure: Figure) -> str:
+    """Texts within the panels, then those of the figure, in one line."""
+    every = [text.get_text() for of in (*figure.axes, figure) for text in of.texts]
+    return " ".join(" ".join(every).split())
 
 
 def check_texts_apart(figure: Figure) -> int:

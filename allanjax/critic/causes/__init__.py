@@ -17,7 +17,7 @@ from allanjax.critic.causes.variance_change import VarianceChange
 from allanjax.critic.causes.warm_up import WarmUp
 from allanjax.critic.view import EVERYTHING
 
-#: What a critique looks for, unless told otherwise.
+#: The causes that a critique looks for by default.
 CAUSES: tuple[Cause, ...] = (
     *(BasicTerm(term) for term in EVERYTHING),
     BiasStep(),

@@ -17,12 +17,12 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
-# Smallest signal-to-noise ratio that is looked at more closely.
+# Smallest signal-to-noise ratio that is examined more closely.
 _WORTH = 3.5
 # Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3
-# Likelihood, over that of the best shape, from which on an end of the bank is within two standard deviations;
-# and the probability that is left beyond a limit.
+# Likelihood relative to the best shape above which an end of the bank is within two standard deviations; and
+# the probability beyond a limit.
 _LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
 
 
@@ -61,7 +61,7 @@ def additive(
         k = scan.best
         if abs(scan.snr[k]) < _WORTH or k in tried:
             continue
-        # At first the noise is chosen without what the bank has of the shape, which costs no transform.
+        # At first the noise is chosen without the shape as in the bank, which costs no transform.
         for exact in (False, True):
             for _ in range(_ROUNDS):
                 tried.add(k)
@@ -103,9 +103,8 @@ def marginal(
 ) -> tuple[float, Float[np.ndarray, " shapes"]]:
     """Standard deviation of the amplitude and probability of each shape, averaged over plausible noise.
 
-    In noise that drifts a step is determined by the samples next to it, in white noise by all: where the
-        record
-    does not determine the noise, both count.
+    In drifting noise a step is determined by the samples next to it, in white noise by all samples; both
+    count if the record does not determine the noise.
     """
     sets = after.model_evidence.likely(after.allowed, most=SETS)
     variance, likelihood = 0.0, np.zeros(len(bank.shapes))
@@ -115,14 +114,14 @@ def marginal(
             half = 0.5 * scan.snr**2
             weight = np.exp(half - half.max())
             weight /= weight.sum()
-            # The amplitude is known no better than the shape it belongs to.
+            # The amplitude is known no better than its shape.
             off = scan.std[k] ** 2 + weight @ (scan.amplitude - amplitude) ** 2
             variance, likelihood = variance + share * off, likelihood + share * weight
     return float(np.sqrt(variance)), likelihood
 
 
 def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
-    """Function that adds a term, if there is one, to a model."""
+    """Function that adds a term, if any, to a model."""
     return lambda model: model if term is None else model + term
 
 
@@ -131,12 +130,12 @@ def shape_parameter(
     likelihood: Float[np.ndarray, " shapes"],
     spacing: float | Float[np.ndarray, " shapes"] = 1.0,
 ) -> tuple[float, float, Limit]:
-    """Mean and standard deviation of a shape's parameter, or a limit where an end of the bank is likely.
+    """Mean and standard deviation of a shape's parameter, or a limit if an end of the bank is likely.
 
     Args:
         values: values of the parameter, increasing.
         likelihood: likelihood of each.
-        spacing: spacing of the values, by which a flat prior weighs them.
+        spacing: spacing of the values, their weights under a flat prior.
 
     Returns:
         The mean, the standard deviation and ""; or the 95 % limit, nan, and its side.
@@ -146,7 +145,7 @@ def shape_parameter(
     if ends.max() < _LIKELY:
         return *mean_and_std(values, weight), ""
     share = np.cumsum(weight)
-    # Between the two values of the bank that the limit is between.
+    # Interpolated between two values of the bank.
     between = np.convolve(np.pad(values, 1, mode="edge"), [0.5, 0.5], "valid")
     if ends[1] >= ends[0]:
         return float(between[np.searchsorted(share, _BEYOND)]), float("nan"), "above"
@@ -166,8 +165,8 @@ def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: flo
     """Log evidence of a record with one of a bank's shapes [nats]; without one it is `View.log_evidence`.
 
     The likelihood is averaged over shapes, amplitudes and plausible subsets of the noise terms. The subsets
-    and their levels are those of the record without the effect at its most likely: without the shape h that
-    is `taken` with the amplitude a in the view `after`. Otherwise a step would be taken for a random walk.
+    and their levels are those of the record without the most likely effect, the shape h (`taken`) with the
+    amplitude a, as in the view `after`. Otherwise a step would be taken for a random walk.
     With p and g the products of h with the record and with itself, the likelihood of the record is that
     without a·h times exp(½a²g − ap).
     """
@@ -206,7 +205,7 @@ def _products(
         mixed = np.stack([sums(bank.shapes * (weight * h))[:, some].T for h in free], axis=-1)
         with_record = sums(free * (weight * view.coefficients[:J]))[:, some].T
         among = np.moveaxis(sums(free[:, None] * free * weight)[..., some], -1, 0)
-        # Not the inverse: two of them may be the same.
+        # Not the inverse, as two of them may be equal.
         along = mixed @ np.linalg.pinv(among, hermitian=True)
         cross[some] -= np.einsum("skf,sf->sk", along, with_record)
         gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), NOTHING * gram[some])

@@ -35,7 +35,7 @@ class BasicTerm(Cause):
 
     def detect(self, view: View) -> Candidate | None:
         term = self.name
-        # A power law is in the Markov process's place.
+        # A power law takes the place of the Markov process.
         if term in view.allowed or (term == MARKOV and POWER_LAW in view.allowed):
             return None
         allowed = [*view.allowed, term]
@@ -48,7 +48,7 @@ class BasicTerm(Cause):
 
         def held_out() -> float:
             if term == RAMP:
-                # Its shape is known, and nearly all of it is in one coefficient: parts of the time, then.
+                # Its shape is known and nearly all in one coefficient, so parts of the time are held out.
                 shape = Bank(view.family.ramp[None, :SLOW])
                 return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
             with_it = view.cross_validated(
@@ -81,7 +81,7 @@ class BasicTerm(Cause):
             return [amplitude]
         time = _correlation_time(view, noise)
         if time.upper_limit is not None:
-            # Of a shorter one it is larger: white noise is all that is seen of it.
+            # It is larger for a shorter one, which looks like white noise.
             least = max(value - ONE_SIDED_95 * std, 0.0) / scale
             amplitude = view.estimate(parameter.name, least, np.nan, unit, "above")
         return [amplitude, time]
@@ -97,7 +97,7 @@ def _value(view: View, noise: Noise, term: str) -> tuple[float, float]:
 
 
 def _p_value(view: View, term: str) -> float:
-    """p-value of the likelihood ratio of the noise with the term to that without, by Wilks's law.
+    """p-value of the likelihood ratio of the noise with the term to the noise without, by Wilks's law.
 
     Without the term its amplitude is at the boundary of its range.
     """
@@ -110,7 +110,7 @@ def _p_value(view: View, term: str) -> float:
 
 
 def _correlation_time(view: View, noise: Noise) -> Estimate:
-    """Correlation time by maximum likelihood, between the neighbours of its place in the grid."""
+    """Correlation time by maximum likelihood, between the neighbouring values of the grid."""
     levels = FineLevels(view)
 
     def likelihood(u: float) -> float:
@@ -121,5 +121,5 @@ def _correlation_time(view: View, noise: Noise) -> Estimate:
     middle, step = np.log(noise.shape), times[1] - times[0]
     u = levels.shape_of(likelihood, (middle - step, middle + step))[0]
     std = relative_errors(view, noise)[SHAPE]
-    # Beyond the grid a Markov process is another term: white noise, or a random walk.
+    # Beyond the grid a Markov process is the same as another term: white noise, or a random walk.
     return view.log_estimate("correlation_time", *limited(u, std, (times[0], times[-1])), "s")

@@ -17,7 +17,7 @@ from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
-# Gain of a step [nats] from which on no pair of steps is tried in its place: a judgement.
+# Gain of a step [nats] above which no pair of steps is tried in its place: a judgement.
 _SURE = 20.0
 # Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
 # turn.
@@ -25,7 +25,7 @@ _FINER, _ROUNDS = 64, 3
 
 
 class BiasStep(Cause):
-    """A step of the bias; several are detected one after the other, or two at once that hide each other."""
+    """A step of the bias; several are detected one by one, or two together if they hide each other."""
 
     name = "bias_step"
     refit = "at once"
@@ -35,7 +35,7 @@ class BiasStep(Cause):
         if found is None or found.gain < _SURE:
             least = -PRIORS[self.name].log_odds + (0.0 if found is None else found.gain)
             both = self._two(view, *step_bank(view.n), least)
-            # Each of the two must hold on held-out data; else the one that was found stands.
+            # Each of the two must gain on held-out data; otherwise the single step is kept.
             if both is not None and (found is None or both.held_out() > 0.0):
                 return both
         return found
@@ -77,10 +77,7 @@ class BiasStep(Cause):
         )
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
-        """Best pair of steps that hide each other: there and back, or one on top of the other.
-
-        None if they gain no more than the `least`.
-        """
+        """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
         gain = least
         for noise in view.noises:
             pair = best_pair(bank, view, noise)
@@ -116,7 +113,7 @@ class BiasStep(Cause):
     def _given_other(
         self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
     ) -> Candidate:
-        """First of two steps as a finding in the record without the other, with the gain that it adds."""
+        """First of two steps as a finding in the record without the other, with its additional gain."""
         alone = view.with_samples(view.samples - steps[1])
         scan = bank.scan(alone, without.noise)
         a = float(scan.amplitude[k])
@@ -146,7 +143,7 @@ def _parameters(
 ) -> list[Estimate]:
     spacing = places[1] - places[0]
     place, spread, limit = shape_parameter(places, likelihood)
-    # Only at the record's ends does a bank end where a step might be beyond it.
+    # Only at the record's ends may a step lie beyond the end of a bank.
     if limit and (places[0] if limit == "below" else view.n - places[-1]) > 2.0 * spacing:
         (place, spread), limit = mean_and_std(places, likelihood), ""
     spread = np.hypot(spread, spacing / np.sqrt(12.0))
@@ -156,7 +153,7 @@ def _parameters(
     ]
 
 
-# Every how many shapes of the bank one is tried at first.
+# Spacing of the shapes of the bank that are tried first.
 _COARSER = 8
 # Least norm of a shape after projecting out the other one, over the largest such norm: a judgement.
 _CLEAR = 0.1
@@ -170,7 +167,7 @@ class Pair:
         members: indices of the shapes in the bank.
         amplitude: amplitude of each, by generalized least squares.
         snr: signal-to-noise ratio of each given the other, with its sign.
-        log_trials_factor: of the search for the two [nats]: the best likelihood over the mean of all pairs.
+        log_trials_factor: of the search for both [nats]: the best likelihood over the mean of all pairs.
     """
 
     members: tuple[int, int]
@@ -180,7 +177,7 @@ class Pair:
 
 
 def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
-    """Most likely pair of shapes: of every eighth shape first, then of all, each in turn given the other.
+    """Most likely pair of shapes: from every eighth shape first, then from all, each in turn given the other.
 
     Where the pair is known approximately, the search begins `near` it.
     """
@@ -198,8 +195,7 @@ def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None
     chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
     covariance = np.linalg.pinv(chosen @ chosen.T)
     amplitude = covariance @ p
-    # Where both are located more sharply than the coarse pairs are apart, the factor from single searches is
-    # better.
+    # If both are located more sharply than the coarse pairs, the factor from single searches is better.
     among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
     snr = amplitude / np.sqrt(np.diag(covariance))
     return Pair((first, second), amplitude, snr, min(price, float(among)))
@@ -219,10 +215,7 @@ def _gains(
 
 
 def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
-    """Most likely shape given another one of any amplitude, and its log trials factor [nats].
-
-    `p` are the shapes' products with the record.
-    """
+    """Most likely shape given another one, and its log trials factor [nats]; `p`: products with the data."""
     own = matched.lengths**2
     common = matched.products(matched.rows(np.array([other]))[0]) / own[other]
     left = np.maximum(own - common**2 * own[other], 0.0)

@@ -18,15 +18,15 @@ from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"
-# Correlations are looked for in all coefficients, in the lowest quarter, its lowest quarter, and so on.
+# Correlations are searched for in all coefficients, in their lowest quarter, in its lowest quarter, ….
 _SPLIT = 4
-# Fewest independent coefficients of a correlation: a judgement.
+# Fewest independent coefficients for a correlation: a judgement.
 _LEAST = 64
 # Neighbouring coefficients that are held out together.
 _FOLD_BLOCK = 32
 # Correlations below this share of the strongest one belong to another group: a judgement.
 _WEAKEST = 0.2
-# Largest correlation that is estimated: no two axes are quite the same.
+# Largest correlation that is estimated, as no two axes are identical.
 _STRONGEST = 0.999
 
 
@@ -34,8 +34,8 @@ _STRONGEST = 0.999
 class _Link:
     """Correlation between two axes, of all their noise or of the white noise only.
 
-    `share` is the expectation of the products of their whitened coefficients a and b, were this noise one and
-    the same in both.
+    `share` is the expectation of the products of their whitened coefficients a and b if this noise were
+    identical in both.
     """
 
     noise: str
@@ -67,7 +67,7 @@ class _Link:
         return self.among(slice(None))
 
     def among(self, some: Bool[np.ndarray, " k"] | slice) -> float:
-        """Correlation by some of the coefficients: Σ share·ab / Σ share²."""
+        """Correlation from some of the coefficients: Σ share·ab / Σ share²."""
         share = self.share[some]
         r = float(share @ (self.a[some] * self.b[some]) / (share @ share)) / np.prod(self.levels)
         return float(np.clip(r, -_STRONGEST, _STRONGEST))
@@ -93,7 +93,7 @@ class _Link:
 
     @property
     def held_out(self) -> float:
-        """Gain in log-likelihood of an axis given the other, by the correlation in the other folds."""
+        """Gain in log-likelihood of an axis given the other, with the correlation from the other folds."""
         gain = 0.0
         for part in folds(self.top, min(_FOLD_BLOCK, max(self.top // 64, 1))):
             a, b = (x[part] / level for x, level in zip((self.a, self.b), self.levels, strict=True))
@@ -103,7 +103,7 @@ class _Link:
 
 
 class _Member(NamedTuple):
-    """Axis, its whitened coefficients, and the share of white noise in each of these; None if untold."""
+    """Axis, its whitened coefficients, and the share of white noise in each of them; None if unknown."""
 
     axis: Axis
     z: Float[np.ndarray, " n-1"]
@@ -123,10 +123,10 @@ def common_mode(
 ) -> list[Finding]:
     """Groups of axes whose whitened cosine coefficients z are correlated.
 
-    `white` is the share of the white noise in each axis's noise, None where there is none; `alpha` the
-    probability of a false finding.
+    `white` is the share of white noise in each axis's noise, None if it has none; `alpha` is the probability
+    of a false finding.
     """
-    # Where white noise is nearly all that an axis has there is nothing to tell it from.
+    # If nearly all noise is white, white noise and all noise are the same.
     told = [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white]
     members = [_Member(*one) for one in zip(axes, z, told, strict=True)]
     tops = [len(z[0])]
@@ -155,19 +155,19 @@ def _finding(members: Sequence[_Member], group: set[int], linked: Links, rate: f
     strong = _strong(list(within.values()))
     pairs = sorted(pair for pair, link in within.items() if link in strong)
     both = [(members[a], members[b]) for a, b in pairs]
-    # One kind of noise for all of them: that which explains most.
+    # One kind of noise for all of them, the one that explains most.
     noises = _noises([member for pair in both for member in pair])
     tops = {link.top for link in within.values()}
     sharing = [[_Link.of(*pair, noise, top) for pair in both] for noise in noises for top in tops]
-    # There, pairs that share hardly anything are another matter: what they share is elsewhere.
+    # Pairs that share hardly anything in this kind of noise are left out, as they share another kind.
     possible = [_strong(links) for links in sharing if all(link.size >= _LEAST for link in links)]
     evidence = np.array([sum(link.evidence for link in links) for links in possible])
-    # The mean over the pairs, of which those with a minus sign share noise of opposite sign.
+    # The mean over the pairs; those with a minus sign share noise of opposite sign.
     means = np.array([np.mean([abs(link.correlation) for link in links]) for links in possible])
     best = int(np.argmax(evidence))
     links, mean = possible[best], float(means[best])
     likelihood = np.exp(evidence - evidence[best])
-    # What it is the correlation of is part of what is not known.
+    # Which noise is correlated is part of the uncertainty.
     spread = likelihood @ (means - mean) ** 2 / likelihood.sum()
     top, shared = links[0].top, [members[k].axis for k in sorted(group)]
     names = tuple(axis.name for axis in shared)
@@ -198,16 +198,16 @@ def _finding(members: Sequence[_Member], group: set[int], linked: Links, rate: f
 
 
 def _strong(links: Sequence[_Link]) -> list[_Link]:
-    """Links whose correlation is not much less than the largest one."""
+    """Links whose correlation is not much smaller than the largest one."""
     least = _WEAKEST * max(abs(link.correlation) for link in links)
     return [link for link in links if abs(link.correlation) >= least]
 
 
 def _error(r: float, links: Sequence[_Link]) -> float:
-    """Standard deviation of the mean of correlations that are all about r, of pairs that share an axis.
+    """Standard deviation of the mean correlation of pairs that share axes, all correlations being about r.
 
-    By the moments of normal variates of correlations r·share, divided by estimates of their mean squares;
-    with equal shares of 1 it is what Olkin & Siotani (1976) give.
+    It follows from the moments of normal variates with correlations r·share, divided by estimates of their
+    mean squares; for shares of 1 it is that of Olkin & Siotani (1976).
     """
     share, k = np.mean([link.share for link in links], axis=0), links[0].top
     S = float(share @ share)
@@ -222,7 +222,7 @@ def _error(r: float, links: Sequence[_Link]) -> float:
 def _groups(linked: Links) -> list[set[int]]:
     """Groups of axes that are linked, directly or through others.
 
-    They are built from the strongest link on; much weaker links belong to other groups.
+    They are built from the strongest link onwards; much weaker links belong to other groups.
     """
     groups: list[set[int]] = []
     left = {pair: link.correlation for pair, (link, _) in linked.items()}

@@ -1,4 +1,4 @@
-"""Disturbances: the unit was bumped or handled and moved for a while."""
+"""Disturbances: the unit was bumped or handled, and moved for a while."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from allanjax.record.completion import in_time
 # Shortest disturbance [s], and longest one as a share of the record: judgements.
 _SHORTEST = 0.1
 _LONGEST = 0.25
-# Smallest gain of a window that is looked at more closely [nats].
+# Smallest gain of a window that is examined more closely [nats].
 _WORTH = 12.0
 # Bands of the spectrum, each twice as wide as the one below.
 _BANDS = 6
 _SMOOTH, _LOUD = judged("disturbance", "smooth"), judged("disturbance", "loud")
-# Standard deviations of its mean square from which on a block is loud: a judgement.
+# Excess of its mean square, in standard deviations, above which a block is loud: a judgement.
 _QUIET = 3.0
-# Blocks in which a fading beginning or end is looked for; share of a disturbance that noise hides at either.
+# Blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at each.
 _FADING, _UNSEEN = 10, 0.1
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
@@ -38,11 +38,11 @@ class Disturbance(Cause):
     def detect(self, view: View) -> Candidate | None:
         block = max(int(np.rint(_SHORTEST * view.rate)), 4)
         quiet = view
-        # Noise estimated with the motion in it has taken part of it for its own: once more, without.
+        # The first noise was estimated with the motion in it and contains part of it: repeated without.
         for _ in range(2):
             e = in_time(view.coefficients / np.sqrt(view.variance(quiet.noise)))
             e /= 1.4826 * float(np.median(abs(e)))
-            # What was drawn is no disturbance, nor part of one.
+            # Imputed samples are not part of a disturbance.
             squares = np.where(view.imputed, 1.0, e**2)
             loudest = _loudest(squares, block)
             if loudest is None:
@@ -66,7 +66,7 @@ class Disturbance(Cause):
         if coloured - 2.5 * len(excess) < white:
             return None
         p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
-        # It begins and ends below the noise: a share of it is not seen.
+        # It begins and ends below the noise, so a share of it is hidden.
         std = float(np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m))
         peak = float(np.max(abs(view.samples[start:end] - np.median(view.samples))))
         return Candidate(
@@ -85,7 +85,7 @@ class Disturbance(Cause):
 
 
 def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, float] | None:
-    """Window with the largest likelihood of being louder, and the number of windows that were searched."""
+    """Window most likely to be louder, and the number of windows searched."""
     total = np.concatenate([[0.0], np.cumsum(squares)])
     best, windows, width = (0.0, 0, 0), 0.0, block
     while width <= _LONGEST * len(squares):
@@ -101,7 +101,7 @@ def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, fl
 
 
 def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
-    """Window whose ends are moved out while it is loud there, and in while it is not."""
+    """Window with its ends moved outwards while it is loud there, and inwards while it is not."""
     limit = 1.0 + _QUIET * np.sqrt(2.0 / block)
 
     def loud(at: int) -> bool:
@@ -119,7 +119,7 @@ def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -
 
 
 def _faded(e: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
-    """Stretch extended as far as it is loud at low frequencies: motion is slow, and fades out."""
+    """Stretch extended as far as it is loud at low frequencies, since motion is slow and fades out."""
     count = len(e) // block
     means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
     first, last = _grown(means**2, start // block, -(-end // block), _FADING)
@@ -136,7 +136,7 @@ def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:
 
 
 def _held_out(squares: Float[np.ndarray, " n"], start: int, end: int) -> float:
-    """Gain in log-likelihood [nats] on parts of the stretch by the level that the others show."""
+    """Gain in log-likelihood [nats] on parts of the stretch with the level from the other parts."""
     gain, inside = 0.0, squares[start:end]
     for part in folds(len(inside), max(min(_FOLD_BLOCK, len(inside) // 16), 1)):
         level, rest = inside[~part].mean(), inside[part]

@@ -1,7 +1,7 @@
 """Draws of the samples before rounding or clipping, given what was recorded.
 
-Between the limits that an output of finite resolution or range leaves, a sample is Gaussian around the slow
-part of the record. Draws of it restore the normal law that everything else relies on.
+Between the limits set by the resolution or range of the output, a sample is Gaussian around the slow part of
+the record. Drawing it restores the normal law on which everything else relies.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr, ndtri
 
-# Most and fewest sweeps, and the change of the deviation, in its standard errors, that ends them.
+# Most and fewest sweeps, and the change of the deviation, in standard errors, below which they end.
 _SWEEPS, _LEAST, _CHANCE = 12, 6, 1.0
-# Samples that the local mean is taken over.
+# Number of samples in a local mean.
 _WINDOW = 200
-# Smallest tail probability that is drawn from.
+# Smallest tail probability from which samples are drawn.
 _DEEP = 1e-12
 
 
 def draw_between(
     x: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], upper: Float[np.ndarray, " n"], seed: int
 ) -> tuple[Float[np.ndarray, " n"], float]:
-    """Draw of samples between `lower` and `upper`, equal where one is exact, and their local deviation."""
+    """Draw of samples between `lower` and `upper` (equal for exact samples), and their local deviation."""
     rng = np.random.default_rng(seed)
     open_ = upper > lower
     y = x.astype(float).copy()
@@ -30,7 +30,7 @@ def draw_between(
     centre, sigma = uniform_filter1d(y, width, mode="reflect"), float(np.std(np.diff(y)) / np.sqrt(2.0))
     for k in range(_SWEEPS):
         a, b = ((limit[open_] - centre[open_]) / max(sigma, 1e-300) for limit in (lower, upper))
-        # In the tail where both limits are: the digits are in the smaller probability.
+        # In the tail of both limits, the smaller probability has the digits.
         flip = a > 0.0
         a, b = np.where(flip, -b, a), np.where(flip, -a, b)
         low, high = ndtr(a), ndtr(b)

@@ -19,20 +19,20 @@ from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
 
-# Scales of outliers, in deviations of the noise, and shares of the samples that are compared.
+# Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
 _SHARES = np.geomspace(1e-7, 0.1, 40)
 # Scores below this could be noise as well.
 _NOTICED = 3.0
-# Score from which on samples count one by one; below they count in bins of this width.
+# Score above which samples count singly; below it they count in bins of this width.
 _LOUD, _FINE = 8.0, 0.02
-# Smallest gain in log-likelihood that is looked at more closely [nats]: the odds are shorter by its trials.
+# Smallest gain in log-likelihood that is examined more closely [nats], before the trials factor.
 _WORTH = 8.0
-# Log odds from which on a sample counts as an outlier, seven to one: a judgement.
+# Log odds above which a sample counts as an outlier, seven to one: a judgement.
 _ODDS = 2.0
 # Distance [samples] below which prediction errors may have one cause: a judgement.
 _APART, _LONGEST = 8, judged("outliers", "longest")
-# Samples at each end of the record whose scatter is computed; most rounds in which neighbours are found.
+# Samples at each end of the record whose scatter is computed; most rounds of the search for neighbours.
 _END, _ROUNDS = 16, 5
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
@@ -61,7 +61,7 @@ class Outliers(Cause):
         threshold = _threshold(share, scale)
         missing, scores, after = np.zeros(view.n, bool), np.zeros(view.n), view
         seen = z
-        # Beside a large one others are seen only when it is gone.
+        # A large outlier hides others next to it until it is removed.
         for _ in range(_ROUNDS):
             loud = np.flatnonzero(abs(seen) > threshold)
             if len(loud) == 0:
@@ -76,7 +76,7 @@ class Outliers(Cause):
         if len(times) == 0:
             return None
         gain -= _log_trials_factor(view.n)
-        # Of all that there are, also of those too small to be seen.
+        # For all outliers, including those too small to be detected.
         log_scale, spread, limit = _log_scale(scores[missing], threshold)
         estimates = [
             view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
@@ -100,7 +100,7 @@ class Outliers(Cause):
         )
 
     def again(self, view: View, found: Candidate) -> Candidate:
-        """Finding of the same samples, imputed with the noise as it is estimated now."""
+        """Finding of the same samples, imputed with the present noise."""
         missing = np.zeros(view.n, bool)
         times = np.array(values_of(found.details["times"])[0], float)
         missing[np.rint(times * view.rate).astype(int)] = True
@@ -113,10 +113,7 @@ def _p_value(largest: float, n: int) -> float:
 
 
 def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
-    """Largest score of each group of neighbours, to which one outlier's prediction errors spread.
-
-    None if a group is longer than an outlier's.
-    """
+    """Largest score of each group of neighbours; None if a group is longer than that of an outlier."""
     groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
     if max(g[-1] - g[0] for g in groups) > _LONGEST:
         return None
@@ -124,7 +121,7 @@ def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
 
 
 def _log_trials_factor(n: int) -> float:
-    """Log trials factor of share and scale [nats]: each may be anywhere in its grid."""
+    """Log trials factor of share and scale [nats], each of which may be anywhere in its grid."""
     return float(np.log(len(_SCALES)) + np.log(np.log(n)))
 
 
@@ -142,7 +139,7 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
     size = abs(z)
     if not np.any(size > _NOTICED):
         return 0.0, 0.0, 1.0
-    # A histogram is enough, of the quiet ones a coarse one; of the few that are loud each is looked at.
+    # A coarse histogram suffices for the quiet ones; the few loud ones count singly.
     parts = (60, 0.0, _NOTICED), (round((_LOUD - _NOTICED) / _FINE), _NOTICED, _LOUD)
     found = [np.histogram(size, count, (low, high)) for count, low, high in parts]
     counts = np.concatenate([count for count, _ in found])
@@ -172,10 +169,7 @@ def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
 
 
 def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
-    """Logarithm of the scale of outliers with scores above a threshold, and its deviation; or a limit.
-
-    Only errors above the threshold are found: their law is a normal one truncated there.
-    """
+    """Log scale of outliers, whose law is truncated at a threshold, and its deviation; or a limit."""
     log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
     width = np.sqrt(1.0 + np.exp(2.0 * log))
     each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
@@ -184,7 +178,7 @@ def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float,
 
 
 def _threshold(share: float, scale: float) -> float:
-    """Score from which on a sample counts as drawn from the wider of the two laws."""
+    """Score above which a sample counts as drawn from the wider of the two laws."""
     s2 = scale**2
     least = _ODDS - np.log(share / (1.0 - share)) + 0.5 * np.log1p(s2)
     return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
@@ -193,8 +187,8 @@ def _threshold(share: float, scale: float) -> float:
 def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
     """Leave-one-out residuals over their scale, zero where samples were imputed.
 
-    At the record's ends quantization noise is not that of the mirrored record, and residuals scatter more:
-    those that stand out there are compared with their own scatter.
+    At the record's ends quantization noise differs from that of the mirrored record, and residuals scatter
+    more; those that stand out there are compared with the scatter at the ends.
     """
     z = np.where(view.imputed, 0.0, view.loo_residuals[0] / scale)
     v, n = view.variance(), view.n
@@ -203,16 +197,16 @@ def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
             sample = np.zeros(n)
             sample[k] = 1.0
             weight = in_time(dct(sample, norm="ortho", workers=-1)[1:] / v) / float(np.mean(1.0 / v))
-            # Its variance by the density, in a record so long that the ends do not meet.
+            # Its variance from the density, in a record so long that the ends do not interact.
             response = np.abs(rfft(weight, 2 * n, workers=-1)[1:n]) ** 2
             z[k] /= max(1.0, np.sqrt(float(response @ v) / n * np.mean(1.0 / v)))
     return z
 
 
 def _held_out(z: Float[np.ndarray, " n"]) -> float:
-    """Gain in log-likelihood [nats] on parts of the samples by the mixture that the others show.
+    """Gain in log-likelihood [nats] on parts of the samples with the mixture from the other parts.
 
-    Where the others show none, outliers are taken to be rare and of any scale; so a single one is predicted.
+    If the others have none, outliers are taken to be rare and of any scale: a single one can be predicted.
     """
     gain = 0.0
     for part in folds(len(z), _FOLD_BLOCK):

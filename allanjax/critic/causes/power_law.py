@@ -11,9 +11,9 @@ from allanjax.critic.parameters import limited
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
-# Distance from the best exponent of the grid within which the maximum is looked for.
+# Distance from the best exponent of the grid within which the maximum is sought.
 _REACH = 0.6
-# Range of the exponent, slightly less than that of the term; most rounds in which the maximum is looked for.
+# Range of the exponent, slightly less than that of the term; most rounds of the search for the maximum.
 _EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
 
@@ -62,7 +62,7 @@ class PowerLaw(Cause):
 
 
 def _exponent(view: View, noise: Noise) -> tuple[float, float]:
-    """Exponent by maximum likelihood, all powers being fitted to it, and its standard deviation."""
+    """Exponent by maximum likelihood, with all powers fitted for each value, and its standard deviation."""
     levels = FineLevels(view)
 
     def likelihood(exponent: float) -> float:
@@ -71,7 +71,7 @@ def _exponent(view: View, noise: Noise) -> tuple[float, float]:
 
     low, high = _EXPONENTS
     middle = noise.shape
-    # A maximum at the end of the range is looked for farther on.
+    # If the maximum is at the end of the range, the search goes farther.
     for _ in range(_ROUNDS):
         bounds = (max(middle - _REACH, low), min(middle + _REACH, high))
         exponent, std, _ = levels.shape_of(likelihood, bounds)

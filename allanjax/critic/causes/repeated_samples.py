@@ -15,13 +15,13 @@ from allanjax.inspection.plausible import lattice
 _LEAST, _DOUBTLESS, _PREDICTED = (
     judged("repeated_samples", name) for name in ("count", "deviations", "share")
 )
-# Distance [samples] at which equal samples are by rounding, since values are rarely held so long: a
+# Distance [samples] at which samples are equal only by rounding, since values are rarely held so long: a
 # judgement.
 _APART = 12
 
 
 class RepeatedSamples(Cause):
-    """More samples that equal the previous one than rounding explains."""
+    """More samples equal to the previous one than rounding explains."""
 
     name = "repeated_samples"
     is_preprocessing = True
@@ -37,7 +37,7 @@ class RepeatedSamples(Cause):
         share = count / n
         if chance > 0.0 and (z < _DOUBTLESS or share < chance + _PREDICTED):
             return None
-        # In a continuous output no sample repeats another: how improbable it is then is not a number.
+        # In a continuous output no sample repeats another, so the probability is zero.
         known = chance > 0.0
         longest = int(np.max(np.diff(np.flatnonzero(np.diff(np.concatenate([[0], same, [0]]))))[::2]))
         return Candidate(
@@ -55,9 +55,9 @@ class RepeatedSamples(Cause):
 
 
 def repeats(raw: Float[np.ndarray, " n"], recorded: Float[np.ndarray, " recorded"]) -> Bool[np.ndarray, " n"]:
-    """Whether a sample equals the one before, other than at the limits of a clipped output.
+    """Whether a sample equals the one before, except at the limits of a clipped output.
 
-    These are those of the samples that were not missing, which have been drawn and repeat none.
+    Missing samples are left out: they have been drawn and repeat none.
     """
     same = np.concatenate([[False], raw[1:] == raw[:-1]])
     return same & (raw < recorded.max()) & (raw > recorded.min())
@@ -68,24 +68,24 @@ def _by_chance(raw: Float[np.ndarray, " n"]) -> float:
     q = lattice(raw)
     if q is None:
         return 0.0
-    # Rounding to steps of q adds q²/6 to the variance of differences. Two samples that differ by d are
-    # rounded alike if no border is between them: with the probability 1 − |d|/q.
+    # Rounding to steps of q adds q²/6 to the variance of differences. Two samples that differ by d round to
+    # the same value with the probability 1 − |d|/q, that no border lies between them.
     sigma = float(np.sqrt(np.maximum(np.var(np.diff(raw)) - q**2 / 6.0, 1e-4 * q**2)))
     d = np.linspace(0.0, q, 401)
     fine = float(np.trapezoid((1.0 - d / q) * 2.0 * norm.pdf(d / sigma) / sigma, d))
-    # Of coarse steps that is not true; there, samples farther apart are alike as often.
+    # This does not hold for coarse steps, where samples farther apart are equal as often.
     coarse = float(np.mean(raw[_APART:] == raw[:-_APART]))
     return max(fine, coarse)
 
 
 def _gain(count: float, n: float, share: float, chance: float) -> float:
-    """Log-likelihood ratio [nats] of a number of repeats under a share of them to that by chance."""
+    """Log-likelihood ratio [nats] of a number of repeats: with this share of repeated samples, to chance."""
     floor = max(chance, 1e-12)
     return float(count * np.log(share / floor) + (n - count) * np.log((1.0 - share) / (1.0 - floor)))
 
 
 def _held_out(same: Bool[np.ndarray, " n"], chance: float) -> float:
-    """Gain in log-likelihood [nats] on each half of the record by the share in the other."""
+    """Gain in log-likelihood [nats] on each half of the record with the share from the other half."""
     first, second = np.array_split(same, [len(same) // 2])
     return sum(
         _gain(other.sum(), len(other), (one.sum() + 0.5) / (len(one) + 1.0), chance)

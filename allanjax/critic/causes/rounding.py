@@ -10,7 +10,7 @@ from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import TOLERANCE, lattice
 
-#: Resolution over the deviation of the noise below which rounding does no harm.
+#: Resolution, relative to the noise's standard deviation, below which rounding is harmless.
 HARMLESS = judged("rounding", "harmless")
 
 
@@ -24,15 +24,15 @@ class Rounding(Cause):
         q = lattice(view.recorded(view.raw))
         if q is None or not np.array_equal(view.samples, view.raw):
             return None
-        # No noise has less than half of its differences' variance around its local mean.
+        # The variance of any noise around its local mean is at least half that of its differences.
         if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
             return None
-        # Samples that were missing have been drawn as they are.
+        # Missing samples were drawn without rounding and need none.
         half = q / 2.0 if view.drawn is None else np.where(view.drawn, 0.0, q / 2.0)
         x, sigma = draw_between(view.samples, view.samples - half, view.samples + half, view.n)
         if q < HARMLESS * sigma:
             return None
-        # It is in the samples themselves: that all of them are so close to multiples is no chance.
+        # It is visible directly in the samples: all are so close to multiples that chance is excluded.
         return Candidate(
             self.name,
             [view.amplitude_estimate("step", q, q * TOLERANCE / np.sqrt(view.n))],

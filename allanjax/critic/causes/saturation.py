@@ -41,7 +41,7 @@ class Saturation(Cause):
             return None
         x, sigma = draw_between(view.samples, lower, upper, count)
         # Each clipped sample repeats a value that a continuous output (or a step of it) would rarely hit: the
-        # odds of this are a judgement, by which it is accepted, and not told.
+        # odds are a judgement; they serve to accept the finding and are not reported.
         odds = count * float(np.log(max(sigma / (q or 1e-3 * sigma), 2.0)))
         return Candidate(
             self.name,

@@ -21,12 +21,12 @@ from allanjax.noise import terms
 from allanjax.record.completion import in_time
 
 _PERIODS = judged("sinusoid", "periods")
-# Zero padding, with which frequencies are half a Fourier bin apart; between two of them a line's power may be
-# a fifth more, so peaks above this share of the highest one are refined, so many at most.
+# Zero padding, so that frequencies are half a Fourier bin apart; between two of them a line's power may be a
+# fifth larger, so peaks above this share of the highest one are refined, up to this number.
 _PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
-# Smallest half squared signal-to-noise ratio that is looked at more closely, anywhere and at known places.
+# Smallest half squared signal-to-noise ratio that is examined more closely, anywhere and at known places.
 _WORTH, _WORTH_THERE = 8.0, 4.0
-# Blocks of the record of which parts are made that are held out.
+# Number of blocks of the record that make up the held-out parts.
 _FOLD_BLOCKS = 256
 
 
@@ -56,7 +56,7 @@ class Sinusoid(Cause):
         amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
         snr = np.sqrt(2.0 * z)
         gain = after.noise.log_evidence - view.noise.log_evidence
-        # Prior: the amplitude's of `evidence`, any phase, any frequency that is looked at.
+        # Prior: that of `evidence` for the amplitude, any phase, any frequency of the search.
         gain -= np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE)
         band = sum(2.0 * place.reach for place in self._places) or 0.5 * view.rate
         gain -= max(np.log(band / (f_std * np.sqrt(2.0 * np.pi))), 0.0)
@@ -64,7 +64,7 @@ class Sinusoid(Cause):
             view.estimate("frequency", f, f_std, "Hz"),
             view.amplitude_estimate("amplitude", amplitude, std),
         ]
-        # One of fewer periods is seen as near to it as is looked at, and less of it.
+        # A line of fewer periods would appear at the edge of the search, with less power.
         if (
             f < _PERIODS / view.duration
             and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate)[-1] > z
@@ -97,7 +97,7 @@ class Sinusoid(Cause):
 def _strongest(
     view: View, places: Sequence[Place]
 ) -> tuple[float, float, Float[np.ndarray, " 2"], float, float] | None:
-    """Strongest line of the spectrum, as `refined` gives it; None if there is none at the places."""
+    """Strongest line of the spectrum, as from `refined`; None if there is none at the places."""
     spectrum, spacing = _spectrum(view.whitened, view.rate)
     k = _looked_at(spectrum, spacing, view, places)
     if not len(k):
@@ -114,7 +114,7 @@ def _strongest(
 def _looked_at(
     spectrum: Float[np.ndarray, " frequencies"], spacing: float, view: View, places: Sequence[Place]
 ) -> Int[np.ndarray, " k"]:
-    """Indices of the frequencies that are looked at: all, or those of the places."""
+    """Indices of the frequencies to search: all, or those of the places."""
     first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(spectrum) - 1
     if not places:
         return np.arange(first, last)
@@ -127,7 +127,7 @@ def _line_p_value(z: float, view: View, places: Sequence[Place]) -> float:
     """Probability that the largest half squared signal-to-noise ratio of noise alone exceeds z.
 
     Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the start
-    of each band that is looked at.
+    of each band searched.
     """
     band = sum(2.0 * p.reach for p in places) or view.rate / 2.0 - _PERIODS / view.duration
     expected = band * view.duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
@@ -180,7 +180,7 @@ def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray
 
 
 def _held_out(e: Float[np.ndarray, " n"], view: View, places: Sequence[Place]) -> float:
-    """Gain in log-likelihood [nats] on parts of the record by the line that the others show."""
+    """Gain in log-likelihood [nats] on parts of the record with the line from the other parts."""
     rate = view.rate
     gain, t = 0.0, 2.0 * np.pi * (np.arange(len(e)) + 0.5) / rate
     for part in folds(len(e), max(len(e) // _FOLD_BLOCKS, 1)):
@@ -188,7 +188,7 @@ def _held_out(e: Float[np.ndarray, " n"], view: View, places: Sequence[Place]) -
         spectrum, spacing = _spectrum(np.where(fold, e, 0.0), rate)
         at = _looked_at(spectrum, spacing, view, places)
         k = int(at[np.argmax(spectrum[at])])
-        # The peak between the frequencies looked at, by a parabola.
+        # The peak between the frequencies of the grid, by a parabola.
         left, mid, right = spectrum[k - 1 : k + 2]
         f = (k + 0.5 * (left - right) / (left - 2.0 * mid + right)) * spacing
         D = np.column_stack([np.cos(t * f), np.sin(t * f)])

@@ -17,7 +17,7 @@ SHAPE = "shape"
 
 # Bins in an octave.
 _PER_OCTAVE = 64
-# Scoring of powers: most rounds, the gain [nats] that ends it, bins that a first guess is averaged over; and
+# Scoring of powers: most rounds, the gain [nats] below which it ends, bins averaged for a first guess; and
 # the step of numerical derivatives.
 _SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
 
@@ -46,7 +46,7 @@ def non_negative(
     weight: Float[np.ndarray, " bins"],
 ) -> Float[np.ndarray, " terms"]:
     """Powers p ≥ 0 that minimize |weight·(p·columns − level)|."""
-    # A QR decomposition leaves as many equations as there are terms.
+    # A QR decomposition reduces the equations to the number of terms.
     Q, R = np.linalg.qr((columns * weight).T)
     return nnls(R, (level * weight) @ Q)[0]
 
@@ -57,7 +57,7 @@ class FineLevels:
     Attributes:
         size, squares, frequency: number of coefficients in each bin, the sum of their squares divided by the
             factor of earlier findings, and their mean frequency [Hz].
-        columns: levels of the allowed basic terms but the Markov process, at unit amplitude.
+        columns: levels of the allowed basic terms, except the Markov process, at unit amplitude.
         smooth: mean squares over a few neighbouring bins.
     """
 
@@ -78,7 +78,7 @@ class FineLevels:
         return sums(values, self._first) / self.size
 
     def log_likelihood(self, extra: Float[np.ndarray, " bins"]) -> float:
-        """Largest log-likelihood [nats] over powers of the basic terms and an extra one."""
+        """Largest log-likelihood [nats] over the powers of the basic terms and one extra term."""
         columns, level = np.vstack([self.columns, extra]), self.squares / self.size
         model, best = self.smooth, -np.inf
         for _ in range(_SCORINGS):
@@ -107,9 +107,9 @@ class FineLevels:
 
 
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:
-    """Relative errors of all powers by their Fisher information, and the error of the `SHAPE`.
+    """Relative errors of all powers from their Fisher information, and the error of the `SHAPE`.
 
-    The latter is that of the logarithm of a Markov process's correlation time, or of a power law's exponent.
+    The latter is the logarithm of a Markov process's correlation time, or a power law's exponent.
     """
 
     first = fine_bins(view.n)

@@ -1,7 +1,7 @@
 """A filter of all noise, and resonances: the structure of the spectrum besides the basic noise terms.
 
 They are searched for together and fitted jointly with the noise (`estimate.structure`); the findings are
-described when the search is over, from the final model.
+described after the search, from the final model.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SpectralShape(Cause):
         if found is None:
             return None
         after, gain = found
-        # Of a filter, and of a place that is known, there is no statistic but the odds.
+        # For a filter, and at a known place, the odds are the only statistic.
         has_odds_only = bool(self._places) or after.structure is None or after.structure.kind != NONE
         p_value = None if has_odds_only else self.p_value(view)
         bound = float(np.exp(-gain))

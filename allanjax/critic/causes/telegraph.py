@@ -19,14 +19,14 @@ from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
 
-# Most blocks that samples are averaged in.
+# Largest number of blocks over which samples are averaged.
 _BLOCKS = 2048
 _LEAST_JUMPS = judged("telegraph", "jumps")
-# Blocks that the first levels are smoothed over; rounds of adjusting the levels.
+# Blocks over which the first levels are smoothed; rounds in which the levels are adjusted.
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
 # The noise of blocks is measured between 1/32 and 1/4 of their frequencies.
 _WHITE = (32, 4)
-# Shortest dwell time [blocks], and number of those compared, up to half of the record, flat in the logarithm.
+# Shortest dwell time [blocks], and number of those compared, logarithmic up to half of the record.
 _SHORTEST, _DWELLS = 4.0, 12
 
 
@@ -69,7 +69,7 @@ class Telegraph(Cause):
         )
         if candidate is None:
             return None
-        # A basic term that the model lacks is preferred if it explains as much.
+        # A missing basic term is preferred if it explains as much.
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
         bound = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
@@ -82,10 +82,10 @@ class TwoStateFit:
 
     Attributes:
         sigma: standard deviation of the blocks' noise.
-        upper: probability that a block is on the second level.
+        upper: probability that a block is at the second level.
         dwell: mean time between jumps [blocks], or a limit of it.
         log_dwell_std: standard deviation of its logarithm.
-        log_likelihood: averaged over paths and dwell times, relative to blocks at their level [nats].
+        log_likelihood: averaged over paths and dwell times, relative to blocks exactly at their level [nats].
     """
 
     sigma: float
@@ -105,10 +105,7 @@ class TwoStateFit:
 
 
 def _noise(means: Float[np.ndarray, " blocks"]) -> float:
-    """Standard deviation of the blocks by noise that is white from block to block.
-
-    It is measured at frequencies above those of a telegraph and below those of quantization noise.
-    """
+    """Standard deviation of blocks from white noise, between telegraph's and quantization's frequencies."""
     first, last = (max(len(means) // part, 1) for part in _WHITE)
     return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
 
@@ -116,7 +113,7 @@ def _noise(means: Float[np.ndarray, " blocks"]) -> float:
 def two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
 ) -> TwoStateFit:
-    """Most likely levels of blocks, adjusted to the probable path again and again (Baum & Welch).
+    """Most likely levels of blocks, adjusted iteratively to the probable path (Baum & Welch).
 
     Blocks that are not `known` are bridged.
     """
@@ -155,7 +152,7 @@ def _chain(
     step = np.stack([1.0 - jump, jump, jump, 1.0 - jump]).reshape(2, 2, -1, 1)
     links = step * np.moveaxis(np.exp(log_likelihood - largest[..., None]), -1, 0)
     forward, scale = _products(links)
-    # Backwards, a link's likelihood is on the other side of its step.
+    # Backwards, a link's likelihood is on the other side of its transition.
     backward, _ = _products(np.swapaxes(links, 0, 1)[..., ::-1])
     ahead = 0.5 * forward.sum(axis=0)
     behind = np.ones_like(ahead)
@@ -168,10 +165,7 @@ def _chain(
 def _products(
     links: Float[np.ndarray, "2 2 chains blocks"],
 ) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
-    """Products of the first one, two, three, … matrices, scaled, and the logarithms of the scales.
-
-    They are computed by doubling: of two, four, eight, … in a row.
-    """
+    """Products of the first one, two, … matrices by doubling, scaled, and the logarithms of the scales."""
     found = links.copy()
     scale = np.zeros(links.shape[2:])
     reach = 1
@@ -188,7 +182,7 @@ def _products(
 
 
 def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
-    """Gain in log-likelihood [nats] on some blocks by the path that the others show."""
+    """Gain in log-likelihood [nats] on some blocks with the path from the others."""
     kept, length = 0.0, view.n // len(means)
     c = centred(means)
     root = np.sqrt(after.variance()[: len(c)] / length)

@@ -15,7 +15,7 @@ from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
-# Most lags that are compared.
+# Largest number of lags that are compared.
 _LAGS = 48
 _CLOCK = judged("temperature", "clock")
 
@@ -65,7 +65,7 @@ class Temperature(Cause):
             )
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
-            # The bank is not evenly spaced: its points count by the lags they stand for.
+            # The bank is not evenly spaced: its points are weighted by the lags that they represent.
             spacing = np.gradient(lags.astype(float))
             lag, spread, limit = shape_parameter(lags * step, likelihood, spacing)
             spread = np.hypot(spread, step * np.interp(lag, lags * step, spacing) / np.sqrt(12.0))

@@ -26,7 +26,7 @@ class Template(Cause):
         aj.critique(recording, causes=[*allanjax.critic.CAUSES, heater])
 
     The waveform must be slow: some thousand cosine coefficients have to describe it. Choose the values so
-    densely that the waveforms of neighbours have a correlation of at least 0.9.
+    densely that neighbouring waveforms have a correlation of at least 0.9.
     """
 
     refit = "at once"
@@ -63,7 +63,7 @@ class Template(Cause):
                 return [amplitude]
             spacing = np.gradient(self.values)
             value, spread, limit = shape_parameter(self.values, likelihood, spacing)
-            # It is known no better than its values are apart.
+            # It is known no better than the spacing of its values.
             spread = float(np.hypot(spread, np.interp(value, self.values, spacing) / np.sqrt(12.0)))
             return [amplitude, view.estimate(self.parameter, value, spread, self.unit, limit)]
 
@@ -72,6 +72,6 @@ class Template(Cause):
 
     @functools.lru_cache(maxsize=4)  # noqa: B019 - causes are few
     def _bank(self, n: int, rate: float) -> Bank:
-        """The waveform at all values."""
+        """The waveforms for all values."""
         time = (np.arange(n) + 0.5) / rate
         return Bank(np.stack([centred(self.shape(time, float(x)))[:SLOW] for x in self.values]))

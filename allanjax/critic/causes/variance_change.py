@@ -19,21 +19,21 @@ from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
 
-# Most blocks that intervals are made of.
+# Largest number of blocks that form the intervals.
 _BLOCKS = 256
-# Share of the record that an interval has at least; probability that it lasts to an end; log Occam factor.
+# Shortest interval as a share of the record; probability that it lasts to an end; log Occam factor.
 _SHORTEST, _LASTING, _PRICE = (judged("variance_change", name) for name in ("shortest", "lasting", "price"))
 # Draws from which the law of the largest score is extrapolated.
 _DRAWS = 1000
-# Smallest score that is looked at more closely [nats].
+# Smallest score that is examined more closely [nats].
 _WORTH = 6.0
-# Places on either side of an end within a block at which it is located.
+# Number of places within a block on either side of an end at which it may be located.
 _FINER = 32
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
 # Samples at each end of the record that are not used.
 _ENDS = 16
-# Least relative change of a noise's power: some of it is always left.
+# Least relative change of a noise's power, as some of it always remains.
 _LEAST = -0.99
 # Normal variates beyond this are too rare for the bivariate law to be computed.
 _NORMAL = 5.0
@@ -45,10 +45,9 @@ class _Kind:
 
     Attributes:
         share: share of this part in the expected squares of the coefficients.
-        squares: squares, of mean 1, of the record after the filter √share that is matched to a change of this
-            part.
-        worth: degrees of freedom for each of them: neighbours are correlated.
-        edges: edges of the blocks that intervals are made of [samples].
+        squares: squares, with mean 1, of the record after the filter √share, matched to a change of the part.
+        worth: degrees of freedom for each of them, as neighbours are correlated.
+        edges: edges of the blocks that form the intervals [samples].
     """
 
     name: str
@@ -59,15 +58,15 @@ class _Kind:
 
     @classmethod
     def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
-        """Part of a view's noise that has this share."""
+        """Part of a view's noise with this share."""
         u = (
             view.whitened
             if isinstance(share, float)
             else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
         )
         squares = u**2
-        # Samples that were drawn anew have the right variance, but not the record's ends after a filter; and
-        # quantization noise at the ends is not that of the mirrored record.
+        # Imputed samples have the right variance, but the ends of a filtered record do not, and quantization
+        # noise at the ends differs from that of the mirrored record.
         known = np.flatnonzero(~view.imputed)
         first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
         squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
@@ -77,11 +76,11 @@ class _Kind:
         return cls(name, share, squares / squares.mean(), worth, edges)
 
     def scores(self) -> Float[np.ndarray, "k k"]:
-        """Gain in log-likelihood by another variance between any two edges, less the log trials factor."""
+        """Gain in log-likelihood from another variance between any two edges, less the log trials factor."""
         return self.worth * interval_gains(self.squares, self.edges) - _log_trials_factor(len(self.edges))
 
     def excess(self, ratio: float) -> float:
-        """Relative growth of this part of the noise where the squares have grown by a ratio."""
+        """Relative growth of this part of the noise if the squares have grown by a ratio."""
         return (ratio - 1.0) * float(np.mean(self.share) / np.mean(np.square(self.share)))
 
 
@@ -123,7 +122,7 @@ class VarianceChange(Cause):
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
-        # In a record that begins or ends with another level, the louder part is taken to be the change.
+        # If a record begins or ends with another level, the louder part is taken to be the change.
         if not louder and (a == 0 or b == view.n):
             a, b = (b, view.n) if a == 0 else (0, a)
             inside = ~inside
@@ -132,7 +131,7 @@ class VarianceChange(Cause):
         level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
         found = kind.excess(float(level[0] / level[1]))
         excess = max(found, _LEAST)
-        # The ratio of the squares scatters by √(2/m₁ + 2/m₂) of itself.
+        # The ratio of the squares has the relative scatter √(2/m₁ + 2/m₂).
         scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
         quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
         after = view.with_samples(view.recoloured(np.where(inside, quieter, view.whitened)))
@@ -153,10 +152,7 @@ class VarianceChange(Cause):
 
 
 def _ratio(view: View, excess: float, scatter: float) -> Estimate:
-    """Ratio of the noise's deviations, by the relative growth of its power and the scatter of that.
-
-    Of a noise that has all but vanished only an upper limit is known.
-    """
+    """Ratio of the noise's deviations, from the growth of its power; an upper limit if it nearly vanished."""
     if excess < max(_LEAST, 2.0 * scatter - 1.0):
         largest = np.sqrt(1.0 + max(excess + ONE_SIDED_95 * scatter, _LEAST))
         return view.estimate("ratio", largest, np.nan, "1", "below")
@@ -166,7 +162,7 @@ def _ratio(view: View, excess: float, scatter: float) -> Estimate:
 
 
 def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
-    """p-value of the largest score by any of the kinds.
+    """p-value of the largest score of all kinds.
 
     Sums of the squares after the two filters, 1 and √share, are correlated by √worth.
     """
@@ -176,14 +172,14 @@ def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
         return p
     r = float(np.sqrt(kinds[1].worth))
     both = multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]])
-    # The largest of many exceed u more often for two kinds by the same factor as single normal variates.
+    # With two kinds, the largest of many exceeds u more often by the same factor as a single normal variate.
     below = both.cdf([u, u], lower_limit=[-u, -u])
     times = min((1.0 - below) / (2.0 * norm.sf(u)), 2.0) if u < _NORMAL else 2.0
     return any_of(p, times)
 
 
 def _intervals(edges: int) -> Bool[np.ndarray, "k k"]:
-    """Whether two edges are in order, and so make an interval."""
+    """Whether two edges are in order, so that they form an interval."""
     return np.triu(np.ones((edges, edges), bool), 1)
 
 
@@ -205,12 +201,12 @@ def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
 def interval_gains(
     squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k k"]:
-    """Gain in log-likelihood by another variance between any two edges [nats]."""
+    """Gain in log-likelihood from another variance between any two edges [nats]."""
     return _gains(np.concatenate([[0.0], np.cumsum(squares)])[edges.astype(int)], edges)
 
 
 def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-    """Gain in log-likelihood of each interval by the sums of squares up to the edges [nats]."""
+    """Gain in log-likelihood of each interval, given the sums of squares up to the edges [nats]."""
     inner, count = total[None, :] - total[:, None], edges[None, :] - edges[:, None]
     outer, rest = total[-1] - inner, edges[-1] - count
     shortest = _SHORTEST * edges[-1]
@@ -225,7 +221,7 @@ def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Fl
 
 
 def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float) -> tuple[int, int]:
-    """Interval with its ends located within a block of where they were found."""
+    """Interval with its ends relocated by up to one block."""
     n = len(squares)
     near = [
         np.unique(np.rint(np.linspace(max(e - length, 0), min(e + length, n), 2 * _FINER + 1)))
@@ -246,7 +242,7 @@ def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tu
     inside = np.zeros(len(kind.squares), bool)
     inside[a:b] = True
     step = kind.squares[inside].mean() / kind.squares[~inside].mean()
-    # Within a block: what a change of this size stands out in.
+    # Within the number of samples in which a change of this size becomes visible.
     block = kind.edges[1] / np.sqrt(12.0)
     fine = min(4.0 / max((step - 1.0 - np.log(step)) * kind.worth, 1e-6), block)
     i, j = (int(np.argmin(abs(kind.edges - x))) for x in (a, b))
@@ -259,7 +255,7 @@ def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tu
 
 @functools.lru_cache(maxsize=4)
 def _null(blocks: int) -> Float[np.ndarray, " draws"]:
-    """Draws of the root of twice the largest score, for blocks of many samples without a change."""
+    """Draws of the root of twice the largest score, without a change, for blocks of many samples."""
     rng = np.random.default_rng(0)
     many = 400
     edges = np.arange(blocks + 1.0) * many
@@ -271,7 +267,7 @@ def _null(blocks: int) -> Float[np.ndarray, " draws"]:
 
 
 def _held_out(kind: _Kind) -> float:
-    """Gain in log-likelihood [nats] on parts of the samples by the interval that the others show."""
+    """Gain in log-likelihood [nats] on parts of the samples with the interval from the other parts."""
     squares, edges = kind.squares, kind.edges
     gain, place = 0.0, np.arange(len(squares))
     for part in folds(len(squares), _FOLD_BLOCK):

@@ -16,7 +16,7 @@ from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
-# Time constants that are compared.
+# Number of time constants that are compared.
 _TIMES = 48
 
 
@@ -38,7 +38,7 @@ class WarmUp(Cause):
             spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
             amplitude = view.amplitude_estimate("amplitude", a, std)
             if limit:
-                # More of a slower or a faster one is outside the record or between its samples.
+                # Slower or faster ones are mostly outside the record or between its samples.
                 least = a - np.sign(a) * ONE_SIDED_95 * std
                 side: Limit = "above" if a > 0.0 else "below"
                 amplitude = view.amplitude_estimate("amplitude", least, np.nan, limit=side)
@@ -63,7 +63,7 @@ def _bank(n: int, rate: float) -> tuple[Float[np.ndarray, " times"], Bank]:
 
 
 def _coefficients(times: Float[np.ndarray, " times"], n: int) -> Float[np.ndarray, "times slow"]:
-    """Coefficients of e^{−k/T}, T in samples, by the real part of a geometric series."""
+    """Coefficients of e^{−k/T}, T in samples, from the real part of a geometric series."""
     a = np.pi * np.arange(1, min(SLOW, n - 1) + 1) / n
     ratio = np.exp(1j * a - 1.0 / times[:, None])
     last = np.exp(1j * np.pi * np.arange(1, len(a) + 1) - n / times[:, None])

@@ -1,4 +1,4 @@
-"""Components of a spectrum: the levels that are fitted, and what noise terms and filters make of them.
+"""Components of a spectrum: the levels that are fitted, and their expectations under noise terms and filters.
 
 The expectations are in closed form and exact. The orthonormal cosine transform of n values with
 autocovariance r_0, r_d = r_1·Q^{d−1} (d ≥ 1) has
@@ -7,9 +7,9 @@ autocovariance r_0, r_d = r_1·Q^{d−1} (d ≥ 1) has
 
     y = 1 − Q,  s = sin²(a_j/2),  D = y² + 4(1 − y)s,  a_j = πj/n:
 
-the geometric sums of `spectrum.cosine`'s exact expression. The second part in the braces is what the record's
-two ends add. Q may be complex, the real part then counts; so Markov processes, oscillators and poles of a
-filter are of one form, and no lag is ever summed.
+the geometric sums of `spectrum.cosine`'s exact expression. The second part in the braces is the contribution
+of the record's two ends. Q may be complex; the real part is then taken. So Markov processes, oscillators and
+the poles of a filter have one form, and no sum over lags is needed.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from allanjax.noise.response import HALF_POWER, LARGEST_BANDWIDTH, LONGEST
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
-#: Numbers of levels of which the last only pad the arrays: few compiled programs serve every record.
+#: Numbers of levels to which arrays are padded, so that few compiled programs serve every record.
 CAPACITIES = (256, 640, 1280)
-# Lags are padded to a multiple of this, so that compiled functions are used again.
+# Lags are padded to a multiple of this, so that compiled functions are reused.
 _LAGS = 256
 
 
 class Levels(NamedTuple):
-    """Levels of the cosine spectrum with what their expectations depend on, in sample intervals.
+    """Levels of the cosine spectrum and what their expectations depend on, in units of the sample interval.
 
-    A level is χ² around its expectation with 2·shape degrees of freedom; one with shape 0 only pads.
+    A level follows a χ² law around its expectation, with 2·shape degrees of freedom; shape 0 marks padding.
 
     Attributes:
         level: mean squares of coefficients [rate²].
         shape: half the degrees of freedom of each.
         angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
             are those of its coefficients (2, m).
-        interval: number of samples that each value was averaged from before the transform, 1 of a record;
-            one number for a record, one for each level of a stream.
-        length: number of values in the transform that it comes from, likewise.
-        parity: (−1)^j of a single coefficient j, else 0.
+        interval: number of samples that were averaged to each value before the transform, 1 for a record; one
+            number for a record, one per level for a stream.
+        length: number of values in the transform, likewise.
+        parity: (−1)^j for a level of a single coefficient j, else 0.
         columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
             (columns, 2, m).
     """
@@ -68,12 +68,12 @@ class Levels(NamedTuple):
 
 
 def room_for(count: int, rooms: tuple[int, ...]) -> int:
-    """The smallest of these rooms that so many have, or the least multiple of the last."""
+    """The smallest of these sizes that holds `count`, or the least sufficient multiple of the last."""
     return next((room for room in rooms if room >= count), -(-count // rooms[-1]) * rooms[-1])
 
 
 def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
-    """Values of m levels, terms or shapes followed by `fill` for those that pad."""
+    """Values of m levels, terms or shapes, padded with `fill`."""
     return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
 
 
@@ -85,8 +85,8 @@ def levels_of(
     Args:
         bins: the bins.
         columns: expectations of terms without a free shape at the nodes, for unit power.
-        slots: number of columns that there is room for.
-        capacity: number of levels that there is room for; the least that fits if not given.
+        slots: number of columns after padding.
+        capacity: number of levels after padding; by default the least that suffices.
     """
     angle, interval, length, parity = ([] for _ in range(4))
     for part in bins.parts:
@@ -110,14 +110,14 @@ def levels_of(
 
 
 class Place(NamedTuple):
-    """Where the expectations of a part of a spectrum are evaluated.
+    """Where the expectations for a part of a spectrum are evaluated.
 
     Attributes:
         frequency: nodes of the bins [Hz] (2, m).
         rate: rate of the values that were transformed [Hz].
         length: number of values in a transform.
-        lags, weights: lags [s], and weights of G there whose sums are the exact expectations of the lowest
-            coefficients; none where these are no part of the spectrum.
+        lags, weights: lags [s] and weights of G there, whose sums are the exact expectations of the lowest
+            coefficients; empty if these are not part of the spectrum.
     """
 
     frequency: Any
@@ -151,7 +151,7 @@ class Place(NamedTuple):
         return xp.concatenate([xp.broadcast_to(low, (2, count)), above[:, count:]], axis=1)
 
     def _from_density(self, term: NoiseTerm) -> Float[Array, "2 m"]:
-        """Expected squares [rate²] from the density of the samples, but for the record's finite length."""
+        """Expected squares [rate²] from the density of the samples, neglecting the record's finite length."""
         ends = term.end_effect(self.frequency, self.rate) / self.length
         return term.sampled_psd(self.frequency, self.rate) * self.rate + ends
 
@@ -247,7 +247,7 @@ def response(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Ar
     wd = jnp.sqrt(wc**2 - decay**2)
     pole = -decay + 1j * wd
     c, z = 1.0 - 1j * decay / wd, -jnp.expm1(pole)
-    # Of an oscillator read at the instants, over that at frequency zero.
+    # Response of an oscillator sampled at instants, relative to that at frequency zero.
     apart = z**2 / (4.0 * (1.0 - z))
     left = c * (apart + 0.5 * z)
     beside, across = s + jnp.real(apart), jnp.imag(apart)
@@ -288,7 +288,7 @@ def _mean(angle: Float[Array, "nodes m"], wc: Array) -> Float[Array, "nodes m"]:
 
 
 def _ends_of_mean(levels: Levels, wc: Array) -> Float[Array, "nodes m"]:
-    """What `response_ends` says, of a moving average: −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
+    """`response_ends` of a moving average: −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
 
     The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
     transform of a stream's means does not notice the ends of a filter that is shorter than those.
@@ -304,7 +304,7 @@ def _ends_of_mean(levels: Levels, wc: Array) -> Float[Array, "nodes m"]:
     return jnp.where(levels.interval == 1.0, -2.0 * both / levels.length, 0.0)
 
 
-# Longest duration, in radians of a level's frequency, below which the ends of a moving average add the same.
+# Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
 _NEARLY_CONSTANT = 0.01
 
 
@@ -334,7 +334,7 @@ def _butterworth(angle: Float[Array, "nodes m"], wc: Array, kind: Array) -> Floa
 
 
 def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
-    """What the two ends of a record add to expected squares of white noise of unit power after a filter.
+    """Contribution of a record's two ends to the expected squares of filtered white noise of unit power.
 
     The filter has settled when the record begins. Its output has r_d = Σ e·w^{d−1} over its poles w, d ≥ 1,
     so that it is the second part of the braces of this module's formula, of means of samples, too. It is
@@ -364,8 +364,8 @@ def response_ends(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Flo
     return jnp.where(kind == MOVING_AVERAGE, _ends_of_mean(levels, jnp.exp(shape[0])), total)
 
 
-# Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one of each pair, and
-# how many each stands for: see `noise.response`.
+# Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one per conjugate pair,
+# and how many poles each stands for: see `noise.response`.
 _ANGLES = np.pi * np.array([[0.0, 0.0], [1.0 / 4.0, 0.0], [0.0, 1.0 / 3.0], [1.0 / 8.0, 3.0 / 8.0]])
 _COUNTS = np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 2.0], [2.0, 2.0]])
 _ORDERS = np.arange(1.0, 5.0)[:, None]
@@ -384,7 +384,7 @@ def _poles_of_response(shape: Float[Array, " 2"], kind: Array) -> tuple[Num[Arra
     real = 0.5 / Q
     of_two = t * (real + 1j * jnp.sqrt(1.0 - real**2))
     share = 2.0 / (1.0 - (of_two / jnp.conj(of_two)) ** 2)
-    # By kind; a pole of weight 0 is idle.
+    # Per kind of response; a pole of weight 0 is unused.
     idle = jnp.full((BUTTERWORTH_1, 2), 0.5 + 0j)
     poles = idle.at[ONE_POLE, 0].set(one).at[TWO_POLES, 0].set(two)
     poles = poles.at[BIQUAD, 0].set((1.0 - of_two) / (1.0 + of_two))

@@ -1,7 +1,7 @@
 """Fit of a model to the levels of a spectrum: its slots in the joint model, designs, and the maximum.
 
-Where a model cannot follow the levels within their scatter (χ² beyond all doubt, p < 1e-6), all of them are
-given a relative error, common to about an octave, with which χ² equals its degrees of freedom.
+Where a model cannot follow the levels within their scatter (p < 1e-6), all levels are given a relative error,
+common to about an octave, that brings χ² to its degrees of freedom.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
 _COLUMN, _MARKOV, _OSCILLATOR, _OTHER = range(4)
-# Numbers of levels of a tight arrangement are multiples of this.
+# Numbers of levels in a tight arrangement are multiples of this.
 _TIGHT = 64
 # Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
 # starts of other shapes are two to a decade or denser.
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound, which is open, in ln.
+# Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
-# Numbers of terms and free shapes that arrays have room for; of more, multiples of the last.
+# Numbers of terms and free shapes to which arrays are padded; beyond, multiples of the last.
 _TERMS, _SHAPES = (8, 24), (4, 8, 32)
-# Number of times that the error of a model is estimated anew, and when it has settled.
+# Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
 _FEW = 0.05
@@ -92,9 +92,9 @@ class Arrangement(NamedTuple):
 
     @classmethod
     def of(cls, model: Model, bins: Bins, tight: bool = False) -> Arrangement:
-        """Arrangement of a model for the levels of these bins, with no spare slots if it is to be tight.
+        """Arrangement of a model for the levels of these bins, without spare slots if `tight`.
 
-        A tight one is evaluated faster, and is compiled for each structure of a model.
+        A tight one is evaluated faster, but is compiled anew for each structure of a model.
         """
         model = model.sampled(bins.rate)
         kind, layout = _kinds(model, tight)
@@ -117,7 +117,7 @@ class Arrangement(NamedTuple):
         slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), further)
 
         def place(p: ModelParameter) -> tuple[int, float]:
-            """Parameter of a shape of the model, and its offset."""
+            """Parameter of one of the model's shapes, and its offset."""
             angle = math.log(2.0 * math.pi / bins.rate)
             frequency = p.parameter.name in ("frequency", "bandwidth")
             if p.term == len(model):
@@ -146,7 +146,7 @@ class Arrangement(NamedTuple):
 
 
 def _kinds(model: Model, tight: bool) -> tuple[Int[np.ndarray, " terms"], Layout]:
-    """Kind of each term, and a layout that has room for all; what has no room is one of the others."""
+    """Kind of each term, and a layout that holds all; terms beyond its slots count as others."""
     kind = np.array([_kind(term) for term in model.terms], int)
     layout = FULL
     for k in (_MARKOV, _OSCILLATOR):
@@ -179,12 +179,12 @@ def _response(model: Model) -> int:
 
 
 class LevelDesign(Design):
-    """Model of levels of a spectrum, which are independent, each χ² around its expectation.
+    """Model of a spectrum's levels: independent, each with a χ² law around its expectation.
 
     A relative error of the model is taken to be common to the bins of an octave.
 
     Attributes:
-        moves: which shapes there are; the others only pad.
+        moves: which shapes exist; the others are padding.
         per_octave: number of bins in the octave around each bin.
     """
 
@@ -194,12 +194,12 @@ class LevelDesign(Design):
     @property
     @abc.abstractmethod
     def degrees(self) -> Float[np.ndarray, " m"]:
-        """Degrees of freedom of each level; 0 of those that only pad."""
+        """Degrees of freedom of each level; 0 for padding."""
 
     @property
     @abc.abstractmethod
     def room(self) -> int:
-        """Number of terms that arrays have room for."""
+        """Number of terms after padding."""
 
     @property
     def movable(self) -> Bool[np.ndarray, " shapes"]:
@@ -288,14 +288,14 @@ class TangentDesign(LevelDesign):
 class SpectralDesign(LevelDesign):
     """Model of levels of the cosine spectrum, χ² around their expectations.
 
-    Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are no
-    part of the model. What the terms and shapes are is data: one program serves all models without shapes of
-    their own kind.
+    Deterministic terms have been projected out of the levels, at the cost of degrees of freedom, and are not
+    part of the model. The kinds of terms and shapes are data, so one program serves all models without shapes
+    of a kind of their own.
 
     Attributes:
         levels, slots: the levels, and the slots of the joint spectral model.
         component: component of each term.
-        time: parameter with the correlation time of a Markov process, −1 of other terms.
+        time: parameter with the correlation time of a Markov process, −1 for other terms.
         parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
         held: parameters with the shapes that are not free.
         interval: sample interval [s].
@@ -347,11 +347,11 @@ class SpectralDesign(LevelDesign):
         )
 
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> SpectralDesign:
-        """Copy for these mean squares [rate²] and degrees of freedom."""
+        """Copy with these mean squares [rate²] and degrees of freedom as data."""
         return dataclasses.replace(self, levels=self.levels.with_data(level, dof))
 
     def owned(self, model: Model, there: Bool[np.ndarray, " terms"]) -> SpectralDesign:
-        """Copy in which the response belongs to the first of these terms that pass it, if there is one."""
+        """Copy in which the response belongs to the first of these terms that passes through it, if any."""
         if model.response is None or not (passing := there & np.array(model.inside, bool)).any():
             return self
         owner = self.owner.copy()
@@ -367,7 +367,7 @@ class SpectralDesign(LevelDesign):
         return len(self.component)
 
     def parameters(self, shape: Float[Array, " shapes"]) -> Float[Array, " parameters"]:
-        """Parameters of the joint spectral model with these shapes, and without powers."""
+        """Parameters of the joint spectral model with these shapes and with zero powers."""
         return jnp.asarray(self.held).at[self.parameter].set(shape + self.offset, mode="drop")
 
     def unit_power(self, theta: Any) -> Any:
@@ -434,13 +434,13 @@ def solve_levels(
 
 
 def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
-    """χ² of levels, given their ratios to their expectations, each with a share of its weight."""
+    """χ² of levels from their ratios to their expectations, each weighted by its share."""
     square = normal_score(ratio, dof) ** 2
     return float(np.sum((square * share)[np.asarray(dof) > _FEW]))
 
 
 def share_with_error(dof: Any, per_octave: Any, error: Any) -> Any:
-    """Share of the weight that levels keep where their model has a relative error, common to an octave.
+    """Share of their weight that levels keep if the model has a relative error that is common to an octave.
 
     The relative variance 2/dof of each becomes 2/dof + per_octave·error². For arrays of NumPy or JAX.
     """
@@ -453,12 +453,12 @@ def error_of_powers(
     per_octave: Float[np.ndarray, " m"],
     degrees: float,
 ) -> float:
-    """Relative error of a model's levels with which χ² equals its degrees of freedom; 0 if it is below.
+    """Relative error of a model's levels that brings χ² to its degrees of freedom; 0 if χ² is not above them.
 
     Args:
         ratio: levels over their expectations.
         dof: degrees of freedom of the levels.
-        per_octave: number of levels in an octave, to which the error is common.
+        per_octave: number of levels in an octave, which share the error.
         degrees: degrees of freedom of χ².
     """
     from scipy.optimize import brentq
@@ -516,7 +516,7 @@ def _log_densities(
 ) -> Float[np.ndarray, " m"]:
     """Logarithm of each level's density, a Gamma law of this mean and shape; 0 of levels that only pad.
 
-    With its normalization, so that solutions with different errors of the model compare.
+    It is normalized, so that solutions with different errors of the model can be compared.
     """
     from scipy.special import gammaln
 
@@ -527,7 +527,7 @@ def _log_densities(
 
 
 def best_of(solutions: Sequence[Solution]) -> Solution:
-    """Most likely one of some solutions, if it converged or none that is as likely did."""
+    """The most likely solution; of equally likely ones a converged one, if there is any."""
     cost = [float(np.nan_to_num(s.cost, nan=np.inf)) for s in solutions]
     close = [s for s, c in zip(solutions, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
     return next((s for s in close if s.converged), close[0])
@@ -547,7 +547,7 @@ def _levels_under(
 
 
 def tangent_of(design: SpectralDesign, shape: Float[np.ndarray, " shapes"]) -> TangentDesign:
-    """Design that is linear in the shapes around these, which is all that an inference needs."""
+    """Design that is linear in the shapes around a solution, which suffices for the inference."""
     centre = design.padded_shapes(np.asarray(shape))
     base, by_shape = _tangent(design, centre)
     return TangentDesign(

@@ -58,7 +58,7 @@ _LEAST = 1e-30
 
 
 class Layout(NamedTuple):
-    """Numbers of slots, and where the parameters of each kind are.
+    """Numbers of slots, and the positions of each kind of parameter.
 
     The parameters are the powers of all components, then the correlation times of Markov processes,
     frequencies and quality factors of oscillators, bandwidth and quality factor of the response, and the
@@ -139,7 +139,7 @@ FULL = Layout(8, 4, 12)
 
 
 class Others(eqx.Module):
-    """Terms whose free shapes no slot has, evaluated as they are.
+    """Terms whose free shapes fit no slot; they are evaluated directly.
 
     Attributes:
         terms: the terms, with unit amplitude.
@@ -178,7 +178,7 @@ class Others(eqx.Module):
 
 
 class Slots(eqx.Module):
-    """What a joint spectral model consists of.
+    """Components and parameters of a joint spectral model.
 
     Attributes:
         layout: numbers of slots.
@@ -187,7 +187,7 @@ class Slots(eqx.Module):
         free: which parameters are estimated; the others keep their value.
         lower, upper: bounds of the parameters, powers not in ln.
         centre, precision: normal prior of each parameter; a precision of 0 for none.
-        others: terms whose free shapes no slot has.
+        others: terms whose free shapes fit no slot.
     """
 
     layout: Layout = eqx.field(static=True)
@@ -231,7 +231,7 @@ class Slots(eqx.Module):
         return [] if self.others is None else [self.layout.first_other + k for k, *_ in self.others.shapes]
 
     def usual(self) -> Float[np.ndarray, " parameters"]:
-        """Parameters without powers, and with shapes in the middle of what there is."""
+        """Parameters with zero powers, and with shapes in the middle of their ranges."""
         at = self.layout
         theta = np.zeros(at.parameters)
         theta[at.times : at.frequencies] = np.log(100.0)
@@ -322,7 +322,7 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
 
 
 def loss(mean: Float[Array, " m"], levels: Levels) -> Float[Array, ""]:
-    """Minus the log-likelihood of the levels, up to what the data alone determine: Σ k(ln μ + y/μ)."""
+    """Minus the log-likelihood of the levels, without what depends on the data alone: Σ k(ln μ + y/μ)."""
     return jnp.sum(levels.shape * (jnp.log(mean) + levels.level / mean))
 
 
@@ -340,7 +340,7 @@ class Maximum(NamedTuple):
         mean: the expected levels [rate²].
         model: those of the components.
         steps: number of steps taken.
-        converged: whether the iteration ended by itself.
+        converged: whether the iteration converged.
     """
 
     theta: Float[Array, " parameters"]

@@ -1,1 +1,1 @@
-"""Search for what a sensor's spectrum consists of: a response, resonances and noise terms, fitted jointly."""
+"""Search for the structure of a sensor's spectrum: a response, resonances and noise terms, fitted jointly."""

@@ -5,9 +5,9 @@ after another, each of which is the best of many proposals (`proposals`) and is 
 joint fit rises; and at the end takes out what is not needed and swaps what may be another.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
-spectrum; which of them it is taken for depends on the order in which they are tried. So no resonance may be
-wider than its frequency, a response is tried in every round until there is one, and no correlation time is
-shorter than eight samples.
+spectrum; the order of the trials decides which of them is found. So no resonance may be wider than its
+frequency, a response is tried in every round until there is one, and no correlation time is shorter than
+eight samples.
 """
 
 from __future__ import annotations
@@ -68,23 +68,23 @@ _TRIED, _ROUNDS = 3, 20
 _RANKED = 12
 # Bins in an octave.
 _PER_OCTAVE = 12
-# Quality factor from which on a resonance is narrow, gain [nats] of a window that is sure to be accepted, and
-# share of the bandwidth up to which a response is flat.
+# Quality factor above which a resonance is narrow, gain [nats] above which a window is certainly accepted,
+# and share of the bandwidth up to which a response is flat.
 _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
-# Number of oscillators that stand for one that moves.
+# Number of oscillators that represent one whose frequency drifts.
 _MOVING = 3
-# Share of its median below which a spectrum falls deep.
+# Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
 WIDE = 4.0
-# Relative error of a power beyond which it is tried whether it is needed.
+# Relative error of a power beyond which the fit is tried without it.
 _DOUBTFUL = 0.2
-# Deviations of a smoothed level from its expectation beyond which there is something to look for.
+# Deviation of a smoothed level from its expectation, in standard deviations, beyond which a search begins.
 _CLEAR = 2.5
 
 
 class Record(NamedTuple):
-    """One record's spectrum, to be binned as the resonances ask for.
+    """Spectrum of one record, which can be binned as its resonances require.
 
     Attributes:
         squares: squared cosine coefficients [rate²], without lines and ramps.
@@ -114,7 +114,7 @@ class Record(NamedTuple):
 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure of a spectrum, from a start, and the binned spectrum that it was fitted to."""
+    """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
     spectrum, now = refitted(record, start)
     before = now.structure
     if before.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
@@ -138,20 +138,20 @@ def narrow(structure: Structure, n: int) -> list[int]:
 
 
 def _outline(structure: Structure, n: int) -> tuple[int, int, int]:
-    """Kind of the response, and numbers of Markov processes and of resonances that are no lines."""
+    """Kind of the response, number of Markov processes, and number of resonances that are not lines."""
     wide = len(structure.oscillators) - len(narrow(structure, n))
     return structure.kind, len(structure.markovs), wide
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure fitted anew, without what is not needed any more, and the spectrum that it was fitted to."""
+    """Structure fitted anew without superfluous components, and the spectrum to which it was fitted."""
     spectrum = record.binned(start)
     spectrum = spectrum.weighing(spectrum.fit(start))
     return spectrum, pruned(spectrum, spectrum.fit(start))
 
 
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
-    """Final fit, with the slow processes that predict best and without what is idle."""
+    """Final fit with the slow processes that predict best, without idle components."""
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
     structure = now.structure
     for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
@@ -304,7 +304,7 @@ def _floor(spectrum: Spectrum) -> float:
 
 
 def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
-    """Fit with the kind of a response that is new, and with what is new inside it or after it."""
+    """Fit with the best kind for a new response, and new components inside it or after it."""
     new = [FULL.first_oscillator + int(k) for k in set(now.structure.oscillators) - set(before.oscillators)]
     if now.structure.kind != before.kind:
         now = _other_kind(spectrum, now)
@@ -355,14 +355,14 @@ def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitte
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
-    """The other fit if it is more likely and has not lost the white noise."""
+    """The other fit if it is more likely and still has white noise."""
     return other if other.evidence > now.evidence and _keeps_white(now, other) else now
 
 
 def _keeps_white(now: Fitted, other: Fitted) -> bool:
-    """Whether a fit has white noise, or lacks it for no resonance that is wide and no other response.
+    """Whether a fit has white noise, or lacks it without a wide resonance or another response in its place.
 
-    White noise before a filter, and a response with wide resonances, have the same spectrum.
+    White noise before a filter has the same spectrum as a response with wide resonances.
     """
     structure = other.structure
     narrow = all(structure.quality(int(k)) > WIDE for k in structure.oscillators)
@@ -370,7 +370,7 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
 
 
 def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit after all swaps that gain: another kind of response, components moved into it or out of it."""
+    """Fit after all replacements that gain: another kind of response, components moved inside or after it."""
     for _ in range(3):
         before = now
         components = [FULL.first_oscillator + int(k) for k in now.structure.oscillators]
@@ -399,7 +399,7 @@ def _swapped(spectrum: Spectrum, now: Fitted) -> Fitted:
 
 
 def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit without what gains nothing; white noise stays."""
+    """Fit without components that gain nothing; white noise stays."""
     while True:
         structure = now.structure
         idle = [int(k) for k in np.flatnonzero(structure.active & (structure.power <= 0.0)) if k >= OUTSIDE]

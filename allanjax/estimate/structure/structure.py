@@ -1,4 +1,4 @@
-"""What a spectrum consists of: a component for every slot of the joint spectral model, and its fit."""
+"""Structure of a spectrum: a component for every slot of the joint spectral model, and its fit."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
 FURTHER = OUTSIDE + 1
 #: Least quality factor of a resonance: a wider one is an edge, as of a filter.
 LEAST_QUALITY = 1.5
-#: Coefficients below this one have drift in them; a resonance narrower than this many is a line.
+#: Coefficients below this one contain drift; a resonance narrower than so many coefficients is a line.
 LOWEST, LINE = 16, 4.0
 # Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
 _SHORTEST = 8.0
 #: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
 LOWEST_BANDWIDTH = 0.005
-# Relative error that a model of any sensor has in each bin: a judgement, of filters that no model has.
+# Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
 _ERROR = 0.005
-# Relative error that the part of the resonances has, whose frequency and damping drift: a judgement.
+# Relative error of the part of the resonances, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
 # Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
 # its widths: judgements.
 _FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
-# Numbers of levels that arrays have room for, in a search.
+# Numbers of levels to which arrays are padded in a search.
 _CAPACITIES = (384, 1024)
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
 ROUGH, FINE = 1e-2, 1e-7
@@ -60,16 +60,16 @@ _SLOTS = ("power", "active", "inside")
 FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
 _QUALITY = (np.log(10.0), 3.0)
-# Farthest that a frequency moves from its start, in ln.
+# Largest distance of a frequency from its start, in ln.
 _REACH = 0.7
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Structure:
-    """Components in slots, with the values that they have or start from.
+    """Components in slots, with their values or start values.
 
     Attributes:
-        power: power of each component [rate²], zero of those that are not in use.
+        power: power of each component [rate²], zero for unused ones.
         shape: the parameters of the joint spectral model that follow the powers, in ln.
         active: components in use.
         inside: components that pass through the response.
@@ -86,7 +86,8 @@ class Structure:
 
     @classmethod
     def plain(cls, columns: np.ndarray | list[int]) -> Structure:
-        """Structure of some columns only; all that is not resonant passes a response, once there is one."""
+        """Structure of some columns only; all that is not resonant passes through a response once there is
+        one."""
         count = FULL.components
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
@@ -98,7 +99,7 @@ class Structure:
 
     @property
     def there(self) -> list[int]:
-        """Components with some power."""
+        """Components whose power is not zero."""
         return [int(k) for k in np.flatnonzero(self.active & (self.power > 0.0))]
 
     @property
@@ -124,7 +125,7 @@ class Structure:
         return self.frequency(k) / self.quality(k)
 
     def are_close(self, i: int, k: int) -> bool:
-        """Whether two oscillators are so near to each other that they may be one that moves."""
+        """Whether two oscillators are so close that they may be one whose frequency drifts."""
         return abs(self.frequency(i) - self.frequency(k)) < _CLOSE * 0.5 * (self.width(i) + self.width(k))
 
     def companions(self, k: int) -> int:
@@ -145,7 +146,7 @@ class Structure:
     def with_oscillator(
         self, frequency: float, quality: float, power: float, inside: bool
     ) -> Structure | None:
-        """Structure with one more resonance; None if there is no room for it."""
+        """Structure with one more resonance; None if no slot is free."""
         used = self.oscillators
         if len(used) == FULL.oscillators:
             return None
@@ -156,7 +157,7 @@ class Structure:
         return self._with(FULL.first_oscillator + k, power, inside, shape)
 
     def with_markov(self, time: float, power: float) -> Structure | None:
-        """Structure with one more Markov process; None if there is no room for it."""
+        """Structure with one more Markov process; None if no slot is free."""
         used = self.markovs
         if len(used) == FULL.markovs:
             return None
@@ -172,7 +173,7 @@ class Structure:
         return dataclasses.replace(self, shape=shape, kind=kind)
 
     def with_shape_of(self, other: Structure) -> Structure:
-        """Structure with another one's response, resonances and white noise after the response."""
+        """Structure with another one's response, its resonances and its white noise after the response."""
         mine = np.arange(len(self.active)) >= FULL.first_oscillator
         mine[OUTSIDE] = True
         shape = np.append(self.shape[: FULL.markovs], other.shape[FULL.markovs :])
@@ -180,7 +181,7 @@ class Structure:
         return dataclasses.replace(self, shape=shape, kind=other.kind, **chosen)
 
     def has_shape_of(self, other: Structure) -> bool:
-        """Whether it has the same kind of response and the same resonances in use."""
+        """Whether both have the same kind of response and the same resonances in use."""
         mine, its = self.active[FULL.first_oscillator :], other.active[FULL.first_oscillator :]
         return self.kind == other.kind and bool(np.all(mine == its))
 
@@ -278,7 +279,7 @@ class Spectrum:
         further: NoiseTerm | None = None,
         weight: Float[np.ndarray, " n-1"] | None = None,
     ) -> Spectrum:
-        """Spectrum of squared coefficients, of which each counts with a weight.
+        """Spectrum of squared coefficients, each with a weight.
 
         Args:
             squares: squared cosine coefficients [rate²].
@@ -297,7 +298,7 @@ class Spectrum:
         return cls(bins, levels, nothing, nothing).with_data(level, count)
 
     def with_data(self, level: Float[np.ndarray, " m"], count: Float[np.ndarray, " m"]) -> Spectrum:
-        """Copy with these mean squares [rate²] of so many coefficients."""
+        """Copy with these mean squares [rate²] and numbers of coefficients."""
         capacity, window = len(self.size), np.ones(7)
         around = np.convolve(count, window, "same")
         smooth = np.convolve(level * count, window, "same") / np.maximum(around, 1e-9)
@@ -333,10 +334,10 @@ class Spectrum:
         return dataclasses.replace(self, levels=self.levels._replace(shape=dof / 2.0))
 
     def weighed_like(self, other: Spectrum) -> Spectrum:
-        """Spectrum whose levels have the relative errors that another one's have, of the same bins."""
+        """Spectrum whose levels have the relative errors of another one with the same bins."""
         full = 0.5 * other.size
         share = np.where(full > 0.0, other.levels.shape / np.maximum(full, 1e-300), 1.0)
-        # share = 1/(1 + full·error²), for fewer coefficients nearer to 1.
+        # share = 1/(1 + full·error²), closer to 1 for fewer coefficients.
         square = (1.0 / np.maximum(share, 1e-300) - 1.0) / np.maximum(full, 1e-300)
         half = 0.5 * self.size
         return dataclasses.replace(self, levels=self.levels._replace(shape=half / (1.0 + half * square)))
@@ -381,7 +382,7 @@ class Spectrum:
         return lower, np.maximum(upper, lower)
 
     def _evidence(self, found: Maximum, structure: Structure) -> float:
-        """Laplace's approximation, in which a parameter that the data do not show costs nothing."""
+        """Laplace's approximation, in which a parameter that the data do not determine costs nothing."""
         at, n = FULL, self.n
         widths = np.full(at.parameters, 8.0 * _DECADES)
         widths[at.times : at.frequencies] = np.log(n)
@@ -430,7 +431,7 @@ def model_of(structure: Structure, rate: float, further: NoiseTerm | None = None
 
 
 def response_of(structure: Structure, rate: float) -> Response | None:
-    """Response of a structure, if it has one."""
+    """Response of a structure; None without one."""
     if structure.kind == NONE:
         return None
     w, quality = structure.bandwidth
@@ -452,7 +453,7 @@ def order_of(structure: Structure) -> int:
 
 
 def resonance_of(structure: Structure, k: int, rate: float) -> Resonance:
-    """One of the oscillators as a term, before the response if it passes that."""
+    """One of the oscillators as a term; before the response if it passes through it."""
     power = float(structure.power[FULL.first_oscillator + k])
     return Resonance(np.sqrt(power), structure.frequency(k) * rate / (2.0 * np.pi), structure.quality(k))
 
@@ -464,7 +465,7 @@ def markov_of(structure: Structure, k: int, rate: float) -> Markov:
 
 
 def term_of(structure: Structure, k: int, rate: float, further: NoiseTerm | None = None) -> NoiseTerm:
-    """Term of component k, before the response if it passes that."""
+    """Term of component k; before the response if it passes through it."""
     amplitude = float(np.sqrt(structure.power[k]))
     if k < OUTSIDE:
         return basic_terms()[FIXED[k]].replace(coefficient=amplitude)

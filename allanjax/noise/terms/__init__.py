@@ -1,4 +1,4 @@
-"""Noise terms, one class in one file each; only this package lists them.
+"""Noise terms; only this package lists them.
 
 Allan variances by equation of Hou (2004), and units of the parameters for gyros and accelerometers:
 
@@ -22,20 +22,15 @@ N is the root of the two-sided PSD.
 
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter
-from allanjax.noise.terms.bias_instability import BiasInstability
-from allanjax.noise.terms.bias_step import BiasStep
-from allanjax.noise.terms.channel_effect import ChannelEffect
-from allanjax.noise.terms.drift_ramp import DriftRamp
-from allanjax.noise.terms.low_pass import LowPass
-from allanjax.noise.terms.markov import Markov
-from allanjax.noise.terms.power_law import PowerLaw
-from allanjax.noise.terms.quantization import Quantization
-from allanjax.noise.terms.random_walk import AngleRandomWalk, RateRandomWalk
-from allanjax.noise.terms.resonance import Resonance
-from allanjax.noise.terms.sinusoid import Sinusoid
-from allanjax.noise.terms.telegraph import Telegraph
-from allanjax.noise.terms.wandering_resonance import WanderingResonance
-from allanjax.noise.terms.warm_up import WarmUp
+from allanjax.noise.terms.correlated import LowPass, Markov, Resonance, Telegraph, WanderingResonance
+from allanjax.noise.terms.deterministic import BiasStep, ChannelEffect, DriftRamp, Sinusoid, WarmUp
+from allanjax.noise.terms.power_laws import (
+    AngleRandomWalk,
+    BiasInstability,
+    PowerLaw,
+    Quantization,
+    RateRandomWalk,
+)
 
 
 def basic_terms() -> Model:

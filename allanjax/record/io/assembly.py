@@ -1,6 +1,7 @@
 """Assembly of a recording from the columns of a file."""
 
 import dataclasses
+import difflib
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,12 +23,13 @@ from allanjax.record.columns import (
     scales_of,
     split_unit,
 )
-from allanjax.record.completion import Gap, on_grid, rows_between, stretches_of, without_repeats
+from allanjax.record.completion import Gap, on_grid, rows_between, segments_of, without_repeats
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.io.options import ReadOptions
 from allanjax.record.io.table import Columns, Table, as_float, is_numeric
 from allanjax.record.io.timestamps import (
     MAX_RATE_DIFFERENCE,
+    Rate,
     after_gaps,
     check_rate_kept,
     rate_from_times,
@@ -67,13 +69,7 @@ class Layout:
 def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: list[str]) -> Layout:
     """Find the layout of a table from the user's columns, else from the labels, else from the given units.
 
-    Assumptions are added to the notes.
-
-    Args:
-        table: the table.
-        columns: its first rows, or all.
-        options: the user's options.
-        notes: the notes so far.
+    `columns` are its first rows, or all. Assumptions are added to the notes.
 
     Raises:
         RecordingError: the columns are not recognised, or two have the same name.
@@ -145,8 +141,10 @@ def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Colu
             ]
         unknown = [name for name, match in zip(names, matches, strict=True) if not match]
         if len(entries) != count and unknown:
+            near = difflib.get_close_matches(unknown[0], [split_unit(label)[0] for label in table.labels], 1)
+            hint = f" (did you mean {near[0]}?)" if near else ""
             raise table.source.error(
-                f"columns= (--columns) asks for {', '.join(unknown)}, but the file has "
+                f"columns= (--columns) asks for {', '.join(unknown)}{hint}, but the file has "
                 f"{', '.join(table.labels)}; choose from these, or give one name per column in order, with - "
                 "to skip one"
             )
@@ -251,35 +249,34 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     check_length(len(columns[0]), table.source)
     layout = find_layout(table, columns, options, notes)
     rate = stated_rate(table, options.rate, notes)
-    stretch, source = _read(columns, layout, rate, options, table.source, notes)
-    jitter: float | None = None
-    if layout.time and options.uniform:
-        found = uniform_rate(stretch.times, layout.time_label, options.rate, source)
-        rate, jitter = found.rate, found.jitter
-        notes.append(found.note)
-        stretch = stretch._replace(times=np.arange(len(stretch.times)) / rate)
+    segment, source = _read(columns, layout, rate, options, table.source, notes)
+    others: tuple[_Segment, ...] = ()
     stamped = bool(layout.time) and not options.uniform
-    others: tuple[_Stretch, ...] = ()
     missing: tuple[Gap, ...] | None = () if stamped else None
+    measured: Rate | None = None
+    if layout.time and options.uniform:
+        measured = uniform_rate(segment.times, layout.time_label, options.rate, source)
+        segment = segment._replace(times=np.arange(len(segment.times)) / measured.rate)
     if options.gaps == "segments":
-        stretch, others, source, missing = _segments(stretch, source, notes)
-        missing = missing if missing or stamped else None
+        segment, others, source, gaps = _segments(segment, source, notes)
+        missing = gaps or missing
     if stamped:
-        gaps = options.allows_gaps
-        found = rate_from_times(stretch.times, layout.time_label, options.rate, source, gaps=gaps)
-        rate, jitter = found.rate, found.jitter
-        notes.append(found.note)
-        if gaps:
-            values, auxiliary = on_grid(stretch.values, stretch.auxiliary, found.places)
-            stretch = stretch._replace(values=values, auxiliary=auxiliary)
-    if rate is None:
-        raise no_rate_error(source)
+        how = {"gaps": options.allows_gaps}
+        measured = rate_from_times(segment.times, layout.time_label, options.rate, source, **how)
+        if options.allows_gaps:
+            values, auxiliary = on_grid(segment.values, segment.auxiliary, measured.places)
+            segment = segment._replace(values=values, auxiliary=auxiliary)
+    jitter = None
+    if measured is not None:
+        rate, jitter = measured.rate, measured.jitter
+        notes.append(measured.note)
+    assert rate is not None
     units, fill = table.units_with(options), options.gaps == "fill"
-    of_stretch = (stretch.values, rate, layout.axes, units, stretch.auxiliary, name, notes, source, jitter)
-    return build(*of_stretch, fill, [other.values for other in others], missing)
+    of_segment = (segment.values, rate, layout.axes, units, segment.auxiliary, name, notes, source, jitter)
+    return build(*of_segment, fill, [other.values for other in others], missing)
 
 
-class _Stretch(NamedTuple):
+class _Segment(NamedTuple):
     """Samples of a segment in the file's units, auxiliary channels, and times [s]."""
 
     values: Float[np.ndarray, "samples axes"]
@@ -291,10 +288,10 @@ class _Stretch(NamedTuple):
         """Mean interval of its times [s]."""
         return float(self.times[-1] - self.times[0]) / (len(self.times) - 1)
 
-    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Stretch":
+    def taken(self, rows: slice | Bool[np.ndarray, " samples"]) -> "_Segment":
         """Return these rows."""
         auxiliary = {name: column[rows] for name, column in self.auxiliary.items()}
-        return _Stretch(self.values[rows], auxiliary, self.times[rows])
+        return _Segment(self.values[rows], auxiliary, self.times[rows])
 
 
 def _read(
@@ -304,7 +301,7 @@ def _read(
     options: ReadOptions,
     source: Source,
     notes: list[str],
-) -> tuple[_Stretch, Source]:
+) -> tuple[_Segment, Source]:
     """Return the rows from start to stop, without repeated ones, and their source."""
     samples = len(columns[0])
     if layout.time:
@@ -316,11 +313,11 @@ def _read(
     else:
         times = np.arange(samples) / rate
     rows = rows_of_times(times, options.start, options.stop)
-    check_stretch(rows, float(times[-1]), source)
+    check_rows(rows, float(times[-1]), source)
     source = source.after(rows.start)
     check_length(rows.stop - rows.start, source)
     if rows != slice(0, samples):
-        notes.append(f"samples {rows.start} to {rows.stop - 1} of {samples} read")
+        notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {samples:,} read")
     gaps = options.allows_gaps
     values = np.column_stack([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes])
     auxiliary = {}
@@ -329,19 +326,19 @@ def _read(
         notes.append(note)
         if numbers is not None:
             auxiliary[column.name] = numbers
-    stretch = _Stretch(values, auxiliary, times[rows])
+    segment = _Segment(values, auxiliary, times[rows])
     if not layout.time:
-        return stretch, source
-    kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, stretch.times)
+        return segment, source
+    kept = np.ones(len(values), bool) if options.uniform else without_repeats(values, segment.times)
     if not kept.all():
         notes.append(f"{np.count_nonzero(~kept)} packets that were recorded twice are left out")
-    own = own_rows(values[kept], stretch.times[kept], layout.axes, source)
+    own = own_rows(values[kept], segment.times[kept], layout.axes, source)
     if not own.all():
         notes.append(f"{np.count_nonzero(~own)} rows that repeat the previous values are left out")
     kept[kept] = own
-    stretch, source = stretch.taken(kept), source.at(kept)
-    check_length(len(stretch.values), source)
-    return stretch, source
+    segment, source = segment.taken(kept), source.at(kept)
+    check_length(len(segment.values), source)
+    return segment, source
 
 
 def own_rows(
@@ -389,21 +386,21 @@ def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
 
 
 def _segments(
-    stretch: _Stretch, source: Source, notes: list[str]
-) -> tuple[_Stretch, tuple[_Stretch, ...], Source, tuple[Gap, ...]]:
+    record: _Segment, source: Source, notes: list[str]
+) -> tuple[_Segment, tuple[_Segment, ...], Source, tuple[Gap, ...]]:
     """Return the longest segment without gaps, other segments, its source, and the gaps."""
-    found = stretches_of(stretch.values, after_gaps(stretch.times))
-    source = source.after(found.longest.start)
-    check_length(found.longest.stop - found.longest.start, source)
-    longest = stretch.taken(found.longest)
+    segments = segments_of(record.values, after_gaps(record.times))
+    source = source.after(segments.longest.start)
+    check_length(segments.longest.stop - segments.longest.start, source)
+    longest = record.taken(segments.longest)
 
     def has_same_rate(rows: slice) -> bool:
-        return abs(stretch.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
+        return abs(record.taken(rows).interval / longest.interval - 1.0) < MAX_RATE_DIFFERENCE
 
-    found = found._replace(others=tuple(filter(has_same_rate, found.others)))
-    notes += found.notes(len(stretch.values))
-    others = tuple(map(stretch.taken, found.others))
-    return longest, others, source, found.gaps(stretch.times, 1.0 / longest.interval)
+    segments = segments._replace(others=tuple(filter(has_same_rate, segments.others)))
+    notes += segments.notes(len(record.values))
+    others = tuple(map(record.taken, segments.others))
+    return longest, others, source, segments.gaps(record.times, 1.0 / longest.interval)
 
 
 def no_rate_error(source: Source) -> RecordingError:
@@ -414,12 +411,12 @@ def no_rate_error(source: Source) -> RecordingError:
     )
 
 
-def check_stretch(rows: slice, duration: float, source: Source) -> None:
-    """Raise `RecordingError` if no row remains of a recording that lasts `duration` [s]."""
+def check_rows(rows: slice, duration: float, source: Source) -> None:
+    """Raise `RecordingError` if no rows remain of a recording that lasts `duration` [s]."""
     if rows.start == rows.stop:
         raise source.error(
-            f"no sample of its {duration:.6g} s remains; give times within them with start= and stop= "
-            "(--start, --stop)"
+            f"start= and stop= (--start, --stop) leave no sample of its {duration:.6g} s; give times within "
+            "the record"
         )
 
 
@@ -484,7 +481,7 @@ class ChunkedRecording:
     name: str
     notes: tuple[str, ...]
     n: int | None
-    _stretch: "_PartOfFile"
+    _part: "_PartOfFile"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -502,10 +499,10 @@ class ChunkedRecording:
         return scales_of(self.axes, self.rate)
 
     def __iter__(self) -> Iterator[Float[np.ndarray, "chunk axes"]]:
-        labels = [column.label for column in self._stretch.layout.axes]
-        place, count = self._stretch.table.source, 0
+        labels = [column.label for column in self._part.layout.axes]
+        place, count = self._part.table.source, 0
         first, varies, silent = np.zeros(len(labels)), np.zeros(len(labels), bool), np.ones(len(labels), bool)
-        for axes, _, source in self._stretch.pieces(self.rate):
+        for axes, _, source in self._part.pieces(self.rate):
             pairs = zip(axes, labels, strict=True)
             values = np.column_stack([as_float(x, label, source) for x, label in pairs])
             numbers = usable(values)
@@ -581,21 +578,21 @@ def open_chunks(
     rate = stated_rate(table, options.rate, notes)
     axes, axis_notes = axes_of(layout.axes, table.units_with(options), source)
     n, start, stop = table.n, options.start, options.stop
-    stretch = _PartOfFile(table, layout, options.time_unit, start, stop, chunk)
+    part = _PartOfFile(table, layout, options.time_unit, start, stop, chunk)
     if layout.time:
         stamps = [(column, first[column.index]) for column in layout.time]
         seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
-        stretch = dataclasses.replace(stretch, time_unit=unit or options.time_unit)
+        part = dataclasses.replace(part, time_unit=unit or options.time_unit)
         _check_one_rate(first, seconds, layout, source)
-        times, place = stretch.first_times()
+        times, place = part.first_times()
         check_length(len(times), place)
         if options.uniform:
             found = uniform_rate(times, layout.time_label, options.rate, place)
-            stretch = dataclasses.replace(stretch, layout=dataclasses.replace(layout, time=()))
+            part = dataclasses.replace(part, layout=dataclasses.replace(layout, time=()))
         else:
             found = rate_from_times(times, layout.time_label, options.rate, place, more=True)
-        rate, stretch = found.rate, dataclasses.replace(stretch, stamped=found.stamped)
+        rate, part = found.rate, dataclasses.replace(part, stamped=found.stamped)
         notes.append(found.note + (f", from the first {chunk} samples" if len(times) == chunk else ""))
         n = n if start is None and stop is None else None
     elif rate is None:
@@ -603,13 +600,13 @@ def open_chunks(
     elif n is not None:
         rows = rows_between(n, rate, start, stop)
         if rows != slice(0, n):
-            notes.append(f"samples {rows.start} to {rows.stop - 1} of {n} read")
-        check_stretch(rows, n / rate, source)
+            notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {n:,} read")
+        check_rows(rows, n / rate, source)
         n = rows.stop - rows.start
         check_length(n, source)
     if layout.auxiliary:
         notes.append(f"not read: {', '.join(column.name for column in layout.auxiliary)}")
-    return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, stretch)
+    return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, part)
 
 
 def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
@@ -671,19 +668,16 @@ class _PartOfFile:
             else:
                 times = (row + np.arange(size)) / (rate or 1.0)
             rows = rows_of_times(times, None if len(before) else self.start, self.stop)
-            piece = self._piece(columns, rows, times[rows], row)
-            if len(piece.times):
-                together = np.concatenate([before, piece.times])
+            if rows.stop > rows.start:
+                together, place = (
+                    np.concatenate([before, times[rows]]),
+                    self.table.source.after(row + rows.start),
+                )
                 if stamps and self.stamped is not None and len(together) > 1:
-                    place = piece.source.after(-len(before))
-                    check_rate_kept(together, self.layout.time_label, self.stamped, place)
+                    check_rate_kept(together, self.layout.time_label, self.stamped, place.after(-len(before)))
                 before = together[-_BEFORE:]
-                yield piece
+                axes = tuple(columns[column.index][rows] for column in self.layout.axes)
+                yield _Piece(axes, times[rows], place)
             if rows.stop < size:
                 return
             row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
-
-    def _piece(self, columns: Columns, rows: slice, times: np.ndarray, row: int) -> _Piece:
-        """Return the piece with these rows of a chunk that begins at row `row` of the file."""
-        axes = tuple(columns[column.index][rows] for column in self.layout.axes)
-        return _Piece(axes, times, self.table.source.after(row + rows.start))

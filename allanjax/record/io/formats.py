@@ -2,16 +2,11 @@
 
 from pathlib import Path
 
-from allanjax.record.io.binary import NPY, NPZ, PARQUET
-from allanjax.record.io.dataflash import DATAFLASH
-from allanjax.record.io.hdf5 import HDF5
-from allanjax.record.io.matlab import MAT
+from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
+from allanjax.record.io.flight_logs import DATAFLASH, ULOG
 from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
-from allanjax.record.io.tdms import TDMS
-from allanjax.record.io.text import TEXT
-from allanjax.record.io.ulog import ULOG
-from allanjax.record.io.vectornav import VECTORNAV
+from allanjax.record.io.text import TEXT, VECTORNAV
 from allanjax.record.validation import Source
 
 #: Formats in the order in which they are tried; the last one is the fallback.
@@ -40,7 +35,7 @@ def format_of(path: Path, source: Source) -> Format:
         raise source.error(f"cannot be opened: {error.strerror}; check its permissions") from error
     if not magic:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
-    found = next(kind for kind in FORMATS if kind.begins(magic))
+    found = next(kind for kind in FORMATS if kind.matches(magic))
     if found is TEXT and b"\0" in magic:
         suffix = path.suffix.lower()
         return next((kind for kind in FORMATS if suffix in kind.suffixes), TEXT)

@@ -48,9 +48,8 @@ def as_recording(
         AllanjaxError: the data are not a recording.
     """
     if isinstance(data, Recording):
-        given = (rate, gyro_unit, accel_unit, names, gaps)
-        labels = ("rate", "gyro_unit", "accel_unit", "names", "gaps")
-        superfluous = [label for label, value in zip(labels, given, strict=True) if value is not None]
+        given = {"rate": rate, "gyro_unit": gyro_unit, "accel_unit": accel_unit, "names": names, "gaps": gaps}
+        superfluous = [name for name, value in given.items() if value is not None]
         if superfluous:
             raise AllanjaxError(
                 f"a recording has its own rate, units and names, and no gaps: omit {', '.join(superfluous)}"
@@ -71,18 +70,6 @@ def as_recording(
     return Recording.from_array(
         values, rate, gyro_unit=gyro_unit, accel_unit=accel_unit, names=names, gaps=gaps or "error"
     )
-
-
-def from_dataframe(
-    frame: "pd.DataFrame",
-    rate: float | None = None,
-    *,
-    gyro_unit: str | None = None,
-    accel_unit: str | None = None,
-    names: Sequence[str] | None = None,
-) -> Recording:
-    """Make a recording from a data frame; see `Recording.from_dataframe`."""
-    return as_recording(frame, rate, gyro_unit, accel_unit, names)
 
 
 def samples_of(

@@ -51,8 +51,8 @@ class ReadOptions:
     )
     instance: int | None = _option("Number of the sensor if a flight log has several; by default the first.")
     gaps: GapChoice | None = _option(
-        "What to do about missing samples: error (default); segments, use the longest segment without "
-        "gaps; fill, replace them by simulated samples."
+        "What to do about missing samples: error (default); segments, fit the segments between gaps "
+        "jointly; fill, replace them by simulated samples."
     )
 
     def __post_init__(self) -> None:
@@ -82,10 +82,10 @@ class ReadOptions:
         """Unit of each sensor's samples, if given."""
         return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
-    def within(self, stretch: tuple[float, float]) -> ReadOptions:
-        """Options for a stretch [s] of the recording that these read, counted from its first sample."""
+    def within(self, part: tuple[float, float]) -> ReadOptions:
+        """Options for a part [s] of the recording that these read, counted from its first sample."""
         origin = self.start or 0.0
-        return replace(self, start=origin + stretch[0], stop=origin + stretch[1])
+        return replace(self, start=origin + part[0], stop=origin + part[1])
 
     def given(self) -> dict[str, Any]:
         """Names and values of the options that are given."""

@@ -1,15 +1,15 @@
 """Reader for ROS 1 and ROS 2 bags: messages of sensor_msgs/Imu; it requires rosbags."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.record.io.series import Series, recording_of, seconds_between
-from allanjax.record.io.table import Format, Table, damage_reported
+from allanjax.record.io.series import Series, joined, seconds_between
+from allanjax.record.io.table import Format, Table, damage_reported, optional_package
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.validation import Source
 
@@ -62,21 +62,17 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
 
 def _reader(path: Path, source: Source) -> Any:
     """Return the class that reads such a bag."""
-    try:
-        from rosbags.rosbag1 import Reader as Reader1
-        from rosbags.rosbag2 import Reader as Reader2
-    except ModuleNotFoundError as error:
-        raise source.error('reading a ROS bag requires rosbags: pip install "allanjax[ros]"') from error
+    readers = [optional_package(f"rosbags.rosbag{k}", "ros", "a ROS bag", source).Reader for k in (1, 2)]
     if path.is_dir():
-        return Reader2
+        return readers[1]
     with path.open("rb") as stream:
         magic = stream.read(16)
     if magic.startswith(_BEGINNINGS[1:]):
         suffix = ".mcap" if magic.startswith(b"\x89MCAP") else ".db3"
         if path.suffix != suffix:
             raise source.error(f"the name of this ROS 2 bag does not end in {suffix}; rename it")
-        return Reader2
-    return Reader1
+        return readers[1]
+    return readers[0]
 
 
 def _imu_topics(bag: Any, source: Source) -> dict[str, list[Any]]:
@@ -123,26 +119,19 @@ def _describe(bag: Any, topics: Mapping[str, list[Any]], source: Source) -> str:
 
 def _messages(bag: Any, connections: Sequence[Any], source: Source, count: int | None = None) -> _Messages:
     """Return the messages of a topic in the order of the bag, or the first `count` of them."""
-    stamps, arrivals, values, frame = [], [], [], ""
-    found = itertools.islice(bag.messages(connections=connections), count)
-    for number, block in enumerate(_blocks(found)):
-        first = number * _BLOCK
+    stamps: list[np.ndarray] = []
+    arrivals, values, frame = [], [], ""
+    messages = itertools.islice(bag.messages(connections=connections), count)
+    while block := list(itertools.islice(messages, _BLOCK)):
         raw = [message for _, _, message in block]
         frame = frame or raw[0][_TEXT:-_TAIL].partition(b"\0")[0].decode("utf-8", "replace")
-        decoded = _decoded(raw, connections[0].topic, first, source)
+        decoded = _decoded(raw, connections[0].topic, len(stamps) * _BLOCK, source)
         stamps.append(decoded[0])
         values.append(decoded[1])
         arrivals.append(np.array([time for _, time, _ in block], dtype=np.int64))
     if not stamps:
         return _Messages(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)), frame)
     return _Messages(np.concatenate(stamps), np.concatenate(arrivals), np.concatenate(values), frame)
-
-
-def _blocks(messages: Iterable[Any]) -> Iterator[list[Any]]:
-    """Yield the messages in lists of at most _BLOCK."""
-    messages = iter(messages)
-    while block := list(itertools.islice(messages, _BLOCK)):
-        yield block
 
 
 def _decoded(
@@ -214,7 +203,7 @@ def _table(messages: Mapping[str, _Messages], source: Source) -> Table:
             f"{' and '.join(messages)} are not gyros and accelerometers; choose one with topic= (--topic)"
         )
     gyros_first = sorted(found, key=lambda series: series.gyro is None)
-    return recording_of(gyros_first, source).table(clock, source, notes)
+    return joined(gyros_first, source).table(clock, source, notes)
 
 
 def _notes(series: Series, messages: _Messages) -> list[str]:
@@ -234,11 +223,5 @@ def _notes(series: Series, messages: _Messages) -> list[str]:
     return [note for note in notes if note]
 
 
-ROS = Format(
-    "ROS bag",
-    lambda magic: magic.startswith(_BEGINNINGS),
-    open_ros,
-    (".bag", ".mcap", ".db3"),
-    in_chunks=False,
-    choices=("topic",),
-)
+_SUFFIXES = (".bag", ".mcap", ".db3")
+ROS = Format("ROS bag", _BEGINNINGS, open_ros, _SUFFIXES, in_chunks=False, choices=("topic",))

@@ -69,14 +69,17 @@ def seconds_between(stamps: Int[np.ndarray, " n"]) -> Float[np.ndarray, " interv
     return regular_intervals(1e-9 * (ordered - ordered[:1]))
 
 
-def joined(gyro: Series, accel: Series, source: Source) -> Series:
-    """Return the gyros of one and the accelerometers of another sorted series, with the stamps of the gyros.
+def joined(chosen: Sequence[Series], source: Source) -> Series:
+    """Return a sorted series, or the gyros of one and the accelerometers of another with the gyros' stamps.
 
     A sample without partner is left out, which leaves a gap.
 
     Raises:
         RecordingError: the rates differ, or the samples were not taken at the same times.
     """
+    if len(chosen) == 1:
+        return chosen[0]
+    gyro, accel = chosen
     rates = gyro.rate, accel.rate
     choose = f"choose one with topic= (--topic), {gyro.name} or {accel.name}"
     if not all(rates) or abs(rates[0] / rates[1] - 1.0) > MAX_RATE_DIFFERENCE:
@@ -86,9 +89,9 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
         )
     half = round(0.5e9 / rates[0])
     partner = np.searchsorted(accel.times, gyro.times - half)
-    found = partner < len(accel.times)
-    found[found] = accel.times[partner[found]] < gyro.times[found] + half
-    rows = np.flatnonzero(found)
+    paired = partner < len(accel.times)
+    paired[paired] = accel.times[partner[paired]] < gyro.times[paired] + half
+    rows = np.flatnonzero(paired)
     rows = rows[np.diff(partner[rows], prepend=-1) > 0]
     if len(rows) < _MATCHED * min(len(gyro.times), len(accel.times)):
         raise source.error(
@@ -98,59 +101,3 @@ def joined(gyro: Series, accel: Series, source: Source) -> Series:
     one, other = gyro.taken(rows), accel.taken(partner[rows])
     both = f"{gyro.name} and {accel.name}"
     return replace(one, name=both, accel=other.accel, auxiliary={**other.auxiliary, **one.auxiliary})
-
-
-def choose(
-    found: Mapping[tuple[str, int], Series],
-    groups: Sequence[tuple[str, ...]],
-    topic: str | None,
-    instance: int | None,
-    source: Source,
-) -> list[Series]:
-    """Return the series of a flight log to read: one, or one of the gyros and one of the accelerometers.
-
-    Args:
-        found: series by message and number of the sensor.
-        groups: messages that form one recording, gyros first.
-        topic: the message, or two separated by a comma; by default the group with the highest rate.
-        instance: number of the sensor; by default the first.
-        source: origin of the series.
-
-    Raises:
-        RecordingError: there is no such message or sensor.
-    """
-    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
-    if not kept:
-        numbers = sorted({number for _, number in found})
-        raise source.error(
-            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
-        )
-    names = {name for name, _ in kept}
-    if topic is None:
-        fastest = max(kept, key=lambda key: kept[key].rate)[0]
-        wanted = next({*group} & names for group in groups if fastest in group)
-    else:
-        wanted = {name.strip() for name in topic.split(",")}
-        if not wanted <= names or not any(wanted <= {*group} for group in groups):
-            raise source.error(
-                f"topic {topic!r} is not a recording in the log; topics are "
-                f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
-            )
-    first = (min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True))
-    return [kept[key] for key in first]
-
-
-def recording_of(chosen: Sequence[Series], source: Source) -> Series:
-    """Return the chosen series, or two joined."""
-    return chosen[0] if len(chosen) == 1 else joined(chosen[0], chosen[1], source)
-
-
-def describe_choice(found: Mapping[tuple[str, int], Series], chosen: Sequence[Series]) -> str:
-    """Return a note on what was read from a flight log, and what else it has."""
-    words = {
-        id(series): f"{name} {number} at {series.rate:.4g} Hz" for (name, number), series in found.items()
-    }
-    taken = " and ".join(words.pop(id(series)) for series in chosen)
-    if not words:
-        return taken
-    return f"{taken}; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"

@@ -5,8 +5,9 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Shaped
@@ -90,7 +91,7 @@ class Format:
 
     Attributes:
         name: name in messages, a usual suffix.
-        begins: whether a file with these first 520 bytes is of this kind.
+        begins: first bytes of such files, or whether a file with these first 520 bytes is of this kind.
         open: function that returns the table of a file; RecordingError if it is damaged.
         suffixes: suffixes that identify a binary file whose first bytes are unknown.
         in_chunks: whether the table can be read some rows at a time.
@@ -98,11 +99,15 @@ class Format:
     """
 
     name: str
-    begins: Callable[[bytes], bool]
+    begins: bytes | tuple[bytes, ...] | Callable[[bytes], bool]
     open: Callable[..., Table]
     suffixes: tuple[str, ...] = ()
     in_chunks: bool = True
     choices: tuple[str, ...] = ()
+
+    def matches(self, magic: bytes) -> bool:
+        """Return whether a file with these first 520 bytes is of this kind."""
+        return self.begins(magic) if callable(self.begins) else magic.startswith(self.begins)
 
     def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
         """Return the table of a file of this kind.
@@ -118,6 +123,15 @@ class Format:
         return self.open(path, source, **{name: getattr(options, name) for name in self.choices})
 
 
+def optional_package(name: str, extra: str, kind: str, source: Source, otherwise: str = "") -> Any:
+    """Return a package that reads a kind of file; RecordingError with the extra to install if missing."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        package = f'{name.partition(".")[0]}: pip install "allanjax[{extra}]"{otherwise}'
+        raise source.error(f"reading {kind} requires {package}") from error
+
+
 @contextmanager
 def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
     """Context that turns any error of a library about a damaged file into a RecordingError.
@@ -129,7 +143,7 @@ def damage_reported(source: Source, kind: str, remedy: str) -> Iterator[None]:
     except AllanjaxError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200].rstrip(".") or type(error).__name__
         raise source.error(f"cannot be read as {kind}: {reason}; {remedy}") from error
 
 

@@ -1,4 +1,4 @@
-"""Reader for text files: comma, semicolon, tab or white space between columns, with or without a header."""
+"""Readers for text files: columns with or without a header, and lines of VectorNav sensors."""
 
 import csv
 import gzip
@@ -6,11 +6,15 @@ import io
 import itertools
 import re
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool
 
 from allanjax.record.columns import recognise, split_unit
 from allanjax.record.io.table import Columns, Format, Table, damage_reported
@@ -40,6 +44,28 @@ _LONGEST_LINE = 1 << 16
 # Lines of numbers with decimal commas, and possibly whole numbers.
 _COMMA_NUMBER = r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?"
 _DECIMAL_COMMA = re.compile(rf"\s*{_COMMA_NUMBER}(?:[\s;]+{_COMMA_NUMBER})*\s*;?\s*")
+# Fields of VectorNav's messages.
+_GYRO = tuple(f"gyro_{axis} [rad/s]" for axis in "xyz")
+_ACCEL = tuple(f"accel_{axis} [m/s²]" for axis in "xyz")
+_MAG = tuple(f"mag_{axis} [gauss]" for axis in "xyz")
+_ANGLES = tuple(f"{angle} [deg]" for angle in ("yaw", "pitch", "roll"))
+# Fields of messages with samples.
+_FIELDS = {
+    b"$VNYMR": (*_ANGLES, *_MAG, *_ACCEL, *_GYRO),
+    b"$VNQMR": (*(f"quaternion_{k}" for k in range(4)), *_MAG, *_ACCEL, *_GYRO),
+    b"$VNMAR": (*_MAG, *_ACCEL, *_GYRO),
+    b"$VNIMU": (*_MAG, *_ACCEL, *_GYRO, "temperature [degC]", "pressure [kPa]"),
+    b"$VNDTV": (
+        "interval [s]",
+        *(f"delta_theta_{axis} [deg]" for axis in "xyz"),
+        *(f"delta_vel_{axis} [m/s]" for axis in "xyz"),
+    ),
+    b"$VNGYR": _GYRO,
+    b"$VNACC": _ACCEL,
+}
+_VECTORNAV_LINE = re.compile(rb"(?:^|\n)\$VN[A-Z]{3},")
+# Exclusive or of the bytes after the $, in two hexadecimal digits at the end of a line.
+_ENDED = re.compile(rb"\*([0-9A-Fa-f]{2})\s*$")
 
 
 @dataclass(frozen=True)
@@ -78,7 +104,20 @@ def open_text(path: Path, source: Source) -> Table:
     def rows(chunk: int) -> Iterator[Columns]:
         with (
             _errors_located(path, layout, source),
-            pd.read_csv(path, chunksize=chunk, **_options(layout)) as frames,
+            pd.read_csv(
+                path,
+                chunksize=chunk,
+                sep=r"\s+" if layout.delimiter is None else layout.delimiter,
+                header=None,
+                skiprows=layout.start,
+                decimal=layout.decimal,
+                comment=layout.comment,
+                skipinitialspace=True,
+                low_memory=False,
+                encoding=layout.encoding,
+                encoding_errors="replace",
+                compression="gzip" if layout.compressed else None,
+            ) as frames,
         ):
             held = next(frames, None)
             while held is not None:
@@ -102,22 +141,6 @@ def _cut_line(path: Path, layout: _Layout) -> str:
     fields = _split(lines[-1], layout.delimiter)
     short = len(lines) > layout.start + 1 and len(fields) < layout.fields
     return lines[-1].strip() if short and not _is_comment(lines[-1]) else ""
-
-
-def _options(layout: _Layout) -> dict[str, Any]:
-    """Return the arguments of `pandas.read_csv` for this layout."""
-    return {
-        "sep": r"\s+" if layout.delimiter is None else layout.delimiter,
-        "header": None,
-        "skiprows": layout.start,
-        "decimal": layout.decimal,
-        "comment": layout.comment,
-        "skipinitialspace": True,
-        "low_memory": False,
-        "encoding": layout.encoding,
-        "encoding_errors": "replace",
-        "compression": "gzip" if layout.compressed else None,
-    }
 
 
 @contextmanager
@@ -344,4 +367,66 @@ def _is_number(text: str) -> bool:
     return True
 
 
-TEXT = Format("text", lambda magic: True, open_text)
+TEXT = Format("text", b"", open_text)
+
+
+def read_vectornav(path: Path, source: Source) -> Table:
+    """Return the lines of the most frequent message; a damaged line is a sample with nan.
+
+    Raises:
+        RecordingError: no message has samples.
+    """
+    import pandas as pd
+
+    lines = path.read_bytes().split(b"\n")
+    count = Counter(line[:6] for line in lines if line.startswith(b"$VN"))
+    known = {kind: count[kind] for kind in _FIELDS if kind in count}
+    if not known:
+        there = ", ".join(sorted(kind.decode("latin-1") for kind in count))
+        wanted = ", ".join(kind.decode() for kind in _FIELDS)
+        raise source.error(f"no message with samples (only {there}); let the sensor write {wanted}")
+    kind = max(known, key=lambda kind: known[kind])
+    places = [k for k, line in enumerate(lines) if line.startswith(kind)]
+    # Lines between messages that are not messages are damaged ones.
+    torn = (
+        k
+        for k in range(places[0], places[-1])
+        if lines[k].strip() and not lines[k].startswith((b"$VN", b"#"))
+    )
+    places = sorted([*places, *torn])
+    rows = [lines[k] for k in places]
+    labels = _FIELDS[kind]
+    nothing = (len(labels) - 1) * b","
+    intact = _are_intact(rows, len(labels))
+    bodies = [
+        row[7:].partition(b"*")[0].strip() if good else nothing
+        for row, good in zip(rows, intact, strict=True)
+    ]
+    with damage_reported(source, "lines of numbers", "repair the lines, or save it as CSV"):
+        text = io.BytesIO(b"\n".join(bodies))
+        frame = pd.read_csv(text, header=None, encoding="latin-1", skip_blank_lines=False, low_memory=False)
+    notes = [f"{known[kind]} lines of {kind.decode()}"]
+    others = len(lines) - len(rows) - sum(not line.strip() for line in lines)
+    if others:
+        notes.append(f"{others} other lines are skipped")
+    source = Source(source.label, lambda row: f"line {places[row] + 1}", "a damaged line")
+    columns = tuple(frame[name].to_numpy() for name in frame.columns)
+    return Table.of(columns, labels, source, notes=tuple(notes))
+
+
+def _are_intact(rows: Sequence[bytes], fields: int) -> Bool[np.ndarray, " rows"]:
+    """Return whether each line has so many fields and, if it states a check sum, the right one."""
+    ends = [_ENDED.search(row) for row in rows]
+    intact = np.array([row.count(b",") == fields for row in rows], bool)
+    summed = [k for k, end in enumerate(ends) if end is not None and intact[k]]
+    if summed:
+        bodies = [rows[k][1:].partition(b"*")[0] for k in summed]
+        starts = np.cumsum([0, *map(len, bodies[:-1])])
+        sums = np.bitwise_xor.reduceat(np.frombuffer(b"".join(bodies), np.uint8), starts)
+        intact[summed] = [int(rows[k].rpartition(b"*")[2], 16) for k in summed] == sums
+    return intact
+
+
+VECTORNAV = Format(
+    "VectorNav", lambda magic: _VECTORNAV_LINE.search(magic) is not None, read_vectornav, in_chunks=False
+)

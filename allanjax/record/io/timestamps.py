@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
 from allanjax.base.errors import RecordingError, UnitError
-from allanjax.base.wording import plain
+from allanjax.base.wording import percent, plain
 from allanjax.record.columns import Column
 from allanjax.record.completion import MOST_MISSING
 from allanjax.record.io.table import as_float, is_numeric
@@ -101,12 +101,12 @@ def uniform_rate(
     """Return the mean sample rate of times in s, or the given rate, for samples known to be evenly spaced."""
     span = float(times[-1] - times[0])
     if not span > 0.0:
-        raise source.error(f"column {label!r} does not advance; {_IGNORE}", "jitter")
+        raise source.error(f"the times in column {label!r} do not increase; {_IGNORE}", "jitter")
     mean = (len(times) - 1) / span
     note = f"{mean:.9g} Hz, the mean of column {label!r} for evenly spaced samples"
     note = f"sample rate {note}" if rate is None else f"sample rate {rate:.9g} Hz as given (stamps: {note})"
     if (unsteady := _unsteadiness(times)) > MAX_RATE_DIFFERENCE:
-        note += f"; the rates of its halves differ by {unsteady:.0%}"
+        note += f"; the rates of its halves differ by {percent(unsteady)}"
     return Rate(rate or mean, note, float(np.std(np.diff(times))), np.arange(len(times)), mean)
 
 
@@ -144,8 +144,9 @@ def rate_from_times(
         fill = "if samples are missing, fill them in with gaps='fill' (--gaps fill); "
         raise source.error(
             f"column {label!r} is irregular: the mean interval is {np.mean(intervals):.6g} s, the rms jitter "
-            f"{np.std(intervals):.3g} s, and {np.mean(long):.0%} of the intervals are gaps (longer than "
-            f"{_GAP} times the median); jitter up to {_MAX_JITTER:.0%} is accepted; {_evenly(times)}"
+            f"{np.std(intervals):.3g} s, and {percent(float(np.mean(long)))} of the intervals are gaps "
+            f"(longer than {_GAP} times the median); jitter up to {percent(_MAX_JITTER)} is accepted; "
+            f"{_evenly(times)}"
             f"{fill if drawn and not gaps and not more else ''}{_IGNORE}; do not resample, which smooths the "
             "noise",
             "jitter",
@@ -310,7 +311,7 @@ def _unit(
     listed = ", ".join(possible) or "no unit gives a plausible rate"
     if rate is not None and typical > 0.0:
         step = 1.0 / rate / typical
-        note = f"{name} has no unit that fits {rate:g} Hz ({listed})"
+        note = f"{name} has no unit, and none fits {rate:g} Hz ({listed})"
         return f"{step!r} s", (f"{note}; assuming counts of {step:.6g} s each",)
     raise source.error(
         f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "

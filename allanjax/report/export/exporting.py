@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, get_args
+
+import numpy as np
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import format_interval, significant
@@ -39,7 +41,7 @@ class Number:
     Attributes:
         symbol: "N", "K", "q", "T" or "B".
         value: an estimate, or the 95 % limit of what was not detected.
-        said: value with interval, or limit, and whose it is; in words.
+        text: value with interval, or limit, and whose it is; in words.
         unit: SI unit of the value.
         is_limit: whether it is a limit, or a mean over axes of which one has only a limit.
         axis: name of the axis.
@@ -49,7 +51,7 @@ class Number:
 
     symbol: str
     value: float
-    said: str
+    text: str
     unit: str
     is_limit: bool = False
     axis: str = ""
@@ -57,15 +59,8 @@ class Number:
     interval: tuple[float, float] | None = None
 
 
-@dataclasses.dataclass(frozen=True)
-class Missing:
-    """A quantity that the fit does not have, and why, with the remedy."""
-
-    why: str
-
-
-#: Quantities of one axis by their symbols.
-Quantities = Mapping[str, Number | Missing]
+#: Quantities of one axis by their symbols; of one that is missing why, with the remedy.
+Quantities = Mapping[str, Number | str]
 
 
 def completed(of: Mapping[str, Number], why: str, no_walk: str = "") -> Quantities:
@@ -73,12 +68,12 @@ def completed(of: Mapping[str, Number], why: str, no_walk: str = "") -> Quantiti
 
     `why` says after its symbol why one is missing, and `no_walk` why there is no K beside a Markov process.
     """
-    found: dict[str, Number | Missing] = {s: of.get(s) or Missing(f"{s} {why}") for s in "NKqTB"}
+    found: dict[str, Number | str] = {s: of.get(s) or f"{s} {why}" for s in "NKqTB"}
     walk = found["K"]
     if isinstance(walk, Number):
         found["q"], found["T"] = _driven_by(walk, LONG)
     elif isinstance(found["q"], Number):
-        found["K"] = Missing(no_walk)
+        found["K"] = no_walk
     else:
         found["q"] = found["T"] = walk
     return found
@@ -89,16 +84,16 @@ def of_sheet(sheet: DataSheet, sensor: Sensor) -> Quantities:
     given: dict[str, Number] = {}
     for c in sheet.coefficients(sensor).values():
         shown, amount = c.in_unit(), f"{significant(c.value, 5)} {c.si_unit}"
-        said = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
-        given[c.symbol] = Number(c.symbol, c.value, said, c.si_unit, axis=sensor, label=c.label)
+        text = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
+        given[c.symbol] = Number(c.symbol, c.value, text, c.si_unit, axis=sensor, label=c.label)
     return completed(given, f"of the {CALLED[sensor]} is {NOT_GIVEN} by the data sheet; {REMEDY}")
 
 
 def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
     """Density q that drives a bias that is a walk, and the correlation time [s] that it is given."""
-    q = dataclasses.replace(walk, symbol="q", said=f"q = K: {walk.said}")
-    said = f"T = {significant(T, 5)} s: no Markov process but a walk, which the bias is for much less than T"
-    return q, Number("T", T, said, "s", axis=walk.axis)
+    q = dataclasses.replace(walk, symbol="q", text=f"q = K: {walk.text}")
+    text = f"T = {significant(T, 5)} s stands for a random walk: the bias is one for times much below T"
+    return q, Number("T", T, text, "s", axis=walk.axis)
 
 
 def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], list[str]]:
@@ -120,39 +115,35 @@ def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], l
 
 def quantities(result: AxisFit, duration: float) -> Quantities:
     """N, K, B, q and T of an axis of a recording of this duration [s]."""
-    found: dict[str, Number | Missing] = {symbol: _basic(result, symbol) for symbol in _TERMS}
+    terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
+    found: dict[str, Number | str] = {
+        symbol: number(symbol, result.coefficients[label])
+        if label in result.coefficients
+        else f"no {symbol} in the fitted model ({terms}); fit one that has it"
+        for symbol, label in _TERMS.items()
+    }
     found["q"], found["T"] = _drive(result, found["K"], duration)
     return found
 
 
-def _basic(result: AxisFit, symbol: str) -> Number | Missing:
-    label = _TERMS[symbol]
-    if label not in result.coefficients:
-        terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
-        return Missing(f"no {symbol} in the fitted model ({terms}); fit one that has it")
-    return number(symbol, result.coefficients[label])
-
-
-def number(symbol: str, c: Estimate) -> Number | Missing:
+def number(symbol: str, c: Estimate) -> Number | str:
     """An amplitude, or its 95 % limit where it is not detected."""
     if c.detected or c.held or not c.measured:
         if not c.value > 0.0:
-            return Missing(f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement")
+            return f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement"
         if c.held or not math.isfinite(c.std):
             known, interval = " (held)" if c.held else "", None
         else:
             known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
         amount = f"{significant(c.value, 5)} {c.si_unit}{known}"
-        said = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
-        return Number(symbol, c.value, said, c.si_unit, False, c.axis.name, c.label, interval)
+        text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
+        return Number(symbol, c.value, text, c.si_unit, False, c.axis.name, c.label, interval)
     limit = c.upper_limit
     if limit is None or not (math.isfinite(limit) and limit > 0.0):
-        return Missing(f"{c.title} of {c.axis.name} is not detected, and there is no limit of it")
-    said = (
-        f"{symbol} NOT DETECTED: this is its 95 % upper limit {significant(limit, 5)} {c.si_unit} "
-        f"({c.in_unit().describe()}), {c.axis.name}"
-    )
-    return Number(symbol, limit, said, c.si_unit, True, c.axis.name, c.label)
+        return f"{c.title} of {c.axis.name} is not detected, and there is no limit of it"
+    amount = f"{significant(limit, 5)} {c.si_unit} (95 % upper limit)"
+    text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
+    return Number(symbol, limit, text, c.si_unit, True, c.axis.name, c.label)
 
 
 def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
@@ -165,23 +156,18 @@ def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
     return sorted(found, key=lambda pair: -pair[1].value)
 
 
-def _drive(
-    result: AxisFit, walk: Number | Missing, duration: float
-) -> tuple[Number | Missing, Number | Missing]:
+def _drive(result: AxisFit, walk: Number | str, duration: float) -> tuple[Number | str, Number | str]:
     """Density q that drives the bias, and its correlation time T: of a Markov process, or of the walk.
 
     Where both are there, what drives the bias more.
     """
     name = result.axis.name
-    processes = markov_terms(result)
-    if processes:
-        amplitude, time = processes[0]
-        weaker = isinstance(walk, Missing) or walk.is_limit or walk.value < amplitude.value
-        if weaker:
+    for amplitude, time in markov_terms(result)[:1]:
+        if isinstance(walk, str) or walk.is_limit or walk.value < amplitude.value:
             q = number("q", amplitude)
-            said = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
-            return q, Number("T", time.value, said, "s", axis=name, label=time.label)
-    if isinstance(walk, Missing):
+            text = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
+            return q, Number("T", time.value, text, "s", axis=name, label=time.label)
+    if isinstance(walk, str):
         return walk, walk
     return _driven_by(walk, max(duration, LONG))
 
@@ -207,8 +193,8 @@ def together(
     if len(axes) == 1:
         return _value(formula, worst), tuple(worst.values())
     if how == "worst":
-        told = f", the worst of {len(axes)} axes"
-        numbers = [n if s == "T" else dataclasses.replace(n, said=n.said + told) for s, n in worst.items()]
+        end = f", the worst of {len(axes)} axes"
+        numbers = [n if s == "T" else dataclasses.replace(n, text=n.text + end) for s, n in worst.items()]
     else:
         numbers = [n if s == "T" else _mean([axis[s] for axis in axes]) for s, n in worst.items()]
     return _value(formula, worst if how == "worst" else {n.symbol: n for n in numbers}), tuple(numbers)
@@ -222,7 +208,7 @@ def _mean(numbers: Sequence[Number]) -> Number:
     """Arithmetic mean over axes, whose errors are taken as independent."""
     first, value = numbers[0], math.fsum(n.value for n in numbers) / len(numbers)
     limits = [n.axis for n in numbers if n.is_limit]
-    said = f"{first.symbol} = {significant(value, 5)} {first.unit}"
+    text = f"{first.symbol} = {significant(value, 5)} {first.unit}"
     interval = None
     if not limits and all(n.interval is not None for n in numbers):
         # Intervals of an axis need not be symmetric: their halves add up in squares on each side.
@@ -231,11 +217,11 @@ def _mean(numbers: Sequence[Number]) -> Number:
             for side in (0, 1)
         )
         interval = (value - below, value + above)
-        said += f" (95 %: {format_interval(*interval, value, (above + below) / 3.92)})"
-    said += f", the mean of {', '.join(n.axis for n in numbers)}"
+        text += f" (95 %: {format_interval(*interval, value, (above + below) / 3.92)})"
+    text += f", the mean of {', '.join(n.axis for n in numbers)}"
     if limits:
-        said += f"; NOT DETECTED in {', '.join(limits)}, of which the 95 % upper limit is in the mean"
-    return Number(first.symbol, value, said, first.unit, bool(limits), "mean", first.label, interval)
+        text += f"; not detected on {', '.join(limits)}, with 95 % upper limits in the mean"
+    return Number(first.symbol, value, text, first.unit, bool(limits), "mean", first.label, interval)
 
 
 #: What is written of several axes: each where the target holds three, the worst, or the mean.
@@ -253,17 +239,16 @@ class Exported(NamedTuple):
 class SensorNoise:
     """The noise of a sensor's axes, by their names; and in words what is wrong with others."""
 
-    names: tuple[str, ...]
-    axes: tuple[Quantities, ...]
-    wrong: tuple[str, ...] = ()
+    axes: Mapping[str, Quantities] = dataclasses.field(default_factory=dict)
+    wrong: Sequence[str] = ()
 
 
 def checked_axes(to: Target, axes: Axes | None) -> None:
     """Raise AllanjaxError if a target can not be given what is asked for several axes."""
     if axes is not None and axes not in get_args(Axes):
-        raise AllanjaxError(f"axes={axes!r}: it is one of {', '.join(get_args(Axes))}")
+        raise AllanjaxError(f"axes= (--axes) must be one of {', '.join(get_args(Axes))}, not {axes!r}")
     if axes == "each" and all(key.of == "one" for key in to.noise_keys):
-        raise AllanjaxError(f"{to.title} holds one value for all axes: take the worst or the mean of them")
+        raise AllanjaxError(f"{to.title} has one value for all axes; pass axes='worst' or 'mean' (--axes)")
 
 
 def checked_rate(rate: float) -> float:
@@ -342,7 +327,7 @@ def _with_one_time(sensors: Mapping[Sensor, SensorNoise]) -> dict[Sensor, Sensor
     """
     driven: list[tuple[Number, Number]] = []
     for s in sensors.values():
-        pairs = [(of["q"], of["T"]) for of in s.axes]
+        pairs = [(of["q"], of["T"]) for of in s.axes.values()]
         found = [(q, T) for q, T in pairs if isinstance(q, Number) and isinstance(T, Number)]
         processes = [(q, T) for q, T in found if T.label]
         driven = processes or driven or found
@@ -351,12 +336,11 @@ def _with_one_time(sensors: Mapping[Sensor, SensorNoise]) -> dict[Sensor, Sensor
     if not driven:
         return dict(sensors)
     _, T = max(driven, key=lambda pair: pair[0].value)
-    return {
-        name: dataclasses.replace(
-            s, axes=tuple({**of, "T": T} if isinstance(of["T"], Number) else of for of in s.axes)
-        )
-        for name, s in sensors.items()
+    timed = {
+        sensor: {name: {**of, "T": T} if isinstance(of["T"], Number) else of for name, of in s.axes.items()}
+        for sensor, s in sensors.items()
     }
+    return {sensor: dataclasses.replace(s, axes=timed[sensor]) for sensor, s in sensors.items()}
 
 
 def _entry(
@@ -371,9 +355,9 @@ def _entry(
     if not s.axes:
         raise _LeftOutError(f"there is no {CALLED[key.sensor]} with a result; take a recording that has one")
     found, lacking = [], []
-    for name, of in zip(s.names, s.axes, strict=True):
+    for name, of in s.axes.items():
         own = {symbol: of[symbol] for symbol in key.symbols}
-        missing = [x.why for x in own.values() if isinstance(x, Missing)]
+        missing = [x for x in own.values() if isinstance(x, str)]
         if missing:
             lacking += missing
         else:
@@ -381,17 +365,19 @@ def _entry(
     if not found:
         raise _LeftOutError("; ".join(dict.fromkeys(lacking)))
     if key.optional and all(n.is_limit for _, of in found for n in of.values()):
-        raise _LeftOutError("; ".join(dict.fromkeys(n.said for _, of in found for n in of.values())))
+        raise _LeftOutError("; ".join(dict.fromkeys(n.text for _, of in found for n in of.values())))
     values, numbers = _values(key, found, axes, rate)
     comments = [f"= {key.formula} [{key.unit}]; source: {to.source.partition(':')[0]}"]
-    comments += dict.fromkeys(n.said for n in numbers if n.symbol in key.formula)
+    comments += dict.fromkeys(n.text for n in numbers if n.symbol in key.formula)
     comments += dict.fromkeys(lacking)
     if key.note:
         comments.append(key.note)
     if any(not key.least <= x <= key.most for x in values):
         comments.append(f"OUTSIDE of the {key.least:g} to {key.most:g} {key.unit} that {to.title} accepts")
-    value = {"three": values, "matrix": _diagonal(values)}.get(key.of, values[0])
-    return Entry(key.name, value, tuple(comments))
+    if key.of == "matrix":
+        # Of 3 × 3, row by row.
+        values = tuple(np.diag(values).ravel().tolist())
+    return Entry(key.name, values if key.of in ("three", "matrix") else values[0], tuple(comments))
 
 
 def _values(
@@ -411,17 +397,9 @@ def _values(
         value, made_of = together(lambda q: key.value(q, rate), [by_letter[letter]], how) if own else all_axes
         values.append(value)
         instead = not own and axes in (None, "each")
-        place = f" (in the place of {letter}, which has no value of its own)" if instead else ""
-        numbers += [dataclasses.replace(n, said=n.said + place) for n in made_of]
+        place = f" (in place of {letter}, which has no value)" if instead else ""
+        numbers += [dataclasses.replace(n, text=n.text + place) for n in made_of]
     return tuple(values), tuple(numbers)
-
-
-def _diagonal(values: Sequence[float]) -> tuple[float, ...]:
-    """A covariance matrix of 3 × 3, row by row."""
-    if len(values) != 3:
-        return tuple(values)
-    x, y, z = values
-    return (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
 
 
 def export(
@@ -437,7 +415,7 @@ def export(
 
     Every value has its formula, unit, the estimate with its 95 % interval and the source of the formula in a
     comment. What is not detected is exported as its 95 % limit, and says so; what the fit or the target
-    cannot hold is said and left out. The text is ASCII; comments of JSON are in "_comment".
+    cannot hold is noted and left out. The text is ASCII; comments of JSON are in "_comment".
 
     Args:
         fit: the fit of a recording, from `fit` or `load`; or a data sheet, whose K, which data sheets do not
@@ -472,8 +450,7 @@ def exported(
     to = target_of(target)
     checked_axes(to, axes)
     if isinstance(fit, DataSheet):
-        of = {s: SensorNoise((s,), (of_sheet(fit, s),)) for s in fit.models}
-        of = {s: of.get(s, SensorNoise((), ())) for s in SENSORS}
+        of = {s: SensorNoise({s: of_sheet(fit, s)} if s in fit.models else {}) for s in SENSORS}
         head = f"{to.title}: noise of {fit.name or 'a sensor'} by its data sheet, not from a recording"
         source = [f"data sheet: {fit.source}"] if fit.source else []
         return assembled(to, of, axes, rate_of_target(to, rate, None), [head, *source, *fit.statements])
@@ -485,11 +462,7 @@ def exported(
         raise FitError(f"{fit.name or 'the fit'}: no axis to export; {why or 'it has no axes'}{remedy}")
     duration = fit.curve.n / fit.curve.rate
     sensors = {
-        sensor: SensorNoise(
-            tuple(r.axis.name for r in usable),
-            tuple(quantities(r, duration) for r in usable),
-            tuple(wrong),
-        )
+        sensor: SensorNoise({r.axis.name: quantities(r, duration) for r in usable}, wrong)
         for sensor, (usable, wrong) in results.items()
     }
     size = f"{fit.curve.n:,} samples at {fit.curve.rate:g} Hz"
@@ -499,7 +472,7 @@ def exported(
     not_held = [
         text
         for sensor, (usable, _) in results.items()
-        for text in _not_held(to, sensor, usable, sensors[sensor].axes)
+        for text in _not_held(to, sensor, usable, sensors[sensor].axes.values())
     ]
     warnings = [f"WARNING: {text}" for text in fit.warnings]
     made = assembled(to, sensors, axes, r, [head, *warnings], not_held)
@@ -507,7 +480,7 @@ def exported(
 
 
 def _not_held(
-    to: Target, sensor: Sensor, results: Sequence[AxisFit], axes: Sequence[Quantities]
+    to: Target, sensor: Sensor, results: Sequence[AxisFit], axes: Iterable[Quantities]
 ) -> list[str]:
     """What was found in the axes of a sensor and the target cannot hold, in words."""
     symbols = {symbol for key in to.noise_keys if key.sensor == sensor for symbol in key.symbols}
@@ -519,13 +492,13 @@ def _not_held(
                 continue
             if c.label not in largest or c.value > largest[c.label].value:
                 largest[c.label] = c
-    told = []
+    texts = []
     for c in largest.values():
-        walks = "; for less than its correlation time it walks as K = q_c does" if c.symbol == "q_c" else ""
+        walks = "; for times well below T_c it is a random walk with K = q_c" * (c.symbol == "q_c")
         amount = c.in_unit().describe()
-        told.append(f"NOT HELD by {to.title}: {c.title} {c.symbol} = {amount} of {c.axis.name}{walks}")
+        texts.append(f"{to.title} has no {c.title}: {c.symbol} = {amount} of {c.axis.name}{walks}")
     corrected = [f"{r.axis.name}: {r.correction}" for r in results if r.correction]
-    return told + [f"N is the density at low frequencies; NOT HELD: {text}" for text in corrected]
+    return texts + [f"N is the density at low frequencies; not in the model: {text}" for text in corrected]
 
 
 _UNITS: dict[Sensor, dict[str, str]] = {
@@ -582,7 +555,7 @@ def _rate_of(from_: Target, values: Mapping[str, tuple[float, ...]], rate: float
     found = rate if rate is not None else own[0] if own else None
     if found is None and any("r" in key.names for key in from_.noise_keys if key.sensor):
         raise AllanjaxError(
-            f"values of {from_.title} are per step, and its file does not have the rate: give --rate"
+            f"values of {from_.title} are per step, but its file lacks the rate; pass rate= (--rate)"
         )
     return None if found is None else checked_rate(found)
 
@@ -604,10 +577,16 @@ def _noise(
             letters.setdefault(letter, {})[number.symbol] = number
     common = letters.pop("", {})
     if not (common.keys() - {"T"} or letters):
-        return SensorNoise((), ())
+        return SensorNoise()
     of_axes = {letter: common | of for letter, of in letters.items()} or {"": common}
-    names = tuple(f"{sensor}_{letter}" if letter else sensor for letter in of_axes)
-    return SensorNoise(names, tuple(_quantities(from_, of) for of in of_axes.values()))
+    no_walk = f"the bias of {from_.title} is a Markov process: no random walk beyond its correlation time"
+    why = f"is not in a file of {from_.title}"
+    return SensorNoise(
+        {
+            f"{sensor}_{letter}" if letter else sensor: completed(of, why, no_walk)
+            for letter, of in of_axes.items()
+        }
+    )
 
 
 def _number(
@@ -615,18 +594,12 @@ def _number(
 ) -> Number:
     """The quantity that a value of the file is of."""
     if not 0.0 < value < math.inf:
-        raise AllanjaxError(f"{key.called} is {value:g}, which no noise has; give a positive value")
+        raise AllanjaxError(f"{key.called} is {value:g}, but must be positive and finite")
     symbol = "q" if {"q", "T"} <= key.names else next(s for s in "NKqBT" if s in key.names)
     others = {s: n.value for s, n in known.items() if s != symbol}
     if "T" in key.names - {symbol} and "T" not in others:
         raise AllanjaxError(f"{key.called} needs the correlation time, which is not in it")
     unit = _UNITS[sensor][symbol]
     x = key.solved(value, symbol, others, rate if rate is not None else 1.0)
-    said = f"{symbol} = {significant(x, 5)} {unit}, from {key.called} = {value:g} {key.unit} of {from_.title}"
-    return Number(symbol, x, said, unit, axis=sensor, label=symbol)
-
-
-def _quantities(from_: Target, of: Mapping[str, Number]) -> Quantities:
-    """All quantities of an axis: those of the file, a walk also as what drives a bias."""
-    no_walk = f"the bias of {from_.title} is a Markov process, which is no walk beyond its correlation time"
-    return completed(of, f"is not in a file of {from_.title}", no_walk)
+    text = f"{symbol} = {significant(x, 5)} {unit}, from {key.called} = {value:g} {key.unit} of {from_.title}"
+    return Number(symbol, x, text, unit, axis=sensor, label=symbol)

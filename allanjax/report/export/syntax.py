@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import itertools
 import json
 import re
-import textwrap
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.tables import ERRORS
+from allanjax.base.tables import ERRORS, wrapped
 from allanjax.record.units import NUMBER
 from allanjax.report.export.targets import Key, Syntax, Target
 
@@ -57,13 +58,7 @@ def _literal(value: Value) -> str:
 def _comments(lines: Sequence[str], begin: str, indent: str = "") -> list[str]:
     """Comments, broken into lines that begin so."""
     first, other = f"{indent}{begin} ", f"{indent}{begin}   "
-    return [
-        part
-        for line in lines
-        for part in textwrap.wrap(
-            line, _WIDTH, initial_indent=first, subsequent_indent=other, break_on_hyphens=False
-        )
-    ]
+    return [part for line in lines for part in wrapped(line, _WIDTH, first, other).split("\n")]
 
 
 def _lines(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
@@ -115,19 +110,20 @@ def _xml_comments(lines: Sequence[str], indent: str = "") -> list[str]:
 def _json(target: Target, head: Sequence[str], entries: Sequence[Entry]) -> str:
     """JSON, which has no comments: these are texts in "_comment", beside the values."""
     root: dict[str, Any] = {}
-    told = list(head)
+    comments = list(head)
     for entry in entries:
-        *groups, name = entry.name.split("/")
-        _below(root, groups)[name] = _plain(entry.value)
-        told += [f"{name}: {comment}" for comment in entry.comments]
-    _below(root, target.comment_at.split("/"))["_comment"] = told
+        comments += [f"{entry.name.rpartition('/')[2]}: {comment}" for comment in entry.comments]
+    values = [(entry.name, _plain(entry.value)) for entry in entries]
+    for place, value in [*values, (f"{target.comment_at}/_comment", comments)]:
+        *groups, name = place.split("/")
+        functools.reduce(lambda level, group: level.setdefault(group, {}), groups, root)[name] = value
     return json.dumps(root, indent=2) + "\n"
 
 
-def _below(root: dict[str, Any], groups: Sequence[str]) -> dict[str, Any]:
-    for group in groups:
-        root = root.setdefault(group, {})
-    return root
+def _common(one: Sequence[str], other: Sequence[str]) -> int:
+    """How many levels two paths share."""
+    pairs = zip(one, other, strict=False)
+    return len([*itertools.takewhile(lambda pair: pair[0] == pair[1], pairs)])
 
 
 def _plain(value: Value) -> Any:
@@ -135,16 +131,6 @@ def _plain(value: Value) -> Any:
     if isinstance(value, tuple):
         return [float(number(x)) for x in value]
     return float(number(value)) if isinstance(value, float) else value
-
-
-def _common(one: Sequence[str], other: Sequence[str]) -> int:
-    """How many levels two paths share."""
-    same = 0
-    for a, b in zip(one, other, strict=False):
-        if a != b:
-            break
-        same += 1
-    return same
 
 
 _WRITERS: Mapping[Syntax, Callable[[Target, Sequence[str], Sequence[Entry]], str]] = {
@@ -178,9 +164,7 @@ def values_in(target: Target, text: str) -> dict[str, tuple[float, ...]]:
         path = _path(key)
         matching = [numbers for place, numbers in found if place[-len(path) :] == path]
         if len(set(matching)) > 1:
-            raise AllanjaxError(
-                f"{key.called} stands in it {len(matching)} times, with different values: leave one"
-            )
+            raise AllanjaxError(f"{key.called} occurs {len(matching)} times with different values; keep one")
         if matching:
             values[key.name] = matching[0]
     return values
@@ -214,10 +198,6 @@ def _read_yaml(target: Target, text: str) -> Iterator[Found]:
         above.append((indent, name))
 
 
-def _read_json(target: Target, text: str) -> Iterator[Found]:
-    yield from _of_json((), json.loads(text))
-
-
 def _of_json(path: tuple[str, ...], value: object) -> Iterator[Found]:
     if isinstance(value, dict):
         for name, inner in value.items():
@@ -227,10 +207,6 @@ def _of_json(path: tuple[str, ...], value: object) -> Iterator[Found]:
         numbers = [x for x in several if isinstance(x, int | float) and not isinstance(x, bool)]
         if numbers and len(numbers) == len(several):
             yield path, tuple(map(float, numbers))
-
-
-def _read_xml(target: Target, text: str) -> Iterator[Found]:
-    yield from _of_xml((), ET.fromstring(text))
 
 
 def _of_xml(path: tuple[str, ...], element: ET.Element) -> Iterator[Found]:
@@ -250,9 +226,9 @@ def _read_lines(target: Target, text: str) -> Iterator[Found]:
 
 
 _READERS: Mapping[Syntax, Callable[[Target, str], Iterator[Found]]] = {
-    "json": _read_json,
+    "json": lambda _, text: _of_json((), json.loads(text)),
     "lines": _read_lines,
-    "xml": _read_xml,
+    "xml": lambda _, text: _of_xml((), ET.fromstring(text)),
     "yaml": _read_yaml,
 }
 
@@ -268,5 +244,6 @@ def by_axis(key: Key, numbers: Sequence[float]) -> dict[str, float]:
     if key.of in ("three", "matrix") and len(numbers) == 3:
         return dict(zip("xyz", numbers, strict=True))
     if len(numbers) != 1 or key.of in ("three", "matrix"):
-        raise AllanjaxError(f"{key.called} has {len(numbers)} numbers, which is not what it takes")
+        most = {"three": "3", "matrix": "3 or 9"}.get(key.of, "1")
+        raise AllanjaxError(f"{key.called} has {len(numbers)} numbers instead of {most}")
     return {key.of if key.of in ("x", "y", "z") else "": numbers[0]}

@@ -1,20 +1,20 @@
-"""Imports go only down the list of rooms, in which a recording walks through the package."""
+"""Imports go only down the list of packages, in the order in which a recording passes through them."""
 
 import ast
 from graphlib import TopologicalSorter
 
 from places import ROOT
 
-ROOMS = (
+PACKAGES = (
     *("base", "record", "inspection", "noise", "allan", "spectrum", "wavelets", "kalman", "estimate"),
     *("posterior", "critic", "fleet", "calibration", "navigation", "report", "cli"),
 )
-PACKAGE = ROOT / "allanjax"
+ALLANJAX = ROOT / "allanjax"
 
 
 def imports() -> dict[str, set[str]]:
     """The package's modules that each of its modules imports, be it in a function or under TYPE_CHECKING."""
-    dotted = {path: path.relative_to(ROOT).with_suffix("").as_posix() for path in PACKAGE.rglob("*.py")}
+    dotted = {path: path.relative_to(ROOT).with_suffix("").as_posix() for path in ALLANJAX.rglob("*.py")}
     modules = {name.replace("/", ".").removesuffix(".__init__"): path for path, name in dotted.items()}
     found = {}
     for module, path in modules.items():
@@ -31,19 +31,19 @@ def imports() -> dict[str, set[str]]:
     return found
 
 
-def room(module: str) -> int:
-    """The place of a module's room in the list; those for users, the package and its command, are above."""
+def level(module: str) -> int:
+    """The place of a module's package in the list; allanjax itself and its command are above all others."""
     _, *names = module.split(".")
-    return len(ROOMS) if names in ([], ["__main__"]) else ROOMS.index(names[0])
+    return len(PACKAGES) if names in ([], ["__main__"]) else PACKAGES.index(names[0])
 
 
-def test_every_folder_is_a_room_and_imports_go_down_and_in_no_circle():
-    folders = {path.name for path in PACKAGE.iterdir() if path.is_dir()} - {"__pycache__"}
-    assert folders == set(ROOMS)
+def test_every_folder_is_a_package_and_imports_go_down_and_in_no_circle():
+    folders = {path.name for path in ALLANJAX.iterdir() if path.is_dir()} - {"__pycache__"}
+    assert folders == set(PACKAGES)
     found = imports()
     assert len(found) > 100
     for one, others in found.items():
-        assert [other for other in others if room(one) < room(other)] == [], one
+        assert [other for other in others if level(one) < level(other)] == [], one
     # Raises where modules import each other in a circle.
     TopologicalSorter(found).prepare()
 

@@ -1,10 +1,8 @@
-"""Colours, marks, keys, places and files of all pictures."""
+"""What all pictures are drawn with: colours, marks, keys, places of panels, and files."""
 
 from __future__ import annotations
 
 import os
-import re
-import textwrap
 import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -16,8 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
+from allanjax.base import tables
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, plain, significant
+from allanjax.base.wording import chi_squared, duration, plain, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.inspection.facts import why_no_measurement
 from allanjax.noise.estimate import Estimate, title_of
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
 
 # Okabe and Ito's colours, for the colour-blind; the dashes distinguish terms in black and white.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
@@ -42,9 +39,9 @@ WORST: dict[str, Any] = {"color": COLOURS[3], "linewidth": 1.2, "linestyle": ":"
 
 # Characters in a line of the key, as many as fit below a panel.
 _KEY_COLUMNS = 50
-# Spaces at which no line is broken: in "N = 1.3 ± 0.2 deg/√h", "< 3 arcsec" and "95 %".
-_TOGETHER = re.compile(r" (?=[±%=<→])|(?<=[±=<→]) |(?<=\d) (?=[A-Za-zµσ(×²/°])")
 FONT_SIZE = 9.0
+#: Distance between a panel and the strip below it [inches], by which the labels of their ticks are clear.
+APART = 0.1
 CLUSTER_TIME = "cluster time T [s]"
 FREQUENCY = "frequency f [Hz]"
 TIME = "time since start [s]"
@@ -68,6 +65,15 @@ def dots(size: float = 2.4, **more: Any) -> dict[str, Any]:
     """Style of measured points."""
     look = {"marker": "o", "linestyle": "none", "color": ink(0.3), "markersize": size, "markeredgewidth": 0.0}
     return {**look, **more}
+
+
+def band(colour: Any, alpha: float = 0.25, **more: Any) -> dict[str, Any]:
+    """Style of a band, which covers more on dark paper, lest it vanish there."""
+    from matplotlib import rcParams
+    from matplotlib.colors import to_rgb
+
+    dark = sum(to_rgb(rcParams["axes.facecolor"])) < 1.5
+    return {"color": colour, "alpha": min((1.5 if dark else 1.0) * alpha, 1.0), "linewidth": 0.0, **more}
 
 
 def model_line(label: str = "model") -> dict[str, Any]:
@@ -116,6 +122,10 @@ class KeyEntry(NamedTuple):
     text: str
     style: dict[str, Any] | None = None
     colour: Any = None
+
+    def lines(self) -> list[str]:
+        """The text in lines of the key's width, never broken within a word or a formula."""
+        return tables.wrapped(self.text, _KEY_COLUMNS, rest="").split("\n")
 
 
 def style() -> AbstractContextManager[None]:
@@ -193,8 +203,8 @@ def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
     return figure
 
 
-def place_below(panel: Axes, apart: float, height: float) -> Axes:
-    """Add axes below a panel, so far from it and so high [inches]."""
+def place_below(panel: Axes, height: float, apart: float = APART) -> Axes:
+    """Add axes below a panel, so high and so far from it [inches]."""
     box, total = panel.get_position(), panel.figure.bbox.height / panel.figure.dpi
     return panel.figure.add_axes((box.x0, box.y0 - (apart + height) / total, box.width, height / total))
 
@@ -210,7 +220,7 @@ class Heading(NamedTuple):
         """The title, the lines below it, and columns and lines of the key, on so many inches."""
         most = int(width * 8)
         title = self.title if len(self.title) <= most else f"{self.title[: most - 1]}…"
-        lines = textwrap.wrap(self.subtitle, int(width * 12.5), break_on_hyphens=False) or [""]
+        lines = tables.wrapped(self.subtitle, int(width * 12.5), rest="").split("\n")
         widths = [0.6 + 0.065 * len(str(entry.get_label())) for entry in self.key] or [0.0]
         columns = len(widths) if sum(widths) < width else max(int(width / max(widths)), 1)
         return title, lines, columns, -(-len(self.key) // columns)
@@ -280,18 +290,23 @@ class Sheet:
         return figure, [[figure.add_axes((x, y, *size)) for x in lefts[:count]] for y, count in pairs]
 
 
-def points_entry(label: str, colour: Any = None) -> Line2D:
-    """Entry of a figure's key for points with error bars."""
+def line_entry(**look: Any) -> Artist:
+    """Entry of a figure's key for a line or marks of this style, which has a label."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], color=colour or ink(0.3), marker="o", markersize=3, linewidth=0.8, label=label)
+    return Line2D([], [], **look)
 
 
-def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Patch:
+def points_entry(label: str, colour: Any = None) -> Artist:
+    """Entry of a figure's key for points with error bars."""
+    return line_entry(color=colour or ink(0.3), marker="o", markersize=3, linewidth=0.8, label=label)
+
+
+def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Artist:
     """Entry of a figure's key for a band."""
     from matplotlib.patches import Patch
 
-    return Patch(color=colour, alpha=alpha, linewidth=0.0, label=label)
+    return Patch(label=label, **band(colour, alpha))
 
 
 def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") -> None:
@@ -333,7 +348,7 @@ def term_entries(
     if not result.measured:
         why = "the model does not fit" if result.is_far_off else why_no_measurement(result.not_measured)
         text = f"not a measurement of this sensor: {why}; values of the fitted curve:"
-        entries.append(KeyEntry(wrapped(text), colour=COLOURS[3]))
+        entries.append(KeyEntry(text, colour=COLOURS[3]))
     for term, kind in zip(fit.template.term_labels, fit.template.terms, strict=True):
         if term in result.further:
             continue
@@ -341,7 +356,8 @@ def term_entries(
         amplitude, name = own[0], title_of(term, result.axis.sensor)
         limit = amplitude.upper_limit if amplitude.measured and not amplitude.detected else None
         if limit is not None and not amplitude.rivals:
-            absent.append(f"{name} < {significant(limit)} {amplitude.unit}")
+            # Each limit with its term in one line.
+            absent.append(f"{name} < {significant(limit)} {amplitude.unit}".replace(" ", "\u00a0"))
             continue
         if not amplitude.measured and not amplitude.value > 0.0:
             continue
@@ -352,15 +368,15 @@ def term_entries(
             text = f"{name} {amplitude.describe()}"
         text += remark if is_hidden and term in result.term_labels else ""
         drawn = term in drawn_terms(result) and not is_hidden
-        entries.append(KeyEntry(wrapped(text), term_style(fit, result, term) if drawn else None))
+        entries.append(KeyEntry(text, term_style(fit, result, term) if drawn else None))
     if absent:
-        entries.append(KeyEntry(wrapped(f"not detected (95 % limits): {', '.join(absent)}")))
+        entries.append(KeyEntry(f"not detected (95 % limits): {', '.join(absent)}"))
     if result.correction:
-        entries.append(KeyEntry(wrapped(result.correction), _further()))
+        entries.append(KeyEntry(result.correction, _further()))
     elif (response := fit.template.response) is not None:
         own = [c.in_unit() for c in result.coefficients.values() if c.term == response.name()]
         values = ", ".join(f"{c.symbol} = {_amount(c)}" for c in own)
-        entries.append(KeyEntry(wrapped(f"{title_of(response.name(), result.axis.sensor)}: {values}"), None))
+        entries.append(KeyEntry(f"{title_of(response.name(), result.axis.sensor)}: {values}"))
     return entries
 
 
@@ -375,18 +391,16 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     What is wrong with the other curve is in the figure of that.
     """
     if not result.converged:
-        return KeyEntry(wrapped(result.verdict))
-    text = f"χ² = {result.chi2:.1f} for {result.dof} degrees of freedom"
-    if np.isfinite(result.p_value):
-        text += f" (p = {result.p_value:.2g})" if result.p_value > 1e-300 else " (p < 1e-300)"
+        return KeyEntry(result.verdict)
+    text = chi_squared(result.chi2, result.dof, result.p_value)
     misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
     if own := misfits.get(unit):
-        return KeyEntry(wrapped(f"does not fit: {own}; {text}"), WORST if np.isfinite(own.at) else None)
+        return KeyEntry(f"does not fit: {own}; {text}", WORST if np.isfinite(own.at) else None)
     if misfits:
         other = "Allan deviation" if unit == "Hz" else "power spectral density"
-        return KeyEntry(wrapped(f"does not fit the {other} (see its figure); {text}"))
+        return KeyEntry(f"does not fit the {other} (see its figure); {text}")
     word = "does not fit" if result.discrepancy > 0.0 else "doubtful" if result.doubtful else "fits"
-    return KeyEntry(wrapped(f"{word}: {text}"))
+    return KeyEntry(f"{word}: {text}")
 
 
 def worst_place(result: AxisFit, unit: Literal["s", "Hz"]) -> float:
@@ -414,16 +428,15 @@ def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
 
 
-def wrapped(text: str) -> str:
-    """Text in lines of the key's width, not broken within a word, or between a number and its unit."""
-    kept = _TOGETHER.sub("\u00a0", text)
-    lines = textwrap.wrap(kept, _KEY_COLUMNS, break_long_words=False, break_on_hyphens=False)
-    return "\n".join(lines).replace("\u00a0", " ")
-
-
 def facts_of(n: int, rate: float) -> str:
     """Length and rate of a record, e.g. "200 s at 100 Hz, 20,000 samples"."""
     return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"
+
+
+def absent_axes(fit: Fit | None) -> str:
+    """What to append to a text about a fit whose figure lacks dead axes."""
+    dead = () if fit is None else fit.dead
+    return "".join(f"; {axis.axis.name} is not drawn: {axis.reason.partition(';')[0]}" for axis in dead)
 
 
 def unit_of(axis: Axis | None) -> tuple[str, float]:
@@ -504,27 +517,33 @@ class Frame:
     has_points: bool = True
 
     def draw(
-        self, rows: Sequence[Sequence[Panel]], path: str | os.PathLike[str] | None, ax: Axes | None
+        self,
+        rows: Sequence[Sequence[int]],
+        panel_of: Callable[[int], Panel],
+        path: str | os.PathLike[str] | None,
+        ax: Axes | None,
     ) -> Figure:
-        """Draw the panels, saved if there is a path; or the only one of them into `ax`."""
+        """Draw the panels of axes, saved if there is a path; or the only one of them into `ax`."""
+        check_single(ax, sum(map(len, rows)))
         with style():
+            of_rows = [[panel_of(k) for k in row] for row in rows]
             if ax is not None:
-                # It is the caller's to close.
-                check_single(ax, sum(map(len, rows)))
-                self._draw_row(rows[0], [ax], [])
+                self._draw_row(of_rows[0], [ax], [])
                 return figure_of(ax, path)
-            lines = max(sum(_lines(entry) for entry in panel.key) for row in rows for panel in row)
+            lines = max(sum(len(entry.lines()) for entry in panel.key) for row in of_rows for panel in row)
             strip = _STRIP_HEIGHT if self.has_strip else 0.0
-            below = strip + _X_LABEL + (_LINE * lines + _BELOW if lines else 0.0)
+            # From the panel to the key.
+            apart = strip + APART * self.has_strip + _X_LABEL
+            below = apart + (_LINE * lines + _BELOW if lines else 0.0)
             sheet = Sheet(_PANEL_WIDTH, 2.3, gap=0.25, between=below + _HEADING, left=0.85, bottom=below)
             heading = Heading(self.title, self.record, self._key())
             figure, places = sheet.draw(heading, [len(row) for row in rows])
-            for row, panels in zip(rows, places, strict=True):
-                strips = [place_below(axes, 0.0, strip) for axes in panels] if strip else []
+            for row, panels in zip(of_rows, places, strict=True):
+                strips = [place_below(axes, strip) for axes in panels] if strip else []
                 for axes, panel in zip(panels, row, strict=True):
                     axes.set_title(panel.name, loc="left", fontweight="bold")
                     if lines:
-                        _draw_key(place_below(axes, strip + _X_LABEL, _LINE * lines), lines, panel.key)
+                        _draw_key(place_below(axes, _LINE * lines, apart), lines, panel.key)
                 self._draw_row(row, panels, strips)
             return save_and_close(figure, path)
 
@@ -546,11 +565,9 @@ class Frame:
 
     def _key(self) -> list[Artist]:
         """Entries for points, model and band."""
-        from matplotlib.lines import Line2D
-
         key: list[Artist] = [points_entry("measured, 68 % interval")] if self.has_points else []
         if self.has_model:
-            key.append(Line2D([], [], **model_line("model, sum of its terms")))
+            key.append(line_entry(**model_line("model, sum of its terms")))
         if self.has_strip:
             key.append(band_entry("95 % by chance if the model is right", ink(0.85)))
         return key
@@ -624,19 +641,17 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
         panel.tick_params(labelbottom=not strips)
 
 
-def _draw_key(key: Axes, lines: int, entries: Sequence[KeyEntry]) -> None:
+def _draw_key(key: Axes, height: int, entries: Sequence[KeyEntry]) -> None:
     """Write the key below a panel, each entry with its curve."""
     key.set_axis_off()
     key.set_xlim(0.0, _PANEL_WIDTH)
-    key.set_ylim(lines, 0.0)
+    key.set_ylim(height, 0.0)
     y = 0
     for entry in entries:
         if entry.style is not None:
             key.plot([0.0, 0.32], [y + 0.5] * 2, **entry.style)
         colour = entry.colour or ink(0.4 if entry.style is None else 0.0)
-        key.text(0.42, y, entry.text, va="top", color=colour, linespacing=1.25, fontsize=FONT_SIZE - 0.5)
-        y += _lines(entry)
-
-
-def _lines(entry: KeyEntry) -> int:
-    return entry.text.count("\n") + 1
+        lines = entry.lines()
+        look: dict[str, Any] = {"va": "top", "linespacing": 1.25, "fontsize": FONT_SIZE - 0.5}
+        key.text(0.42, y, literal("\n".join(lines)), color=colour, **look)
+        y += len(lines)

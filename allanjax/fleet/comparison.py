@@ -1,14 +1,17 @@
-"""Outlying units of a fleet: those that differ from the others."""
+"""Comparison of the units of a fleet: which differ from the others, and which groups they fall into."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.special import gammaln, logsumexp, ndtr
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.record.units import Sensor
 
 FALSE_ALARMS = 0.01
 """Probability that any unit is marked in a fleet of equal units."""
@@ -36,6 +39,20 @@ _ALSO = 0.02
 _SHARE = 0.5
 # Least standard deviation of a logarithm: rounding.
 _ROUNDING = 1e-9
+# Odds of several groups against one from which on groups are reported, times the number of coefficients: a
+# judgement.
+_ODDS = 5.0
+# Prior probability that a unit is odd, and range of its coefficient [ln]: judgements.
+_ODD, _RANGE = 0.05, np.log(1000.0)
+# Fewest units of the lowest group.
+_FEWEST_BETTER = 2
+# Number of the widest gaps between units at which groups may part.
+_GAPS = 8
+# Standard deviation [ln] of a limit that is used in place of an estimate: a judgement.
+_LIMIT_SCATTER = 0.3
+# Degrees of freedom of Student's law by which a unit's coefficients scatter about those of its group, so that
+# an odd one does not outvote the others; and the least scatter of a group [ln]: judgements.
+_FREEDOM, _LEAST_WIDTH = 3.0, 0.05
 
 
 #: A number of each unit, a flag of each, and a number for each of `WIDTHS`.
@@ -66,10 +83,33 @@ class Values:
         """Whether a unit has an estimate or a limit."""
         return self.known | self.limited
 
+    @property
+    def testable(self) -> bool:
+        """Whether there are enough units for `outlying` to mark one."""
+        return bool(self.known.any() and self.comparable.sum() >= FEWEST_UNITS)
+
     def towards(self, centre: float) -> Numbers:
         """Standard deviations of x on the side that faces the centre; limits have none."""
         s = np.where(self.x > centre, self.below, self.above)
         return np.where(self.known, np.maximum(s, _ROUNDING), _ROUNDING)
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """One coefficient of the units of a group, on all axes of a sensor.
+
+    Attributes:
+        sensor, coefficient: sensor, label of the coefficient.
+        recordings: names of the units.
+        rows: their rows in the table, −1 where there is none.
+        axes: logarithms of the coefficient on each axis.
+    """
+
+    sensor: Sensor
+    coefficient: str
+    recordings: Sequence[str]
+    rows: Int[np.ndarray, "units axes"]
+    axes: list[Values]
 
 
 def log_values(
@@ -98,7 +138,7 @@ def pooled(axes: list[Values]) -> Values:
     Axes weigh by the inverse of the variance that their own interval and the usual scatter give them. A unit
     with an estimate on one axis at least is known by its estimates, one without by its limits.
     """
-    # One row an axis.
+    # One row per axis.
     known, limited, below, above = (
         np.stack([getattr(axis, name) for axis in axes]) for name in ("known", "limited", "below", "above")
     )
@@ -147,29 +187,23 @@ def outlying(axes: list[Values], probability: float, coefficient: str = "") -> B
     log_prior = log_prior_of(coefficient)
     probability *= _SHARE
     columns = [*axes, pooled(axes)] if len(axes) > 1 else axes
-    found = [_unlike(column, probability / len(columns), log_prior) for column in columns]
-    marked = np.stack(found[: len(axes)], axis=1)
-    for unit in map(int, np.flatnonzero(np.any(found, axis=0))):
-        chances = np.array([_chance(axis, unit, ~np.any(found, axis=0), log_prior) for axis in axes])
+    unlike = [_unlike(column, probability / len(columns), log_prior) for column in columns]
+    usual, marked = ~np.any(unlike, axis=0), np.stack(unlike[: len(axes)], axis=1)
+    for unit in map(int, np.flatnonzero(~usual)):
+        chances = np.array([_chance(axis, unit, usual, log_prior) for axis in axes])
         marked[unit] |= (chances < _ALSO) | (~marked[unit].any() & (chances == chances.min()))
         marked[unit] &= [axis.known[unit] for axis in axes]
     return marked
 
 
-def testable(axes: list[Values]) -> bool:
-    """Whether `outlying` can mark a unit: whether an axis has enough units."""
-    return any(axis.known.any() and axis.comparable.sum() >= FEWEST_UNITS for axis in axes)
-
-
 def _unlike(values: Values, probability: float, log_prior: Widths) -> Flags:
     """Whether each unit is unlike the others in one column."""
     marked = np.zeros(len(values.x), bool)
-    comparable = values.comparable
-    if not values.known.any() or comparable.sum() < FEWEST_UNITS:
+    if not values.testable:
         return marked
     suspects, is_high = _suspects(values)
-    # A limit far above says nothing of its unit.
-    comparable = comparable & (values.known | ~is_high)
+    # A limit far above the others does not describe its unit.
+    comparable = values.comparable & (values.known | ~is_high)
     for k in range(len(suspects), 0, -1):
         suspect = suspects[k - 1]
         others = comparable if is_high[suspect] else values.known
@@ -200,9 +234,9 @@ def _distance(values: Values, units: Flags) -> Numbers:
     return (values.x - centre) / np.hypot(width, s)
 
 
-def _chance(values: Values, unit: int, alike: Flags, log_prior: Widths) -> float:
-    """Probability of a value so far out on its side in a unit like the others; 1 if it is unknown."""
-    rest = np.flatnonzero((values.known if (values.known & alike).sum() > 1 else values.comparable) & alike)
+def _chance(values: Values, unit: int, usual: Flags, log_prior: Widths) -> float:
+    """Probability of a value so far out on its side in a unit like the usual ones; 1 if it is unknown."""
+    rest = np.flatnonzero((values.known if (values.known & usual).sum() > 1 else values.comparable) & usual)
     if not values.known[unit] or len(rest) + 1 < FEWEST_UNITS:
         return 1.0
     return _tail(values, unit, rest, log_prior)
@@ -210,8 +244,6 @@ def _chance(values: Values, unit: int, alike: Flags, log_prior: Widths) -> float
 
 def _tail(values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Widths) -> float:
     """Probability of a value at least as far from the others on its side, integrated over centre and τ."""
-    from scipy.special import ndtr
-
     x = values.x[rest]
     centre = float(np.median(x))
     s = values.towards(centre)
@@ -254,3 +286,155 @@ def median_width(distance: Numbers, s: Numbers) -> float:
     """Robust scatter τ of units beyond their own standard deviations, by their median distance."""
     width = float(np.median(distance)) / _MEDIAN_DISTANCE
     return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """One coefficient of all units, its axes pooled.
+
+    Attributes:
+        sensor, coefficient: sensor and label of the coefficient.
+        x, s: ln of the coefficient, up to a constant, and its standard deviation; NaN where it is unknown.
+    """
+
+    sensor: Sensor
+    coefficient: str
+    x: Numbers
+    s: Numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Division of units into groups.
+
+    Attributes:
+        pooled: coefficient that shows it.
+        labels: group of each unit, in ascending order of the coefficient from 0 on.
+        log_odds: log odds against a single group.
+    """
+
+    pooled: Pooled
+    labels: Int[np.ndarray, " units"]
+    log_odds: float
+
+    @property
+    def ratios(self) -> list[float]:
+        """Ratio of each group's median to that of the group below."""
+        medians = [np.nanmedian(self.pooled.x[self.labels == g]) for g in range(self.groups)]
+        return list(np.exp(np.diff(medians)))
+
+    @property
+    def groups(self) -> int:
+        """Number of groups."""
+        return int(self.labels.max()) + 1
+
+
+def pooled_values(family: Family, units: Sequence[str]) -> Pooled:
+    """Coefficient of these units, pooled from its values on each axis.
+
+    A limit counts as a value if it is below all values: the coefficient is lower still.
+    """
+    values = pooled(family.axes)
+    lowest = values.x[values.known].min() if values.known.any() else np.inf
+    counted = values.known | (values.limited & (values.x < lowest))
+    places = [units.index(name) for name in family.recordings]
+    x, s = np.full((2, len(units)), np.nan)
+    x[places] = np.where(counted, values.x, np.nan)
+    s[places] = np.where(values.known, (values.below + values.above) / 2.0, _LIMIT_SCATTER)
+    return Pooled(family.sensor, family.coefficient, x, np.where(np.isfinite(x), s, np.nan))
+
+
+def found_split(families: Sequence[Pooled]) -> Split | None:
+    """Groups that the units fall into, by the coefficient that shows them most clearly, or None.
+
+    Each coefficient's units are put in order and parted at their widest gaps. A part is a group, whose units
+    scatter log-normally about a centre of its own, or its units are odd ones; parts of fewer than three
+    units, or of an eighth of all, are not taken for groups; parts of two are, of six units or fewer, and
+    below all others, for bad units are not better than the rest. The scatter has the prior of
+    `outlying`; parameters are integrated over; groups are reported if the odds against the
+    best single group, with whatever units are odd then, are five times the number of coefficients to one.
+
+    A unit belongs to the group that is nearest in its coefficients together, each with long tails: one bad
+    coefficient does not carry it into another group.
+    """
+    splits = [split for family in families if (split := _split(family)) is not None]
+    best = max(splits, key=lambda split: split.log_odds, default=None)
+    if best is None or best.log_odds < np.log(_ODDS * len(families)):
+        return None
+    return Split(best.pooled, _nearest(families, best.labels), best.log_odds)
+
+
+def _split(values: Pooled) -> Split | None:
+    """Division by one coefficient, in which units that are odd or unknown have the label −1."""
+    units = np.flatnonzero(np.isfinite(values.x))
+    order = units[np.argsort(values.x[units])]
+    m = len(order)
+    smallest = 2 if m <= 2 * FEWEST_UNITS else max(FEWEST_UNITS, int(np.ceil(m / 8.0)))
+    if m < smallest + _FEWEST_BETTER:
+        return None
+    x, s = values.x[order], values.s[order]
+    gaps = np.argsort(-np.diff(x))[:_GAPS]
+    prior = log_prior_of(values.coefficient)
+    single, several, labels = -np.inf, -np.inf, None
+    for count in range(len(gaps) + 1):
+        parts = np.split(np.arange(m), np.sort(gaps[:count]) + 1)
+        one, more, groups = _weighed(x, s, parts, smallest, prior)
+        single = max(single, one)
+        if more > several:
+            several, labels = more, groups
+    if labels is None:
+        return None
+    of_units = np.full(len(values.x), -1)
+    of_units[order] = labels
+    return Split(values, of_units, several - single)
+
+
+def _weighed(
+    x: Numbers,
+    s: Numbers,
+    parts: Sequence[Int[np.ndarray, " _"]],
+    smallest: int,
+    prior: Widths,
+) -> tuple[float, float, Int[np.ndarray, " units"]]:
+    """Log evidence of one group and of several, the parts being groups or odd units, and the labels."""
+    sizes = np.array([len(part) for part in parts])
+    odd = sizes * np.log(_ODD / _RANGE)
+    group = np.full((len(parts), len(WIDTHS)), -np.inf)
+    for k, part in enumerate(parts):
+        # Two units that are far better than the others are not both bad ones.
+        if len(part) >= (smallest if k else _FEWEST_BETTER):
+            precision = 1.0 / (WIDTHS[:, None] ** 2 + np.maximum(s[part], 1e-9) ** 2)
+            mean = np.sum(precision * x[part], axis=1) / precision.sum(axis=1)
+            group[k] = log_evidence(precision, x[part], mean) - np.log(_RANGE) + len(part) * np.log1p(-_ODD)
+    gain = group - odd[:, None]
+    one = logsumexp(prior + odd.sum() + gain.max(axis=0))
+    # Assignment of the other units to groups: all shares of the groups are equally likely.
+    is_group = gain > 0.0
+    members, number = is_group.T @ sizes, is_group.sum(axis=0)
+    whose = is_group.T @ gammaln(sizes + 1.0) + gammaln(np.maximum(number, 1))
+    total = prior + odd.sum() + np.maximum(gain, 0.0).sum(axis=0) + whose - gammaln(members + number)
+    total = np.where(number > 1, total, -np.inf)
+    if not (number > 1).any():
+        return float(one), -np.inf, np.full(len(x), -1)
+    labels = np.full(len(x), -1)
+    for label, place in enumerate(np.flatnonzero(is_group[:, np.argmax(total)]).tolist()):
+        labels[parts[place]] = label
+    return float(one), float(logsumexp(total)), labels
+
+
+def _nearest(families: Sequence[Pooled], labels: Int[np.ndarray, " units"]) -> Int[np.ndarray, " units"]:
+    """Group that each unit is nearest to, in all coefficients together."""
+    groups = int(labels.max()) + 1
+    cost = np.zeros((len(labels), groups))
+    for family in families:
+        is_known = np.isfinite(family.x)
+        for g in range(groups):
+            members = is_known & (labels == g)
+            if not members.any():
+                continue
+            centre = np.median(family.x[members])
+            width = median_width(abs(family.x - centre)[members], family.s[members])
+            z = (family.x - centre) / np.hypot(max(width, _LEAST_WIDTH), family.s)
+            cost[:, g] += np.where(is_known, (_FREEDOM + 1.0) / 2.0 * np.log1p(z**2 / _FREEDOM), 0.0)
+    nearest = np.argmin(cost, axis=1)
+    return nearest if len(np.unique(nearest)) == groups else np.where(labels >= 0, labels, nearest)

@@ -1,0 +1,234 @@
+"""The commands `allanjax check`, `characterize` and `critique`, for one or more recordings."""
+
+import dataclasses
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, fitting, stage, work_through
+from allanjax.cli.options import FigureFormat, command
+from allanjax.fleet.options import FitOptions
+from allanjax.record.io import ReadOptions
+
+if TYPE_CHECKING:
+    from allanjax.critic.result import Critique
+    from allanjax.estimate.check import Check
+    from allanjax.estimate.result import Fit
+    from allanjax.record.recording import Recording
+    from allanjax.spectrum.psd import PowerSpectrum
+
+
+@command(
+    "allanjax check imu.csv",
+    "allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
+    "allanjax check *.csv --json > checks.json",
+)
+def check(
+    files: Files,
+    reading: ReadOptions,
+    vibrating: Vibrating = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}.")
+    ] = False,
+) -> None:
+    """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
+    resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
+    line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
+    """
+    from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
+
+    stopped: list[str] = []
+
+    def work(file: Input, _: Path | None) -> Outcome:
+        with stage(f"{file.label}: reading") as show:
+            try:
+                recording = file.read(reading)
+            except RecordingError as error:
+                # Unusable samples are a result; other errors, also about two rates, are raised again.
+                result = unreadable(error, file.name)
+            else:
+                show(f"{file.label}: fitting, to estimate how long to record (the first run also compiles)")
+                result = check(recording, vibrating=vibrating)
+        if result.stops:
+            stopped.append(file.label)
+        return Outcome(str(result), result.to_dict(), (), ())
+
+    def document(checks: list[dict[str, Any]], _: int) -> dict[str, Any]:
+        return {"schema_version": SCHEMA_VERSION, "checks": checks}
+
+    work_through(files, None, as_json, work, document, writes=False)
+    if stopped:
+        raise typer.Exit(1)
+
+
+@command(
+    "allanjax characterize imu.csv",
+    "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
+    "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
+    "allanjax characterize *.csv --start 60 --json > fits.json",
+    "allanjax characterize week.parquet --stream",
+)
+def characterize(
+    files: Files,
+    options: FitOptions,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream",
+            help="Read in chunks, for recordings that do not fit into memory. The Allan variances are "
+            "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
+        ),
+    ] = False,
+    out: Out = None,
+    figure_format: FigureFormat = "png",
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
+    ] = False,
+) -> None:
+    """Estimate the noise coefficients of static recordings. Prints one table per file and writes NAME.json,
+    NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
+    still processed.
+    """
+    from allanjax.estimate.as_json import SCHEMA_VERSION
+    from allanjax.report.files import with_check, write_results
+
+    def work(file: Input, directory: Path | None) -> Outcome:
+        check, spectrum = None, None
+        if stream:
+            fit = _accumulate_and_fit(file, options)
+        else:
+            check, spectrum, fit = read_and_fit(file, options)
+        paths: tuple[Path, ...] = ()
+        if directory is not None:
+            with stage(f"{file.label}: writing results"):
+                drawn = None if spectrum is None else spectrum.result()
+                paths = write_results(fit, drawn, directory, file.name, check, figure_format)
+        first = [] if check is None else [f"check: {check.summary()}"]
+        text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
+        missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
+        missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
+        return Outcome(text, with_check(fit, check), paths, missing)
+
+    work_through(files, out, as_json, work, lambda fits, _: {"schema_version": SCHEMA_VERSION, "fits": fits})
+
+
+def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[PowerSpectrum], Fit]":
+    """Check, spectrum and fit of a file's recording; the spectrum is estimated during the fit."""
+    from allanjax.estimate.check import check_of
+
+    with stage(f"{file.label}: reading"):
+        recording = file.read(options.reading)
+    with fitting(file, recording), ThreadPoolExecutor(1) as pool:
+        inspection = options.inspect(recording)
+        spectrum = pool.submit(_spectrum, inspection.quiet(recording))
+        fit = options.fit(recording, inspection)
+        return check_of(recording, inspection), spectrum, fit
+
+
+def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
+    """Fit of a file that is read in chunks."""
+    from allanjax.fleet.stream import accumulate
+    from allanjax.record.io.assembly import open_chunks
+
+    if options.regressors:
+        raise AllanjaxError("--regressors needs the whole recording in memory: leave out --stream")
+    reading = file.options(options.reading)
+    with stage(f"{file.label}: reading") as show:
+
+        def progress(done: int, total: int | None) -> None:
+            share = f" of {total:,}" if total else ""
+            show(f"{file.label}: reading, {done:,} samples{share}")
+
+        accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
+        inspection = options.inspect(accumulator)
+        if inspection.longest_part is not None:
+            # Disturbed parts cannot be removed from the sums, so the file is read again without them.
+            reading = reading.within(inspection.longest_part)
+            accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
+    with fitting(file, accumulator):
+        return options.fit_accumulated(accumulator, inspection)
+
+
+def _spectrum(recording: "Recording") -> "PowerSpectrum":
+    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the figures
+
+    from allanjax.spectrum.psd import power_spectrum
+
+    return power_spectrum(recording)
+
+
+@command(
+    "allanjax critique imu.csv",
+    "allanjax critique log.parquet --rate 100 --gyro-unit deg/s --accel-unit g --out findings",
+    "allanjax critique *.csv --start 60 --json > critiques.json",
+)
+def critique(
+    files: Files,
+    reading: ReadOptions,
+    vibrating: Vibrating = False,
+    refit: Annotated[
+        bool,
+        typer.Option("--refit", help="Also print the coefficients after correction for the findings."),
+    ] = False,
+    out: Out = None,
+    figure_format: FigureFormat = "png",
+    as_json: Annotated[
+        bool,
+        typer.Option(
+            "--json",
+            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, errors, "
+            "...} for one file, {schema_version, critiques, errors} for several.",
+        ),
+    ] = False,
+) -> None:
+    """Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers,
+    filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per
+    finding. If one file fails, the others are still processed. With --json (schema: allanjax schema
+    critique), the output for one file is its document; with several files, or if none could be read, it is
+    {schema_version, critiques, errors}.
+    """
+    from allanjax.report.critique_json import SCHEMA_VERSION, to_dict
+
+    def work(file: Input, directory: Path | None) -> Outcome:
+        result = _read_and_criticize(file, reading, vibrating)
+        paths = [] if directory is None else _write(result, directory, file, figure_format)
+        missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in result.dead]
+        missing += [f"{axis}: {why}" for axis, why in result.fit.not_measured.items()]
+        text = f"{result}\n\n{result.refit()}" if refit else str(result)
+        return Outcome(text, to_dict(result), paths, missing)
+
+    def document(critiques: list[dict[str, Any]], count: int) -> dict[str, Any]:
+        if count == len(critiques) == 1:
+            return {key: value for key, value in critiques[0].items() if key != "file"}
+        return {"schema_version": SCHEMA_VERSION, "critiques": critiques}
+
+    work_through(files, out, as_json, work, document)
+
+
+def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "Critique":
+    with stage(f"{file.label}: loading allanjax"):
+        from allanjax.critic.critique import critique
+    with stage(f"{file.label}: reading"):
+        recording = file.read(reading)
+    with fitting(file, recording) as show:
+        return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
+
+
+def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> list[Path]:
+    """Write the JSON file and the figures, and return their paths."""
+    from allanjax.report.critique_figure import critique_figures
+    from allanjax.report.critique_json import to_dict
+    from allanjax.report.files import write_document
+
+    named = dataclasses.replace(critique, name=file.name)
+    with stage(f"{file.label}: writing results"):
+        directory.mkdir(parents=True, exist_ok=True)
+        paths = [directory / f"{file.name}_critique.json"]
+        write_document(to_dict(critique), paths[0])
+        return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]

@@ -1,0 +1,349 @@
+"""Readers for flight logs: PX4's ULog (with pyulog) and ArduPilot's DataFlash, which defines its messages."""
+
+import contextlib
+import io
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, Shaped, UInt8
+
+from allanjax.record.io.series import Series, joined
+from allanjax.record.io.table import CHOICES, Format, Table, damage_reported, floats, optional_package
+from allanjax.record.validation import Source
+
+_REMEDY = "copy it again from the vehicle"
+_LOG_MORE = "log sensor_gyro and sensor_accel at full rate (SDLOG_PROFILE)"
+# Marks a missing time of accelerations in sensor_combined.
+_NO_SAMPLE = 0x7FFFFFFF
+# Relative deviation of the interval between FIFO messages within which no sample is lost.
+_WHOLE = 0.5
+
+Fields = Mapping[str, np.ndarray]
+# A message begins with two bytes and its type; type 128 defines another message in 89 bytes.
+_HEAD = 3
+_FMT, _FMT_SIZE = 128, 89
+# Characters for types of numbers; others are texts and numbers that do not occur in samples.
+_TYPES = {"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<u4", "q": "<i8"}
+_TYPES |= {"Q": "<u8", "g": "<f2", "f": "<f4", "d": "<f8", "n": "S4", "N": "S16", "Z": "S64", "L": "<i4"}
+_TYPES |= {"a": "(32,)<i2", "c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4"}
+# Messages with samples, with a number for further sensors; and groups that form one recording.
+_SAMPLES = re.compile(r"(IMU|ACC|GYR)(\d?)")
+_DATAFLASH_GROUPS = (("GYR", "ACC"), ("IMU",))
+_BATCHES = ("ISBH", "ISBD")
+# Bytes that are searched at a time.
+_BLOCK = 1 << 26
+_LOG_IMU = "set IMU_FAST or IMU_RAW in LOG_BITMASK, and LOG_DISARMED to 1"
+
+
+def open_ulog(path: Path, source: Source, topic: str | None, instance: int | None) -> Table:
+    """Return the samples of the messages with the highest rate, or of those chosen.
+
+    Gyros and accelerometers with separate messages are read as one recording.
+
+    Raises:
+        RecordingError: pyulog is not installed; the log is damaged or lacks samples of an IMU, or those
+            chosen; the rates of gyros and accelerometers differ.
+    """
+    pyulog = optional_package("pyulog", "px4", "a PX4 log", source)
+    # It prints messages on damage; damaged numbers are detected later.
+    quiet = contextlib.redirect_stdout(io.StringIO())
+    damaged = damage_reported(source, "a ULog file", _REMEDY)
+    with damaged, quiet, np.errstate(all="ignore"), _BoundedFile(path) as stream:
+        log = pyulog.ULog(stream, list(_READERS))
+        found = {
+            (data.name, data.multi_id): _ulog_series(data.name, data.data, source) for data in log.data_list
+        }
+    found = {key: series for key, series in found.items() if len(series.times)}
+    if not found:
+        raise source.error(f"no samples of an IMU ({', '.join(_READERS)}); {_LOG_MORE}")
+    chosen, note = _chosen(found, _ULOG_GROUPS, topic, instance, source)
+    notes = [note]
+    if chosen[0].name == "sensor_combined":
+        notes.append(
+            f"sensor_combined is averaged and corrected by the autopilot; for raw samples {_LOG_MORE}"
+        )
+    if log.dropouts:
+        count, lost = len(log.dropouts), sum(dropout.duration for dropout in log.dropouts)
+        notes.append(f"{count} logging dropout{'s' * (count > 1)}, {lost} ms in total")
+    if log.file_corruption:
+        notes.append("damaged parts of the log are left out")
+    return joined(chosen, source).table("timestamp", source, notes)
+
+
+class _BoundedFile(io.BufferedReader):
+    """File with a limited number of reads, since pyulog may go back forever in a damaged one.
+
+    It advances by at least one byte at a time, with two calls each.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._calls = 4 * path.stat().st_size + 1000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._calls -= 1
+        if self._calls < 0:
+            # An error that pyulog does not catch.
+            raise RuntimeError("reading does not end, as the file is damaged")
+        return super().read(size)
+
+
+def _ulog_series(name: str, fields: Fields, source: Source) -> Series:
+    """Return the samples of a message."""
+    try:
+        return _READERS[name](name, fields).in_order()
+    except KeyError as error:
+        raise source.error(f"{name} has no field {error} (another PX4 version?); {_LOG_MORE}") from error
+
+
+def _times(fields: Fields) -> Int[np.ndarray, " n"]:
+    """Return the sampling times in ns, or else the times of the messages."""
+    sampled = fields.get("timestamp_sample")
+    stamps = fields["timestamp"] if sampled is None or not sampled.all() else sampled
+    return stamps.astype(np.int64) * 1000
+
+
+def _array(fields: Fields, name: str, size: int = 3) -> Float[np.ndarray, "n size"]:
+    """Return the elements of an array."""
+    return np.column_stack([floats(fields[f"{name}[{k}]"]) for k in range(size)])
+
+
+def _combined(name: str, fields: Fields) -> Series:
+    """Return the samples of sensor_combined; accelerations without a time are nan."""
+    accel = _array(fields, "accelerometer_m_s2")
+    accel[fields["accelerometer_timestamp_relative"] == _NO_SAMPLE] = np.nan
+    return Series(name, _times(fields), _array(fields, "gyro_rad"), accel)
+
+
+def _vehicle_imu(name: str, fields: Fields) -> Series:
+    """Return increments of angle and velocity divided by their intervals."""
+
+    def mean_rate(increment: str) -> Float[np.ndarray, "n 3"]:
+        interval = 1e-6 * fields["dt" if "dt" in fields else f"{increment}_dt"].astype(float)
+        return _array(fields, increment) / np.where(interval > 0.0, interval, np.nan)[:, None]
+
+    return Series(name, _times(fields), mean_rate("delta_angle"), mean_rate("delta_velocity"))
+
+
+def _sensor(name: str, fields: Fields) -> Series:
+    """Return the samples of sensor_gyro or sensor_accel, with the temperature."""
+    others = {"temperature [degC]": floats(fields["temperature"])} if "temperature" in fields else {}
+    return _half(name, _times(fields), np.column_stack([floats(fields[axis]) for axis in "xyz"]), others)
+
+
+def _fifo(name: str, fields: Fields) -> Series:
+    """Return the samples of sensor_gyro_fifo or sensor_accel_fifo in sequence.
+
+    The time of a message is that of its last sample. If none is lost, the earlier ones are spread evenly from
+    the last sample of the previous message; else they have the interval that the message states.
+    """
+    ends = _times(fields)
+    size = sum(field.startswith("x[") for field in fields)
+    count = np.minimum(fields["samples"].astype(np.int64), size)
+    stated = floats(fields["dt"]) * 1e3
+    measured = np.diff(ends, prepend=ends[:1]) / np.maximum(count, 1)
+    interval = np.where(np.abs(measured - stated) < _WHOLE * stated, measured, stated)
+    number = np.arange(size)
+    valid = number < count[:, None]
+    ages = np.nan_to_num((count[:, None] - 1 - number) * interval[:, None])
+    times = ends[:, None] - np.round(ages).astype(np.int64)
+    scale = floats(fields["scale"])[:, None]
+    values = np.stack([_array(fields, axis, size) * scale for axis in "xyz"], axis=-1)
+    return _half(name, times[valid], values[valid], {})
+
+
+def _half(name: str, times: np.ndarray, values: np.ndarray, others: Mapping[str, np.ndarray]) -> Series:
+    """Return the series of gyros or accelerometers, according to the name of the message."""
+    if "gyro" in name:
+        return Series(name, times, gyro=values, auxiliary=others)
+    return Series(name, times, accel=values, auxiliary=others)
+
+
+_READERS: dict[str, Callable[[str, Any], Series]] = {
+    "sensor_gyro_fifo": _fifo,
+    "sensor_accel_fifo": _fifo,
+    "sensor_gyro": _sensor,
+    "sensor_accel": _sensor,
+    "vehicle_imu": _vehicle_imu,
+    "sensor_combined": _combined,
+}
+# Messages that form one recording, gyros first.
+_ULOG_GROUPS = (
+    ("sensor_gyro_fifo", "sensor_accel_fifo"),
+    ("sensor_gyro", "sensor_accel"),
+    ("vehicle_imu",),
+    ("sensor_combined",),
+)
+
+ULOG = Format("ULog", b"ULog\x01\x12\x35", open_ulog, (".ulg",), in_chunks=False, choices=CHOICES)
+
+
+class _Definition(NamedTuple):
+    """Definition of a message: its name, and its fields as a NumPy type; None if it is damaged."""
+
+    name: str
+    dtype: np.dtype | None
+
+
+def open_dataflash(path: Path, source: Source, topic: str | None, instance: int | None) -> Table:
+    """Return the samples of IMU, or of GYR and ACC, whichever has the higher rate or is chosen.
+
+    Raises:
+        RecordingError: the log has no samples of an IMU, only batches, or not the chosen message.
+    """
+    data = np.memmap(path, np.uint8, "r")
+    heads = _heads(data)
+    definitions = _definitions(data, heads)
+    if not definitions:
+        raise source.error(
+            "cannot be read as a DataFlash log: it defines no messages; copy it again, or save the data as "
+            "CSV, Parquet or NumPy .npy"
+        )
+    lengths = np.zeros(256, np.int64)
+    lengths[_FMT] = _FMT_SIZE
+    for kind, definition in definitions.items():
+        if definition.dtype is not None:
+            lengths[kind] = _HEAD + definition.dtype.itemsize
+    starts = _messages(data, heads, lengths)
+    kinds = data[starts + 2]
+    found: dict[tuple[str, int], Series] = {}
+    batches = False
+    for kind, definition in definitions.items():
+        rows = starts[kinds == kind]
+        batches |= definition.name in _BATCHES and len(rows) > 0
+        if _SAMPLES.fullmatch(definition.name) and definition.dtype is not None and len(rows):
+            payload = data[rows[:, None] + np.arange(_HEAD, lengths[kind])]
+            found |= _series(definition.name, payload.view(definition.dtype)[:, 0], source)
+    if batches and (not found or topic in _BATCHES):
+        raise source.error(
+            f"batches with pauses (ISBH, ISBD) are unsuitable for Allan deviations; {_LOG_IMU}"
+        )
+    if not found:
+        raise source.error(f"no samples of an IMU (IMU, or GYR and ACC); {_LOG_IMU}")
+    chosen, note = _chosen(found, _DATAFLASH_GROUPS, topic, instance, source)
+    notes = [note]
+    skipped = len(data) - int(lengths[kinds].sum())
+    if skipped:
+        notes.append(f"{skipped} of {len(data)} bytes are incomplete messages, which are left out")
+    if batches:
+        notes.append("batches of samples with pauses (ISBH, ISBD) are left out")
+    return joined(chosen, source).table("time", source, notes)
+
+
+def _heads(data: UInt8[np.ndarray, " bytes"]) -> Int[np.ndarray, " heads"]:
+    """Return the places where a message may begin."""
+    found = [np.zeros(0, np.int64)]
+    for first in range(0, len(data) - 2, _BLOCK):
+        block = data[first : first + _BLOCK + 1]
+        found.append(first + np.flatnonzero((block[:-1] == 0xA3) & (block[1:] == 0x95)))
+    places = np.concatenate(found)
+    return places[places < len(data) - 2]
+
+
+def _definitions(
+    data: UInt8[np.ndarray, " bytes"], heads: Int[np.ndarray, " heads"]
+) -> dict[int, _Definition]:
+    """Return the definitions of messages by type."""
+    definitions = {}
+    for start in heads[data[heads + 2] == _FMT]:
+        message = data[start : start + _FMT_SIZE].tobytes()
+        if len(message) == _FMT_SIZE:
+            name, characters, labels = (
+                message[part].partition(b"\0")[0].decode("latin-1")
+                for part in (slice(5, 9), slice(9, 25), slice(25, None))
+            )
+            definitions[message[3]] = _Definition(name, _dtype(characters, labels, message[4]))
+    return definitions
+
+
+def _dtype(characters: str, labels: str, length: int) -> np.dtype | None:
+    """Return the type of a message's fields; None if the definition is inconsistent."""
+    names = [name.strip() for name in labels.split(",")] if labels else []
+    known = all(character in _TYPES for character in characters)
+    if not characters or not known or len(names) != len(characters) or len(set(names)) < len(names):
+        return None
+    dtype = np.dtype([(name, _TYPES[c]) for name, c in zip(names, characters, strict=True)])
+    return dtype if "" not in names and dtype.itemsize == length - _HEAD else None
+
+
+def _messages(
+    data: UInt8[np.ndarray, " bytes"], heads: Int[np.ndarray, " heads"], lengths: Int[np.ndarray, "256"]
+) -> Int[np.ndarray, " messages"]:
+    """Return the places of messages: heads of a known type, with another head where the message ends."""
+    size = lengths[data[heads + 2]]
+    ends = heads + size
+    is_head = np.isin(ends, heads) | (ends == len(data))
+    starts, ends = heads[(size > 0) & is_head], ends[(size > 0) & is_head]
+    # The bytes of a head may occur within a message: a head within a kept message is not one.
+    while len(starts):
+        within = np.append(False, starts[1:] < ends[:-1])
+        within &= ~np.append(False, within[:-1])
+        if not within.any():
+            break
+        starts, ends = starts[~within], ends[~within]
+    return starts
+
+
+def _series(
+    name: str, rows: Shaped[np.ndarray, " messages"], source: Source
+) -> Mapping[tuple[str, int], Series]:
+    """Return series by message and sensor number, which is in a field or in the name of the message."""
+    match = _SAMPLES.fullmatch(name)
+    assert match is not None
+    fields = [name for name in rows.dtype.names or () if rows.dtype[name].kind in "iuf"]
+    clock = next((clock for clock in ("SampleUS", "TimeUS", "TimeMS") if clock in fields), None)
+    halves = {
+        sensor: np.column_stack([floats(rows[f"{label}{axis}"]) for axis in "XYZ"])
+        for sensor, label in (("gyro", "Gyr"), ("accel", "Acc"))
+        if {f"{label}{axis}" for axis in "XYZ"} <= {*fields}
+    }
+    if clock is None or not halves:
+        raise source.error(f"{name} lacks times or samples (it has {', '.join(fields)}); {_LOG_IMU}")
+    times = rows[clock].astype(np.int64) * (10**6 if clock == "TimeMS" else 10**3)
+    others = {"temperature [degC]": floats(rows["T"])} if "T" in fields else {}
+    whole = Series(match[1], times, halves.get("gyro"), halves.get("accel"), others)
+    numbers = rows["I"] if "I" in fields else np.full(len(rows), max(int(match[2] or 1) - 1, 0))
+    return {(match[1], int(i)): whole.taken(numbers == i).in_order() for i in np.unique(numbers)}
+
+
+DATAFLASH = Format("DataFlash", b"\xa3\x95", open_dataflash, (".bin",), in_chunks=False, choices=CHOICES)
+
+
+def _chosen(
+    found: Mapping[tuple[str, int], Series],
+    groups: Sequence[tuple[str, ...]],
+    topic: str | None,
+    instance: int | None,
+    source: Source,
+) -> tuple[list[Series], str]:
+    """Return the series to read, one or one per sensor (gyros first), and a note on the choice.
+
+    `found` are the series by message and number of the sensor, and `groups` are messages that form one
+    recording. By default, it is the first instance in the group with the highest rate.
+    """
+    kept = {key: series for key, series in found.items() if instance in (None, key[1])}
+    if not kept:
+        numbers = sorted({number for _, number in found})
+        raise source.error(
+            f"no instance {instance}; choose {', '.join(map(str, numbers))} with instance= (--instance)"
+        )
+    names = {name for name, _ in kept}
+    if topic is None:
+        fastest = max(kept, key=lambda key: kept[key].rate)[0]
+        wanted = next({*group} & names for group in groups if fastest in group)
+    else:
+        wanted = {name.strip() for name in topic.split(",")}
+        if not wanted <= names or not any(wanted <= {*group} for group in groups):
+            raise source.error(
+                f"topic {topic!r} is not an IMU topic of this log; topics are "
+                f"{', '.join(f'{name} {number}' for name, number in sorted(found))}"
+            )
+    first = [min(key for key in kept if key[0] == name) for name in sorted(wanted, reverse=True)]
+    words = {key: f"{key[0]} {key[1]} at {series.rate:.4g} Hz" for key, series in found.items()}
+    note = " and ".join(words.pop(key) for key in first)
+    if words:
+        note += f"; topic= and instance= (--topic, --instance) choose {', '.join(sorted(words.values()))}"
+    return [kept[key] for key in first], note
