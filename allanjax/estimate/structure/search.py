@@ -12,7 +12,8 @@ eight samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -129,7 +130,7 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         # A start to which only lines were added has had its swaps.
         if _outline(now.structure, record.n) in (_outline(before, record.n), _outline(begun, record.n)):
             return spectrum, now
-        now = _swapped(spectrum, pruned(spectrum, _replaced(spectrum, now)))
+        now = pruned(spectrum, _edited(spectrum, now, _final))
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -212,9 +213,8 @@ def _all_inside(structure: Structure) -> Structure:
     return structure
 
 
-def _ranked(spectrum: Spectrum, groups: Iterable[Sequence[Structure]]) -> list[Structure]:
+def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
     """The best structure of each group by fits of their powers with shapes held, the best one first."""
-    groups = [list(group) for group in groups]
     every = [s for group in groups for s in group]
     if not every:
         return []
@@ -303,27 +303,52 @@ def _floor(spectrum: Spectrum) -> float:
     return floor if floor < _DEEP * float(np.median(rough)) else 0.0
 
 
+def _edited(
+    spectrum: Spectrum, now: Fitted, edits: Callable[[Spectrum, Structure], list[list[Structure]]]
+) -> Fitted:
+    """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
+    while True:
+        tried = _ranked(spectrum, edits(spectrum, now.structure))[:_TRIED]
+        best = functools.reduce(_better, map(spectrum.fit, tried), now)
+        if best is now:
+            return now
+        now = best
+
+
 def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
     """Fit with the best kind for a new response, and new components inside it or after it."""
     new = [FULL.first_oscillator + int(k) for k in set(now.structure.oscillators) - set(before.oscillators)]
-    if now.structure.kind != before.kind:
-        now = _other_kind(spectrum, now)
-        new += [QUANTIZATION] if now.structure.active[QUANTIZATION] else []
-    return _placed(spectrum, now, new)
+    other = now.structure.kind != before.kind
+    new += [QUANTIZATION] * other
+
+    def edits(_: Spectrum, structure: Structure) -> list[list[Structure]]:
+        return _moved(structure, new) + (_kinds(structure, structure.bandwidth[0]) if other else [])
+
+    return _edited(spectrum, now, edits)
 
 
-def _other_kind(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit with another kind of response, if one is more likely."""
-    start = now.structure
-    if start.kind == NONE:
-        return now
-    for best in _ranked(spectrum, _of_other_kinds(start, start.bandwidth[0]))[:_TRIED]:
-        now = _better(now, spectrum.fit(best))
-    return now
+def _final(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
+    """Structures with another response, one component elsewhere, or a wide resonance as something else.
+
+    A wide resonance may be a Markov process, white noise after the response, or the response itself.
+    """
+    every = [FULL.first_oscillator + int(k) for k in structure.oscillators]
+    groups = _kinds(structure, structure.bandwidth[0]) + _moved(structure, [*every, QUANTIZATION])
+    for k in structure.oscillators:
+        if structure.quality(k) < WIDE:
+            w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
+            rest = structure.without(FULL.first_oscillator + k)
+            slow, filtered = rest.with_markov(1.0 / w, power), rest.kind != NONE
+            groups += [[rest], [] if slow is None else [slow]]
+            groups += [[rest.using(OUTSIDE, _floor(spectrum) or power)]] if filtered else []
+            groups += _kinds(rest, rest.bandwidth[0] if filtered else w, anew=True)
+    return [group for group in groups if group]
 
 
-def _of_other_kinds(structure: Structure, width: float) -> list[list[Structure]]:
-    """Structures with another kind of response, of about this bandwidth [radians per sample]."""
+def _kinds(structure: Structure, width: float, anew: bool = False) -> list[list[Structure]]:
+    """Structures with another kind of response of about this bandwidth [radians per sample], by its kind."""
+    if structure.kind == NONE and not anew:
+        return []
     return [
         [structure.with_response(kind, min(width * by, _HIGHEST)) for by in _BESIDE]
         for kind in _KINDS
@@ -331,27 +356,20 @@ def _of_other_kinds(structure: Structure, width: float) -> list[list[Structure]]
     ]
 
 
-# Largest bandwidth that a response starts from [radians per sample].
-_HIGHEST = 2.8
-
-
-def _placed(spectrum: Spectrum, now: Fitted, components: Sequence[int]) -> Fitted:
-    """Fit with each of these components inside the response or after it, whichever is more likely."""
-    structure = now.structure
-    if structure.kind == NONE:
-        return now
-    flips = []
-    for component in components:
+def _moved(structure: Structure, components: Sequence[int]) -> list[list[Structure]]:
+    """Structures with one of these components inside the response if it is after it, or after it."""
+    groups = []
+    for component in components if structure.kind != NONE else ():
         k = component - FULL.first_oscillator
         # Where the response has fallen by nothing yet there is no difference.
         flat = k >= 0 and structure.frequency(k) < _FLAT * structure.bandwidth[0]
-        if not (flat and structure.quality(k) > _NARROW):
-            flips.append(component)
-    for best in _ranked(spectrum, [[structure.placed(c, not structure.inside[c])] for c in flips]):
-        (c,) = np.flatnonzero(best.inside != structure.inside)
-        inside = now.structure.placed(int(c), bool(best.inside[c]))
-        now = _better(now, spectrum.fit(inside))
-    return now
+        if structure.active[component] and not (flat and structure.quality(k) > _NARROW):
+            groups.append([structure.placed(component, not structure.inside[component])])
+    return groups
+
+
+# Largest bandwidth that a response starts from [radians per sample].
+_HIGHEST = 2.8
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
@@ -367,35 +385,6 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
     structure = other.structure
     narrow = all(structure.quality(int(k)) > WIDE for k in structure.oscillators)
     return bool(structure.power[WHITE] > 0.0 or (narrow and structure.kind == now.structure.kind))
-
-
-def _replaced(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit after all replacements that gain: another kind of response, components moved inside or after it."""
-    for _ in range(3):
-        before = now
-        components = [FULL.first_oscillator + int(k) for k in now.structure.oscillators]
-        components += [QUANTIZATION] if now.structure.active[QUANTIZATION] else []
-        now = _other_kind(spectrum, _placed(spectrum, now, components))
-        if now is before:
-            break
-    return now
-
-
-def _swapped(spectrum: Spectrum, now: Fitted) -> Fitted:
-    """Fit in which wide resonances are what else they may be, if that is more likely."""
-    structure = now.structure
-    for k in [int(k) for k in structure.oscillators if structure.quality(int(k)) < WIDE]:
-        rest = now.structure.without(FULL.first_oscillator + k)
-        w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
-        others = [[rest], [s for s in [rest.with_markov(1.0 / w, power)] if s is not None]]
-        if rest.kind == NONE:
-            others += _of_other_kinds(rest, w)
-        else:
-            others += [[rest.using(OUTSIDE, _floor(spectrum) or power)]]
-            others += _of_other_kinds(rest, rest.bandwidth[0])
-        for best in _ranked(spectrum, [o for o in others if o])[:_TRIED]:
-            now = _better(now, spectrum.fit(best))
-    return now
 
 
 def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
