@@ -29,7 +29,8 @@ _Sizes = TypeVar("_Sizes", np.ndarray, Array)
 WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
 """Weights of the phases one cluster time apart in the difference whose mean square is the variance.
 
-For the modified variance they are those of the third differences that update sums of second differences.
+The modified variance averages sums of second differences; its weights are those of the third differences by
+which these sums are updated.
 """
 
 # Largest distance of a cluster time from a whole number of samples, in samples, to allow for rounding.

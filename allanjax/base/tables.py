@@ -277,12 +277,15 @@ class Tabled:
         """Further lines below the printed tables."""
         return ()
 
+    def _heading(self) -> str:
+        """Title of the printed tables with the result's name, if it has one."""
+        return ": ".join(filter(None, (getattr(self, "name", ""), self._title())))
+
     def _printed(self) -> tuple[str, Sequence[Sequence[Column]], list[str]]:
         tables = self._tables()
         cells = [cell.strip() for columns in tables for c in columns for cell in c.cells]
         legend = [line for mark, line in _LEGEND.items() if any(re.match(mark, cell) for cell in cells)]
-        title = ": ".join(filter(None, (getattr(self, "name", ""), self._title())))
-        return title, tables, [*legend, *(f"warning: {w}" for w in self.warnings), *self._notes()]
+        return self._heading(), tables, [*legend, *(f"warning: {w}" for w in self.warnings), *self._notes()]
 
     def __str__(self) -> str:
         return as_text(*self._printed())
@@ -304,10 +307,10 @@ class PerAxis(Tabled, Mapping[str, _T]):
     is a dataclass with the field `results`, and says what its table shows.
 
     Attributes:
-        results: one an axis.
+        results: one per axis.
     """
 
-    #: What is raised for an axis that there is not.
+    #: Error that is raised for an unknown axis.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     results: tuple[_T, ...]

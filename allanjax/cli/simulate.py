@@ -135,9 +135,9 @@ def demo(
 
 
 def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
-    """Comparison of the coefficients of a fit with those of the true models.
+    """Compare the coefficients of a fit with the true ones.
 
-    Returns a table for a terminal, each coefficient in its usual unit; how many 95 % intervals, or upper
+    The result is a table for the terminal with usual units; how many 95 % intervals, or upper
     limits of terms that are not detected, contain the true value; and how many there are.
     """
     from allanjax.base.tables import as_text, columns_from

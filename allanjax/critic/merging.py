@@ -31,7 +31,7 @@ def together(
     details: Mapping[str, Detail] | None = None,
     counted: Sequence[Finding] | None = None,
 ) -> Finding:
-    """One finding from several; the p-value, evidence and gain are those of the `counted` ones.
+    """Several findings joined into one; p-value, evidence and gain come from the `counted` ones.
 
     The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
     different axes or were found one after the other. Rivals are those of all of them.
@@ -336,8 +336,8 @@ _FACTOR, _DAMPING = 2.0, 4.0
 # Shares of the record within which steps are simultaneous, and beyond which they are not, whatever their
 # errors: judgements.
 _STEP_TIME, _APART = 1e-3, 2e-2
-# Overlaps, as shares of the longer one, above which stretches are one event, on one axis and on different
-# axes; and above which their ends are those of the event: judgements.
+# Overlaps, as shares of the longer one, above which two stretches are one event: on one axis, and on
+# different axes; and above which they give the start and end of the event. Judgements.
 _NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
 
 #: Whether a finding belongs to the strongest one of its kind, in a record of this length [s].

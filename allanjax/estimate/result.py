@@ -700,7 +700,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
     def details(self) -> str:
         """All coefficients with their 95 % intervals and limits, and χ² of every axis, as text."""
         notes = () if self.selection is None else self.selection.ambiguities()
-        return details(self._printed()[0], self.results, notes)
+        return details(self._heading(), self.results, notes)
 
     def _tables(self) -> list[list[Column]]:
         return overview(self)

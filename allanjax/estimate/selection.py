@@ -325,9 +325,6 @@ class AxisSelection(ByValue):
             for question, words, one, other in self.undecided()
         )
 
-    def _title(self, term: str) -> str:
-        return title_of(term, self.axis.sensor)
-
     def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
         """At most three questions that the data leave undecided, the most probable first.
 
@@ -337,8 +334,8 @@ class AxisSelection(ByValue):
         found = []
         for other in self.indistinguishable:
             chosen = self.chosen
-            extra = [self._title(t) for t in other.terms if t not in chosen.terms]
-            missing = [self._title(t) for t in chosen.terms if t not in other.terms]
+            extra = [title_of(t, self.axis.sensor) for t in other.terms if t not in chosen.terms]
+            missing = [title_of(t, self.axis.sensor) for t in chosen.terms if t not in other.terms]
             pair = (other, chosen) if missing and not extra else (chosen, other)
             odds = pair[0].probability, pair[1].probability
             if len(missing) == len(extra) == 1:

@@ -358,7 +358,7 @@ SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
 # Terms whose coefficient is written on its line.
 _WRITTEN = ("angle_random_walk", "bias_instability", "rate_random_walk")
 # What the key says of a line whose height at 1 s is not the coefficient's.
-_HEIGHT = {"bias_instability": " (line at 0.664 B)"}
+_HEIGHT = {"bias_instability": " (line\u00a0at\u00a00.664\u00a0B)"}
 _SIZE = 7.0
 # Half the mean width of a character, and distance of a text from its line, over the font's size.
 _HALF_WIDTH, _AWAY = 0.3, 0.95

@@ -57,7 +57,7 @@ def test_an_interval_has_the_decimals_of_its_value_and_a_limit_three_digits():
     assert len(told.replace(".", "").lstrip("0")) == 3
     assert dataclasses.replace(N.in_unit(), held=True, value=0.25).describe() == "0.25 deg/√h (held)"
     rivalled = dataclasses.replace(N, detected=False, rivals=("markov",), upper_limit=1.0)
-    assert rivalled.describe().count("markov") == 1
+    assert rivalled.describe().count("Markov process") == 1
 
 
 def test_short_records_are_in_seconds_long_ones_in_hours():

@@ -114,7 +114,7 @@ def _strongest(
 def _looked_at(
     spectrum: Float[np.ndarray, " frequencies"], spacing: float, view: View, places: Sequence[Place]
 ) -> Int[np.ndarray, " k"]:
-    """Indices of the frequencies to search: all, or those of the places."""
+    """Indices of the frequencies to search: all of them, or only those near the given places."""
     first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(spectrum) - 1
     if not places:
         return np.arange(first, last)
