@@ -31,6 +31,7 @@ from allanjax.estimate.structure.structure import (
     LINE,
     LOWEST,
     OUTSIDE,
+    QUANTIZATION,
     WHITE,
     Fitted,
     Spectrum,
@@ -96,9 +97,10 @@ class Content(NamedTuple):
 
     @property
     def plain_terms(self) -> list[int]:
-        """Components with some power that are basic terms or Markov processes."""
-        markovs = range(FULL.first_markov, FULL.first_oscillator)
-        return [k for k in self.structure.there if k < OUTSIDE or k in markovs]
+        """Components with some power that are basic terms or Markov processes before the response, if any."""
+        markovs, structure = range(FULL.first_markov, FULL.first_oscillator), self.structure
+        before = structure.inside if structure.kind != NONE else np.ones_like(structure.inside)
+        return [k for k in structure.there if (k < OUTSIDE or k in markovs) and before[k]]
 
 
 def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
@@ -207,18 +209,23 @@ def fit_jointly(
     spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
     used = spectrum.used([k for k in range(len(template.model)) if not template.active[k]])
     found, rows = base.fit(content.structure), len(base.bins.size)
-    for _ in range(_WEIGHT_ROUNDS):
-        projection = spectrum.project(found.mean[:rows], used)
-        base = base.with_data(projection.level, projection.dof).weighing(found, filters=True, skirts=True)
-        found = base.fit(found.structure, FINE)
-    template = Template.of(content._replace(structure=found.structure), ramp)
-    mean, per_octave = found.mean[:rows], base.bins.per_octave()
+    # Errors of the model count only where the data show any.
+    for errors in (False, True):
+        for _ in range(_WEIGHT_ROUNDS):
+            projection = spectrum.project(found.mean[:rows], used)
+            base = base.with_data(projection.level, projection.dof)
+            base = base.weighing(found, filters=True, skirts=True) if errors else base
+            found = base.fit(found.structure, FINE)
+        mean = found.mean[:rows]
+        chi2 = chi_squared(projection.level / mean, projection.dof)
+        left = max(projection.estimates - np.sum(template.active) - len(free_shapes(template.model)), 1.0)
+        if chi2 <= beyond_doubt(left):
+            break
+    template, per_octave = Template.of(content._replace(structure=found.structure), ramp), base.bins.per_octave()
     degrees = 2.0 * np.asarray(base.levels.shape)
-    unshaped = _unshaped(found.structure, base, projection.level / mean)
-    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
-    left = max(projection.estimates - np.sum(template.active) - len(solution.shape), 1.0)
     ratio = projection.level / mean
-    chi2 = chi_squared(ratio, projection.dof)
+    unshaped = _unshaped(found.structure, base, ratio)
+    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
     sure = chi2 > beyond_doubt(left)
     error = error_of_powers(ratio, projection.dof, per_octave, left) if sure else 0.0
     misfit: dict[str, Any] = {"chi2": np.asarray(chi2), "power_error": np.asarray(error)}
@@ -421,7 +428,11 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     If no set of terms suffices, those with a free time were left out, and the structure keeps its own.
     """
     chosen, structure = selection.chosen.terms, content.structure
+    after = structure.kind != NONE and not structure.inside[QUANTIZATION]
     for k, label in enumerate(FIXED):
+        if k == QUANTIZATION and after:
+            # The search has chosen what follows the response.
+            continue
         if label not in chosen:
             structure = structure.without(k)
         elif not structure.active[k]:

@@ -45,8 +45,8 @@ LOWEST_BANDWIDTH = 0.005
 _ERROR = 0.005
 # Relative error of the part of the resonances, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
-# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
-# its widths: judgements.
+# Relative errors of a response, per factor of e by which it has fallen, and of a resonance farther from its
+# peak than so many of its widths: judgements.
 _FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
@@ -86,14 +86,13 @@ class Structure:
 
     @classmethod
     def plain(cls, columns: np.ndarray | list[int]) -> Structure:
-        """Structure of some columns only; all that is not resonant passes through a response once there is
-        one."""
+        """Structure of some columns only; slow and white noise passes through a response once there is one."""
         count = FULL.components
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
         inside[: FULL.first_oscillator] = True
-        # A term of its own kind may have no closed form behind a response.
-        inside[[OUTSIDE, FURTHER]] = False
+        # The output is rounded; and a term of its own kind may have no closed form behind a response.
+        inside[[QUANTIZATION, OUTSIDE, FURTHER]] = False
         slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside)
         return cls(np.zeros(count), slots.usual()[count:], active, inside)
 
@@ -323,8 +322,8 @@ class Spectrum:
         near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
         square, common = (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2, np.zeros(rows)
         if filters and (response := response_of(structure, bins.rate)) is not None:
-            fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
-            common += (_FILTER * fallen) ** 2
+            fallen = np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300))
+            common += (_FILTER * np.minimum(fallen, 0.0)) ** 2
         hertz = bins.rate / (2.0 * np.pi)
         for k in structure.oscillators if skirts else ():
             beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
@@ -394,7 +393,9 @@ class Spectrum:
         F = np.asarray(found.information)[np.ix_(free, free)]
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
         used = structure.active & (np.asarray(found.theta)[: at.components] > 0.0)
-        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :])) + int(structure.kind != NONE)
+        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :]))
+        # Behind a filter, quantization and the filter's shape are hardly distinguished.
+        more += (1 + int(used[QUANTIZATION])) * int(structure.kind != NONE)
         return -float(found.loss) - 0.5 * float(logdet) - PRICE * more
 
 
