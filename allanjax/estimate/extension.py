@@ -66,6 +66,9 @@ _SHORT = 20.0
 _APART = 1.5
 # Most joint fits until every component of the model is detected.
 _ROUNDS = 6
+# Growth of the discrepancy, relative and absolute, that the removal of what is not detected may cause:
+# judgements.
+_WORSE, _SLIGHT = 1.2, 0.001
 # Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
 
@@ -208,9 +211,10 @@ def fit_jointly(
     base = Record(content.c**2, rate).binned(content.structure)
     spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
     used = spectrum.used([k for k in range(len(template.model)) if not template.active[k]])
-    found, rows = base.fit(content.structure), len(base.bins.size)
+    first, rows = base.fit(content.structure), len(base.bins.size)
     # Errors of the model count only where the data show any.
     for errors in (False, True):
+        found = first
         for _ in range(_WEIGHT_ROUNDS):
             projection = spectrum.project(found.mean[:rows], used)
             base = base.with_data(projection.level, projection.dof)
@@ -221,7 +225,10 @@ def fit_jointly(
         left = max(projection.estimates - np.sum(template.active) - len(free_shapes(template.model)), 1.0)
         if chi2 <= beyond_doubt(left):
             break
-    template, per_octave = Template.of(content._replace(structure=found.structure), ramp), base.bins.per_octave()
+    template, per_octave = (
+        Template.of(content._replace(structure=found.structure), ramp),
+        base.bins.per_octave(),
+    )
     degrees = 2.0 * np.asarray(base.levels.shape)
     ratio = projection.level / mean
     unshaped = _unshaped(found.structure, base, ratio)
@@ -380,15 +387,20 @@ def extended(
     selection = _selection(content, axis)
     content = content._replace(structure=_with_terms(content, selection))
     ramp = "drift_ramp" in selection.chosen.terms
+    last = None
     for _ in range(_ROUNDS):
         template, found, structure = fit_jointly(content, ramp, axis, x)
         result = result_of(found, template.model, axis, template.active)
-        if (
-            not result.converged
-            or (tidied := _tidied(content._replace(structure=structure), template, result)) is None
-        ):
+        if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
+            # What was taken out was needed, though its size is not known.
+            template, result = last
             break
-        content = tidied
+        tidied = (
+            _tidied(content._replace(structure=structure), template, result) if result.converged else None
+        )
+        if tidied is None:
+            break
+        content, last = tidied, (template, result)
     if not result.converged or (plain.converged and result.discrepancy > _LESS * plain.discrepancy):
         return None
     inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]

@@ -83,7 +83,7 @@ _MOVING = 3
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
 WIDE = 4.0
-# Frequencies [radians per sample] and quality factors of a resonance that may be taken for the shape of a filter.
+# Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
 _EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
 # Relative error of a power beyond which the fit is tried without it.
 _DOUBTFUL = 0.2

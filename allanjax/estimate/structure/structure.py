@@ -86,7 +86,7 @@ class Structure:
 
     @classmethod
     def plain(cls, columns: np.ndarray | list[int]) -> Structure:
-        """Structure of some columns only; slow and white noise passes through a response once there is one."""
+        """Structure of some columns only, of which all but quantization pass through a response, if any."""
         count = FULL.components
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
@@ -394,8 +394,9 @@ class Spectrum:
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
         used = structure.active & (np.asarray(found.theta)[: at.components] > 0.0)
         more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :]))
-        # Behind a filter, quantization and the filter's shape are hardly distinguished.
-        more += (1 + int(used[QUANTIZATION])) * int(structure.kind != NONE)
+        if structure.kind != NONE:
+            # Quantization beside a filter may be the filter's shape, the more so before it.
+            more += 1 + int(used[QUANTIZATION]) * (1 + int(structure.inside[QUANTIZATION]))
         return -float(found.loss) - 0.5 * float(logdet) - PRICE * more
 
 
