@@ -124,9 +124,11 @@ def promised(
     interior = np.flatnonzero(np.asarray(maximum.interior))
     slope = maximum.model.slope(now.structure.power, FULL)[interior, :m] / mean * moved[interior, None]
     F = np.asarray(maximum.information)[np.ix_(interior, interior)]
-    cross = (relative * k) @ slope.T
+    size = 1.0 / np.sqrt(np.maximum(np.diag(F), 1e-12))
+    cross = (relative * k) @ (slope * size[:, None]).T
     alone = relative**2 @ k
-    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(F + 1e-9 * np.diag(np.diag(F)), cross.T).T)
+    scaled = F * np.outer(size, size) + 1e-9 * np.eye(len(F))
+    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(scaled, cross.T).T)
     left = np.maximum(left, 1e-6 * alone)
     power = np.maximum(g, 0.0) / left
     return 0.5 * np.maximum(g, 0.0) * power, power

@@ -375,15 +375,19 @@ def _final(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
 
 
 def _kinds(structure: Structure, width: float, anew: bool = False) -> list[list[Structure]]:
-    """Structures with another kind of response of about this bandwidth [radians per sample], by its kind."""
+    """Structures with a response of about this bandwidth [radians per sample], by its kind."""
     if structure.kind == NONE and not anew:
         return []
     moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
     places = [structure, moved, _all_placed(structure, True), _all_placed(structure, False)]
     return [
-        [s.with_response(kind, min(width * by, _HIGHEST)) for s in places for by in _BESIDE]
+        [
+            s.with_response(kind, min(width * by, _HIGHEST))
+            for s in places
+            for by in _BESIDE
+            if by != 1.0 or kind != structure.kind or anew
+        ]
         for kind in _KINDS
-        if kind != structure.kind or anew
     ]
 
 

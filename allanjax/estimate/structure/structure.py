@@ -45,9 +45,9 @@ LOWEST_BANDWIDTH = 0.005
 _ERROR = 0.005
 # Relative error of the part of the resonances, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
-# Relative errors of a response, per factor of e by which it has fallen, and of a resonance farther from its
-# peak than so many of its widths: judgements.
-_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
+# Relative errors of a response, per factor of e by which it has fallen, in a search beyond so many of these; and
+# of a resonance farther from its peak than so many of its widths: judgements.
+_FILTER, _DEEP, _SKIRT, _BESIDE = 0.05, 3.0, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
 # Numbers of levels to which arrays are padded in a search.
@@ -311,19 +311,20 @@ class Spectrum:
         return self.bins.n
 
     def weighing(self, fitted: Fitted, filters: bool = False, skirts: bool = False) -> Spectrum:
-        """Spectrum whose levels count less where a fit has its resonances; and, in the end, beside these.
+        """Spectrum whose levels count less where a fit has its resonances, and deep in a filter's stop band.
 
         Resonances drift, the more so where several stand for one that moves. No sensor's skirts and filters
-        are just like the model's, and such errors are common to an octave; they count once the structure is
-        known, as they hide what kind of filter it is. Models must be compared with the same weights.
+        are just like the model's, and such errors are common to an octave; all of them count once the
+        structure is known, as they hide what kind of filter it is. Models must be compared with the same
+        weights.
         """
         structure, bins = fitted.structure, self.bins
         f, rows, resonant = bins.frequency, len(bins.size), fitted.resonant
         near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
         square, common = (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2, np.zeros(rows)
-        if filters and (response := response_of(structure, bins.rate)) is not None:
-            fallen = np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300))
-            common += (_FILTER * np.minimum(fallen, 0.0)) ** 2
+        if (response := response_of(structure, bins.rate)) is not None:
+            fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300))
+            common += (_FILTER * np.maximum(fallen - (0.0 if filters else _DEEP), 0.0)) ** 2
         hertz = bins.rate / (2.0 * np.pi)
         for k in structure.oscillators if skirts else ():
             beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
