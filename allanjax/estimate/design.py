@@ -493,18 +493,19 @@ def best_starts(
     for k, (term, value) in enumerate(zip(model.terms, given, strict=True)):
         if value is not None and not term.has_free_amplitude:
             power[:, :, k] = value**2
-    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in free_shapes(model)])
-    best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, misfit, strict=True)])
+    of_axes = zip(shape, misfit, strict=True)
+    best = np.stack([different(*of_axis, free_shapes(model)) for of_axis in of_axes])
     axis = np.arange(len(V))[:, None]
     return Starts(power[axis, best], shape[axis, best])
 
 
-def _different(
+def different(
     shape: Float[np.ndarray, "candidates shapes"],
     misfit: Float[np.ndarray, " candidates"],
-    apart: Float[np.ndarray, " shapes"],
+    shapes: Sequence[ModelParameter],
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
+    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
     order = list(np.argsort(misfit))
     chosen: list[int] = []
     for i in order:

@@ -21,8 +21,8 @@ from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.result import AxisFit, extended_model, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
-from allanjax.estimate.spectral.components import NONE, padded
-from allanjax.estimate.spectral.fit import TangentDesign, chi_squared, error_of_powers
+from allanjax.estimate.spectral.components import NONE
+from allanjax.estimate.spectral.fit import LevelDesign, Places, chi_squared, error_of_powers
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.search import TIMES, WIDE, Record, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
@@ -55,8 +55,6 @@ _BLOCK, _MEDIAN = 64, 0.4549
 _LOOKS = 3
 # Rounds of projecting out ramp and lines and fitting the rest.
 _WEIGHT_ROUNDS = 2
-# Numbers of terms, free shapes and levels to which arrays are padded: those of the joint spectral model.
-_TERMS, _SHAPES, _LEVELS = 24, 32, 1024
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
 _SHAPED, _AROUND = 0.05, 1.5
@@ -202,6 +200,29 @@ class Template(NamedTuple):
         model = Model(each, response, () if response is None else inside)
         return cls(model, np.array(active), np.array(component))
 
+    @property
+    def noise(self) -> Model:
+        """The random terms."""
+        terms = zip(self.model.term_labels, self.model.terms, strict=True)
+        return self.model.without([label for label, term in terms if term.deterministic])
+
+    def places(self, rate: float) -> Places:
+        """Where the random terms and their shapes are in the structure's slots."""
+        at, parameter = FULL, []
+        shapes = free_shapes(self.noise)
+        for p in shapes:
+            first = p.parameter.name in ("correlation_time", "frequency", "bandwidth")
+            if p.term == len(self.component):
+                parameter.append(at.response if first else at.response + 1)
+                continue
+            k = int(self.component[p.term])
+            if k < at.first_oscillator:
+                parameter.append(at.times + k - at.first_markov)
+            else:
+                parameter.append((at.frequencies if first else at.qualities) + k - at.first_oscillator)
+        owner = np.array([p.term for p in shapes], int)
+        return Places(at, self.component, np.array(parameter, int), owner, 1.0 / rate)
+
 
 def fit_jointly(
     content: Content, ramp: bool, axis: Axis, x: Float[np.ndarray, " n"]
@@ -248,65 +269,32 @@ def _tangent(
     degrees: Float[np.ndarray, " capacity"],
     per_octave: Float[np.ndarray, " m"],
     unshaped: Container[int],
-) -> tuple[TangentDesign, Solution]:
+) -> tuple[LevelDesign, Solution]:
     """Levels around a fit, linear in all shapes, and the solution; see `_fillers` for the unshaped."""
-    random = [k for k, term in enumerate(template.model.terms) if not term.deterministic]
-    noise = template.model.without(
-        [label for k, label in enumerate(template.model.term_labels) if k not in random]
-    )
-    at, structure, model = FULL, found.structure, found.maximum.model
-    component, shapes = template.component, free_shapes(noise)
-    # A Gauss–Markov process of unit amplitude has the variance T_c/2 (4.59).
-    is_markov = (component >= at.first_markov) & (component < at.first_oscillator)
-    time = np.array(
-        [
-            structure.time(k - at.first_markov) / rate if m else 2.0
-            for k, m in zip(component, is_markov, strict=True)
-        ]
-    )
-    unit = np.asarray(model.unit)[component] * (time / 2.0)[:, None]
-    power = structure.power[component] / (time / 2.0)
+    noise, component = template.noise, template.component
+    shapes, theta = free_shapes(noise), np.asarray(found.maximum.theta)
+    places = template.places(rate)
+    base, by_shape = places.levels(found.maximum)
+    power = theta[component] / places.unit_power(theta)
     inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
-    levels = np.where(inside & (power > 0.0), (power[:, None] * unit).sum(axis=1), 0.0)
-    owner_of_response = WHITE if levels[WHITE] > 0.0 else int(np.argmax(levels))
-    owner, by_shape = [], np.zeros((len(noise), unit.shape[1], len(shapes)))
-    for s, p in enumerate(shapes):
-        if p.term == len(noise):
-            owner.append(owner_of_response)
-            of_response = np.asarray(model.by_response)[int(p.parameter.name != "bandwidth")]
-            by_shape[:, :, s] = of_response[component] * (time / 2.0)[:, None]
-            continue
-        k = p.term
-        owner.append(k)
-        if power[k] > 0.0:
-            place = _parameter(p.parameter.name, int(component[k])) - at.times
-            by_shape[k, :, s] = np.asarray(model.by_shape)[place] * time[k] / 2.0
-            by_shape[k, :, s] += unit[k] if is_markov[k] else 0.0
-    levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
+    passed = np.where(inside, power * (base @ degrees), 0.0)
+    response_of_term = WHITE if passed[WHITE] > 0.0 else int(np.argmax(passed))
+    levels_of_white, slopes_of_white = base[WHITE].copy(), by_shape[WHITE].copy()
     fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
     for i, (plateau, by_own) in fillers.items():
         # Its power is redefined: at low frequencies it is that of white noise.
         power[WHITE] += plateau * power[i]
-        unit[i] -= plateau * levels_of_white
+        base[i] -= plateau * levels_of_white
         by_shape[i] -= plateau * slopes_of_white
         for s, p in enumerate(shapes):
             if p.term == i:
                 by_shape[i, :, s] -= plateau * by_own[p.parameter.name] * levels_of_white
-    room = [(0, _TERMS - len(noise)), (0, max(_LEVELS - unit.shape[1], 0))]
-    design = TangentDesign(
-        owner=padded(np.array(owner, int), _SHAPES, 0),
-        terms=np.asarray(len(noise)),
-        rows=np.asarray(len(per_octave)),
-        moves=np.arange(_SHAPES) < len(shapes),
-        per_octave=padded(per_octave, max(_LEVELS, unit.shape[1]), 1.0),
-        base=np.pad(unit, room),
-        by_shape=np.pad(by_shape, [*room, (0, _SHAPES - len(shapes))]),
-        centre=padded(shape_values(noise), _SHAPES, 0.0),
-        degrees_of_freedom=padded(degrees, max(_LEVELS, len(degrees)), 0.0),
-    )
+    owner = [response_of_term if p.term == len(noise) else p.term for p in shapes]
+    values = shape_values(noise)
+    design = LevelDesign.of(base, by_shape, values, owner, degrees, per_octave)
     nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
-    values: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
-    return design, Solution(*values)
+    solution: Any = power, values, nothing, nothing, converged, np.asarray(2.0 * found.loss)
+    return design, Solution(*solution)
 
 
 def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray, " m"]) -> frozenset[int]:
@@ -346,15 +334,6 @@ def _fillers(noise: Model, rate: float, unshaped: Sequence[int]) -> dict[int, tu
 def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:
     """Free shapes of a model with values, ln(value − lower bound)."""
     return np.log([float(p.start or 0.0) - p.parameter.lower for p in free_shapes(noise)])
-
-
-def _parameter(name: str, component: int) -> int:
-    """Parameter of the joint spectral model for a shape of a component."""
-    at = FULL
-    if component < at.first_oscillator:
-        return at.times + component - at.first_markov
-    first = at.frequencies if name == "frequency" else at.qualities
-    return first + component - at.first_oscillator
 
 
 class Extension(NamedTuple):

@@ -30,7 +30,7 @@ from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
 #: Numbers of levels to which arrays are padded, so that few compiled programs serve every record.
-CAPACITIES = (256, 640, 1280)
+CAPACITIES = (384, 1024)
 # Lags are padded to a multiple of this, so that compiled functions are reused.
 _LAGS = 256
 

@@ -45,13 +45,11 @@ LOWEST_BANDWIDTH = 0.005
 _ERROR = 0.005
 # Relative error of the part of the resonances, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
-# Relative errors of a response, per factor of e by which it has fallen, in a search beyond so many of these; and
-# of a resonance farther from its peak than so many of its widths: judgements.
+# Relative errors of a response, per factor of e by which it has fallen, in a search beyond so many of these;
+# and of a resonance farther from its peak than so many of its widths: judgements.
 _FILTER, _DEEP, _SKIRT, _BESIDE = 0.05, 3.0, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
-# Numbers of levels to which arrays are padded in a search.
-_CAPACITIES = (384, 1024)
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
 ROUGH, FINE = 1e-2, 1e-7
 # Fields of a structure with a value for each component.
@@ -288,8 +286,7 @@ class Spectrum:
         """
         terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
         terms += [] if further is None else [further]
-        capacity = next((c for c in _CAPACITIES if c >= len(bins.size)), None)
-        levels = levels_of(bins, columns_of(terms, bins), FULL.columns, capacity)
+        levels = levels_of(bins, columns_of(terms, bins), FULL.columns)
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
