@@ -132,9 +132,10 @@ class RecursiveFilter(Response):
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
         xp = namespace(self, frequency, rate)
-        s = xp.sin(math.pi * xp.asarray(frequency, float) / rate)[..., None] ** 2
-        w, c = self.poles(rate)
-        of_poles = xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=-1)
+        s = xp.sin(math.pi * xp.asarray(frequency, float) / rate) ** 2
+        # A filter's parameters may be arrays that broadcast against the frequencies.
+        w, c = (x[(..., *(None,) * (s.ndim + 1 - x.ndim))] for x in self.poles(rate))
+        of_poles = xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=0)
         return xp.real(of_poles) + self.constant(rate)
 
     def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
@@ -356,7 +357,8 @@ class Butterworth(_Bilinear):
 
     def _analog(self, tangent: Any) -> Any:
         m = self.order
-        return tangent * np.exp(0.5j * np.pi * (2.0 * np.arange(m) + 1.0 - m) / m)
+        angle = np.pi * (2.0 * np.arange(m) + 1.0 - m) / (2.0 * m)
+        return np.exp(1j * angle)[(..., *(None,) * np.ndim(tangent))] * tangent
 
 
 # The moving average as a response: an integrating converter, or samples that are means of faster ones.
