@@ -71,10 +71,10 @@ from allanjax.noise.simulate import simulate as simulate
 from allanjax.noise.simulate import simulate_recording as simulate_recording
 from allanjax.noise.state_space import StateSpace as StateSpace
 from allanjax.noise.terms import *
-from allanjax.posterior.likelihood import LogNormal as LogNormal
-from allanjax.posterior.likelihood import LogUniform as LogUniform
-from allanjax.posterior.likelihood import ModifiedLogUniform as ModifiedLogUniform
-from allanjax.posterior.likelihood import Uniform as Uniform
+from allanjax.posterior.priors import LogNormal as LogNormal
+from allanjax.posterior.priors import LogUniform as LogUniform
+from allanjax.posterior.priors import ModifiedLogUniform as ModifiedLogUniform
+from allanjax.posterior.priors import Uniform as Uniform
 from allanjax.posterior.result import AxisPosterior as AxisPosterior
 from allanjax.posterior.result import Posterior as Posterior
 from allanjax.posterior.result import PosteriorWarning as PosteriorWarning

@@ -73,7 +73,7 @@ _FINE = 24
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
-_CAPACITY = (96, 6)
+ALLAN_CAPACITY = (96, 6)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -335,7 +335,7 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, which is needed to find lines and resonances.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, _CAPACITY)
+    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ALLAN_CAPACITY)
     results, scatter = _fit_estimates(
         design, curve.variance, (curve.n, curve.rate), axes, template, active, values
     )
@@ -362,7 +362,7 @@ def fit_wavelet(
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
     of_record = recording.n, recording.rate
     geometry = geometry_of(found, levels, *of_record)
-    design = AllanDesign.of_geometry(template, recording.rate, geometry, _CAPACITY[1])
+    design = AllanDesign.of_geometry(template, recording.rate, geometry, ALLAN_CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
     return _fit_estimates(design, variance, of_record, recording.axes, template, active, None)[0]
 
@@ -613,9 +613,9 @@ def _moments_under(
     """Expectation and variance of the Allan variances of each axis under its fitted model."""
     of_curve = (curve.n, curve.rate, curve.cluster_size)
     if template.response is None:
-        design = AllanDesign.of(template, *of_curve, curve.strides, _CAPACITY)
+        design = AllanDesign.of(template, *of_curve, curve.strides, ALLAN_CAPACITY)
         return [_moments_of(design, template, result) for result in results]
-    geometry = AllanCovariance.of(*of_curve, strides=curve.strides, capacity=_CAPACITY[0])
+    geometry = AllanCovariance.of(*of_curve, strides=curve.strides, capacity=ALLAN_CAPACITY[0])
     nothing = np.full(len(curve.cluster_size), np.nan)
     return [
         moments_behind(_with_all_terms(template, result).sampled(curve.rate), geometry)

@@ -22,7 +22,7 @@ from allanjax.estimate.result import AxisEstimates, Fit
 from allanjax.estimate.tables import all_coefficients
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.posterior.likelihood import Prior
+from allanjax.posterior.priors import Prior
 from allanjax.record.recording import Axis
 from allanjax.record.units import default_coefficient_unit
 

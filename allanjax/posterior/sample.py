@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
-from allanjax.posterior.likelihood import Prior
+from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import Posterior
 
 
@@ -59,7 +59,8 @@ def sample(
         FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
     # Imported here because emcee takes long to load.
-    from allanjax.posterior.sampling import AxisSampler, Convergence
+    from allanjax.posterior.axes import AxisSampler
+    from allanjax.posterior.sampling import Convergence
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:

@@ -18,7 +18,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.wording import format_with_error, significant
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
-from allanjax.posterior.likelihood import Prior
+from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
 from allanjax.record.units import unit_scale
 from allanjax.report import draw
