@@ -22,9 +22,9 @@ from allanjax.estimate.design import AllanDesign, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, Line, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.spectral.expected import ExpectedLevels, in_batches
 from allanjax.estimate.spectral.fit import share_with_error
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.posterior.levels import ExpectedLevels, in_batches
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Prior, Uniform
 
 # Largest distance of a resonance's frequency from its fit, in ln.
@@ -204,7 +204,7 @@ class WhittleDensity:
         self._own = [k for k, p in enumerate(model.parameters) if p.term in random or p.term == len(model)]
         self._amplitude = _amplitudes(model)
         self._random = self._amplitude[random]
-        self._levels = ExpectedLevels(model.without(labels), spectrum.bins, values[self._own])
+        self._levels = ExpectedLevels(model.without(labels), spectrum.bins)
         size = spectrum.bins.size.astype(float)
         # The error of powers is twice that of deviations.
         self._share = share_with_error(size, spectrum.bins.per_octave(), 2.0 * result.discrepancy)

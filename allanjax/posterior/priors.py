@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, dataclass_transform
+from typing import TYPE_CHECKING, dataclass_transform
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
