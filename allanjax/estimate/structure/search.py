@@ -69,7 +69,7 @@ TIMES = (0.35, 0.55, 0.75, 0.95)
 _TRIED, _ROUNDS = 3, 20
 # Proposals whose powers are fitted.
 _RANKED = 12
-# Evidence that a resonance costs, a process or a response, and white noise after it [nats]: rough values.
+# Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Correlation time [samples] below which a Markov process may stand for what a response does.
 _QUICK = 20.0
@@ -250,9 +250,10 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
 
 def _price(structure: Structure) -> float:
     """About what the components of a structure cost in evidence [nats]."""
-    shaped = len(structure.markovs) + (structure.kind != NONE)
-    each = _PRICES * (len(structure.oscillators), shaped, structure.active[OUTSIDE])
-    return float(np.sum(each))
+    filtered, rounded = structure.kind != NONE, structure.active[QUANTIZATION]
+    shaped = len(structure.markovs) + filtered
+    beside = structure.active[OUTSIDE] + filtered * rounded * (0.5 + structure.inside[QUANTIZATION])
+    return float(_PRICES @ (len(structure.oscillators), shaped, beside))
 
 
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
