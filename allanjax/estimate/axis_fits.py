@@ -271,12 +271,14 @@ def _starts(
     places = [k for k, p in enumerate(parameters) if p.free and not p.parameter.is_amplitude]
     values[:, places] = np.exp(candidates) + [p.parameter.lower for p in shapes]
     of, found = ExpectedLevels(noise, bins), []
-    held = [0.0 if p.free else float(p.start or 0.0) ** 2 for p in parameters if p.parameter.is_amplitude]
+    amplitudes = [p for p in parameters if p.parameter.is_amplitude]
+    held, free = np.array([float(p.start or 0.0) ** 2 for p in amplitudes]), free_powers(noise)
     for some in np.array_split(values, -(-len(values) // _BLOCK)):
         unit = np.broadcast_to(of(some), (len(some), len(noise), len(level)))
-        start = np.where(free_powers(noise), np.min(level / np.maximum(unit, 1e-300), axis=-1), held)
+        start = np.where(free, np.min(level / np.maximum(unit, 1e-300), axis=-1), held)
         found.append(power_fits(level, dof / 2.0, level, unit, start, np.tile(active, (len(some), 1))))
     power, loss = (np.concatenate(part) for part in zip(*found, strict=True))
+    power = np.where(free, power, held)
     best = different(candidates, loss, shapes)
     return [(power[k], candidates[k]) for k in best]
 
