@@ -31,7 +31,8 @@ from allanjax.estimate.spectral.components import (
     TWO_POLES,
 )
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.proposals import Units, power_fits, promised, slots_to_try, windows
+from allanjax.estimate.spectral.powers import power_fits
+from allanjax.estimate.structure.proposals import Units, promised, slots_to_try, windows
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
@@ -224,7 +225,9 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     power = np.stack([s.power[components] for s in every])
     used = np.stack([s.active[components] for s in every])
     # The noise before a response is about what it is without.
-    power, loss = power_fits(spectrum, unit, power, used)
+    data = (spectrum.levels.level, spectrum.levels.shape, spectrum.rough)
+    level, shape, rough = (np.asarray(x)[: unit.shape[-1]] for x in data)
+    power, loss = power_fits(level, shape, rough, unit, power, used)
     best, first = [], 0
     for group in groups:
         k = first + int(np.argmin(loss[first : first + len(group)]))
