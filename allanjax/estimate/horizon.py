@@ -23,11 +23,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
@@ -42,6 +43,7 @@ from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
 from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
@@ -69,25 +71,18 @@ _LABELS = {
 
 
 class Filters(NamedTuple):
-    """Filters of white noise and a process of the bias, and the times over which they integrate.
+    """Filters of a memory N/K and a correlation time [s], infinite for a walk, that integrate some steps.
 
-    Attributes:
-        memory: N/K [s], over which a filter without mean reversion averages.
-        time: correlation time of the Gauss–Markov process [s], infinite for a walk.
-        rate: sample rate [Hz].
-        steps: how many samples they integrate, in rising order.
-        kept: φ, what is left of a bias after a sample.
-        gain: g.
-        share: s_n after these samples.
-        unit: variance of the integral that filters of N = 1 predict.
+    `gain` is g, `again` φ(1 − g), which is left of an estimate after a sample, `share` s_n, and `unit` the
+    variance of the integral that filters of N = 1 predict.
     """
 
     memory: Float[np.ndarray, " g"]
     time: Float[np.ndarray, " g"]
     rate: float
     steps: Float[np.ndarray, " t"]
-    kept: Float[np.ndarray, " g"]
     gain: Float[np.ndarray, " g"]
+    again: Float[np.ndarray, " g"]
     share: Float[np.ndarray, "g t"]
     unit: Float[np.ndarray, "g t"]
 
@@ -95,52 +90,45 @@ class Filters(NamedTuple):
     def of(cls, pairs: Float[np.ndarray, "g 2"], steps: Float[np.ndarray, " t"], rate: float) -> Filters:
         """Filters of these memories and correlation times [s]."""
         memory, time = pairs.T
-        lost = -np.expm1(-2.0 / (time * rate))
+        kept, x = np.exp(-1.0 / (time * rate)), 2.0 / (time * rate)
+        lost = -np.expm1(-x)
         # Q/R, the variance of the bias's noise over that of a sample.
-        walk, x = (1.0 / (memory * rate)) ** 2, 2.0 / (time * rate)
-        drive = walk * np.where(x > 0.0, lost / np.where(x > 0.0, x, 1.0), 1.0)
+        drive = np.where(x > 0.0, lost / np.where(x > 0.0, x, 1.0), 1.0) / (memory * rate) ** 2
         half = (drive - lost) / 2.0
         root = np.sqrt(half**2 + drive)
         # P/R by the one of two forms that avoids cancellation.
         P = np.where(half > 0.0, half + root, drive / (root - np.minimum(half, 0.0)))
-        gain, at, (unique, which) = P / (P + 1.0), steps.astype(int) - 1, np.unique(time, return_inverse=True)
-        kept = np.exp(-1.0 / (unique * rate))
+        gain, at = P / (P + 1.0), steps.astype(int) - 1
         # Sums over k of φ^(k−1), and of their squares; one correlation time after the other.
-        sums = (np.cumsum(np.exp(-np.arange(at[-1] + 1) / (T * rate))) for T in unique)
-        ones, squares = np.moveaxis([(one[at], np.cumsum(one**2)[at]) for one in sums], 1, 0)
-        share = (kept[:, None] * ones)[which]
+        unique, which = np.unique(kept, return_inverse=True)
+        sums = (np.cumsum(phi ** np.arange(at[-1] + 1)) for phi in unique)
+        both = np.array([(one[at], np.cumsum(one**2)[at]) for one in sums])[which]
+        share = kept[:, None] * both[:, 0]
         # The variance of b̂ after its update is PR/(P + R) = gR.
-        predicted = share**2 * gain[:, None] + drive[:, None] * squares[which] + steps
-        return cls(memory, time, rate, steps, kept[which], gain, share, predicted / rate)
+        predicted = share**2 * gain[:, None] + drive[:, None] * both[:, 1] + steps
+        return cls(memory, time, rate, steps, gain, kept * (1.0 - gain), share, predicted / rate)
 
 
 def variances(
     model: Model, filters: Filters, duration: float, known: dict[Model, np.ndarray]
 ) -> Float[np.ndarray, "terms g t"]:
-    """Variance of the integral's error [rad² or (m/s)²] after so many samples, of each term by itself.
+    """Variance of the integral's error [rad² or (m/s)²] by each term, of noise of this duration [s].
 
-    Args:
-        model: the true noise.
-        filters: the filters that are compared.
-        duration: how long the noise has gone on [s], for bias instability and the mean that is known.
-        known: variances for the same filters of terms that other sets share; new ones are added.
-
-    Raises:
-        AllanjaxError: a term that has no state space.
+    `known` has those of terms that other sets of an axis share, for the same filters; new ones are added.
     """
+    for term in model.terms:
+        if isinstance(term, Transient):
+            raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
     labels = model.term_labels
-    # One term at a time, after the response.
     alone = [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
-    for one in alone:
-        if one not in known:
-            known[one] = _of_term(one, filters, duration)
+    known |= {one: _of_term(one, filters, duration) for one in alone if one not in known}
     return np.stack([known[one] for one in alone])
 
 
 def _of_term(model: Model, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
     """Variance of the integral's error for a model of one term."""
     (term,), rate, steps, share = model.terms, filters.rate, filters.steps, filters.share
-    gain, again = filters.gain[:, None], (filters.kept * (1.0 - filters.gain))[:, None]
+    gain, again = filters.gain[:, None], filters.again[:, None]
     if isinstance(term, Sinusoid):
         z = np.exp(2j * np.pi * term.frequency / rate)
         error = (z**steps - 1.0) / (z - 1.0) - share * gain / (z - again)
@@ -166,63 +154,29 @@ def _states(term: NoiseTerm, rate: float, duration: float) -> Block:
 
 
 def _of_states(block: Block, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral's error for noise of these states."""
+    """Variance of the integral's error for noise of these states, from those and b̂ together."""
     space = StateSpace.of(block, filters.rate, "gyro", "")
     sums = [space.sum_covariance(int(n)) for n in filters.steps]
     observed = np.stack([transition[-1, :-1] for transition, _ in sums])
     added = np.array([noise[-1, -1] for _, noise in sums])
-    found, A, walks = np.empty_like(filters.unit), block.transition, np.isinf(filters.time)
+    A, H, n, gain = block.transition, block.observation, block.size, filters.gain[:, None]
+    joint = np.zeros((len(gain), n + 1, n + 1))
+    joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, gain * (H @ A), filters.again
+    enters = np.concatenate([np.broadcast_to(np.eye(n), (len(gain), n, n)), (gain * H)[:, None]], axis=1)
+    noise = enters @ block.noise @ enters.swapaxes(1, 2)
+    noise[:, n, n] += filters.gain**2 * block.white
     # About its mean over the record a walk has the variance of a process with a correlation time of a third
     # of it; so has, nearly, anything slower than the record.
-    forgetting = A - np.diag(np.diag(A)) * -math.expm1(-3.0 / (duration * filters.rate))
-    for own, before, level in (
-        (walks, A, block.level),
-        (~walks, forgetting, np.zeros_like(block.level)),
-    ):
-        share = filters.share[own]
-        P, shared, estimate = _joint(block, before, level, filters.gain[own], filters.kept[own])
-        states = A @ P @ A.T + block.noise
-        found[own] = (
-            np.einsum("ti,ij,tj->t", observed, states, observed)
-            - 2.0 * share * (shared @ A.T @ observed.T)
-            + share**2 * estimate[:, None]
-            + added
-        )
-    return found / filters.rate**2
-
-
-def _joint(
-    block: Block,
-    A: Float[np.ndarray, "n n"],
-    level: Bool[np.ndarray, " n"],
-    gain: Float[np.ndarray, " g"],
-    kept: Float[np.ndarray, " g"],
-) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "g n"], Float[np.ndarray, " g"]]:
-    """Covariance of the states after a long time, theirs with b̂ of each filter, and its variance.
-
-    Walks (`level`) are at zero now. Other states x = F·walk + y follow them with a constant gain, and so does
-    b̂ = G·walk + d, G = HF, of filters of a walk; y and d are stationary,
-
-        y' = A y + η,    d' = a d + g(H y' + v) − aG w,    a = φ(1 − g),
-
-    where w drives the walks and η = (noise of x) − F w the rest.
-    """
-    rest, a, g = ~level, (kept * (1.0 - gain))[:, None], gain[:, None]
-    own, H, unit = A[np.ix_(rest, rest)], block.observation, np.eye(len(A))
-    follow = np.linalg.solve(np.eye(len(own)) - own, A[np.ix_(rest, level)])
-    G = H[level] + H[rest] @ follow
-    P = settled(A, block.noise, level)
-    Y = P[np.ix_(rest, rest)]
-    # η and G w from the noise of the states.
-    enters, drives = unit[rest] - follow @ unit[level], G @ unit[level]
-    with_walk, of_walk = enters @ block.noise @ drives, drives @ block.noise @ drives
-    right = g * (Y @ H[rest]) - a * with_walk
-    crossed = np.linalg.solve(np.eye(len(own)) - a[..., None] * own, right[..., None])[..., 0]
-    inner = 2.0 * a[:, 0] * gain * (crossed @ own.T @ H[rest] - H[rest] @ with_walk)
-    outer = gain**2 * (H[rest] @ Y @ H[rest] + block.white) + a[:, 0] ** 2 * of_walk
-    shared = np.zeros((len(gain), len(A)))
-    shared[:, rest] = crossed
-    return P, shared, (inner + outer) / (1.0 - a[:, 0] ** 2)
+    walks, states = np.isinf(filters.time), np.arange(n)
+    joint[:, states, states] *= np.where(walks, 1.0, math.exp(-3.0 / (duration * filters.rate)))[:, None]
+    P, level = np.empty_like(joint), np.append(block.level, False)
+    for own, walk in ((walks, level), (~walks, np.zeros_like(level))):
+        P[own] = settled(joint[own], noise[own], walk)
+    first = A @ P[:, :n, :n] @ A.T + block.noise
+    shared = P[:, n, :n] @ A.T @ observed.T
+    found = np.einsum("ti,gij,tj->gt", observed, first, observed, optimize=True) + added
+    share = filters.share
+    return (found - 2.0 * share * shared + share**2 * P[:, n, n, None]) / filters.rate**2
 
 
 def equal_pairs(
@@ -230,21 +184,16 @@ def equal_pairs(
 ) -> tuple[Int[np.ndarray, " draws"], Float[np.ndarray, " draws"], Float[np.ndarray, " draws"]]:
     """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
 
-    At the last time they are equal; at the others the largest ratio, either way, is smallest. `unit` are
-    the predictions for N = 1.
+    At the last time they are equal; at the others the largest ratio, either way, is smallest.
     """
     ratio = np.log(truth / unit)
     worst = np.abs(ratio - ratio[..., -1:]).max(axis=-1)
-    best = worst.argmin(axis=-1)
-    draws = np.arange(len(truth))
+    best, draws = worst.argmin(axis=-1), np.arange(len(truth))
     return best, np.exp(ratio[draws, best, -1] / 2.0), np.exp(worst[draws, best])
 
 
 def bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
-    """The filter whose prediction is nowhere below its true variance and least above it, and its N.
-
-    Least in the mean, over the times, of the logarithm of the predicted variance.
-    """
+    """The filter whose prediction is nowhere below its true variance and least in mean logarithm; its N."""
     scale = (truth / unit).max(axis=1)
     best = int(np.argmin(np.log(scale) + np.log(unit).mean(axis=1)))
     return best, math.sqrt(float(scale[best]))
@@ -304,10 +253,7 @@ class AxisHorizon(ByValue):
     @property
     def inflation(self) -> dict[str, float]:
         """Factors N*/N and K*/K over the raw coefficients; infinite where the fit has none."""
-        pairs = {
-            "white": (self.white.value, self.raw_white),
-            "walk": (self.walk.value, self.raw_walk),
-        }
+        pairs = {"white": (self.white.value, self.raw_white), "walk": (self.walk.value, self.raw_walk)}
         return {name: new / raw if raw > 0.0 else math.inf for name, (new, raw) in pairs.items()}
 
     @property
@@ -345,18 +291,22 @@ class AxisHorizon(ByValue):
 
         time = "" if self.correlation_time is None else significant(self.correlation_time.value)
         bound = "" if math.isinf(self.bounding_time) else significant(self.bounding_time)
-        errors = (self.error, self.error, self.bound, self.raw_prediction, self.raw_error)
-        own, true, limit, raw, raw_true = (shown("integral", float(x[-1])) for x in errors)
-        N, K = self.bounding_white, self.bounding_walk
         # The table has no space for an interval of N beside a correlation time.
-        white, walk = "" if time else interval("white", self.white), interval("walk", self.walk)
-        equal = (shown("white", self.white.value), white, shown("walk", self.walk.value), walk)
-        bounding = (shown("white", N), "", shown("walk", K), "")
-        fitted = (shown("white", self.raw_white), "", shown("walk", self.raw_walk), "")
+        N, K = "" if time else interval("white", self.white), interval("walk", self.walk)
+        own, raw = (
+            (self.white.value, N, self.walk.value, K, time),
+            (self.raw_white, "", self.raw_walk, "", ""),
+        )
+        bounding = (self.bounding_white, "", self.bounding_walk, "", bound)
+        table = {
+            "equal": (*own, self.bias_std, self.error[-1], self.error[-1]),
+            "bound": (*bounding, self.bounding_bias_std, self.bound[-1], 0.0),
+            "fitted": (*raw, 0.0, self.raw_prediction[-1], self.raw_error[-1]),
+        }
+        kinds = ("white", "", "walk", "", "", "bias", "integral", "integral")
         return [
-            (self.axis.name, "equal", *equal, time, shown("bias", self.bias_std), own, true),
-            (self.axis.name, "bound", *bounding, bound, shown("bias", self.bounding_bias_std), limit, ""),
-            (self.axis.name, "fitted", *fitted, "", "", raw, raw_true),
+            (self.axis.name, pair, *(shown(*x) if x[0] else str(x[1]) for x in zip(kinds, row, strict=True)))
+            for pair, row in table.items()
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -509,11 +459,8 @@ def horizon(
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"probability= (--probability) must be in [0.5, 1), not {probability}")
-    asked = [axes] if isinstance(axes, str) else axes
-    found = [
-        _of_axis(*noise, float(seconds), process, probability, rate, record)
-        for noise in _noises(fit, asked, seed)
-    ]
+    noises = _noises(fit, [axes] if isinstance(axes, str) else axes, seed)
+    found = [_of_axis(*noise, float(seconds), process, probability, rate, record) for noise in noises]
     if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
     notes = fit.statements if isinstance(fit, DataSheet) else ()
@@ -549,52 +496,46 @@ def _of_axis(
     record: float,
 ) -> AxisHorizon:
     """Horizon of one axis."""
-    raw_N, raw_K = (
-        max(coefficients[label].value, 0.0) if label in coefficients else 0.0
-        for label in ("angle_random_walk", "rate_random_walk")
-    )
+    labels = ("angle_random_walk", "rate_random_walk")
+    N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
     last = max(round(seconds * rate), 1)
     # From a hundredth of the horizon on.
     steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
-    filters = Filters.of(_pairs(raw_N, raw_K, model, seconds, process, rate, record), steps, rate)
-    memory, time, unit = filters.memory, filters.time, filters.unit
-    shared: dict[Model, np.ndarray] = {}
-    each = [variances(s.model, filters, record, shared) for s in sets]
-    # Undetected terms have limits only; they are in the bound.
-    draws = np.concatenate([np.tensordot(s.power, V, axes=1) for s, V in zip(sets, each, strict=True)])
-    detected = [len(s.labels) - s.limited for s in sets]
-    parts = zip(sets, each, detected, strict=True)
-    known = np.concatenate([np.tensordot(s.power[:, :k], V[:k], axes=1) for s, V, k in parts])
+    filters = Filters.of(_pairs(N, K, model, seconds, process, rate, record), steps, rate)
+    memory, time, unit, shared = filters.memory, filters.time, filters.unit, dict[Model, np.ndarray]()
+    each = [(s, variances(s.model, filters, record, shared)) for s in sets]
+    # Undetected terms have limits only; these are in the bound.
+    draws = np.concatenate([np.tensordot(s.power, V, axes=1) for s, V in each])
+    detected = [(s, V, len(V) - s.limited) for s, V in each]
+    known = np.concatenate([np.tensordot(s.power[:, :k], V[:k], axes=1) for s, V, k in detected])
     # The prediction must be right on average over the likely coefficients.
     mean = known.mean(axis=0)
-    # The last filter is that of the raw coefficients.
-    good = np.arange(len(mean) - 1)
+    # The last filter is that of the raw coefficients; without N, the walk over its memory.
+    good, raw_size = np.arange(len(mean) - 1), N or K * float(memory[-1])
     if process == "markov":
         good = np.flatnonzero(mean[:-1, -1] <= _WORSE**2 * mean[:-1, -1].min())
-    place, N, ratio = equal_pairs(np.concatenate([mean[None], known])[:, good], unit[good])
+    place, white, ratio = equal_pairs(np.concatenate([mean[None], known])[:, good], unit[good])
     chosen = good[place]
     bounding, bounding_N = bounding_pair(np.quantile(draws[:, :-1], probability, axis=0), unit[:-1])
-    # N of the filter with the raw coefficients; without N, the walk over its memory.
-    raw_size = raw_N if raw_N > 0.0 else raw_K * float(memory[-1])
     return AxisHorizon(
         axis=axis,
         horizon=seconds,
         probability=probability,
-        white=_estimate(axis, "white", N),
-        walk=_estimate(axis, "walk", N / memory[chosen]),
+        white=_estimate(axis, "white", white),
+        walk=_estimate(axis, "walk", white / memory[chosen]),
         correlation_time=_estimate(axis, "time", time[chosen]) if process == "markov" else None,
         mismatch=math.sqrt(ratio[0]),
         bounding_white=bounding_N,
         bounding_walk=bounding_N / float(memory[bounding]),
         bounding_time=float(time[bounding]),
-        raw_white=raw_N,
-        raw_walk=raw_K,
+        raw_white=N,
+        raw_walk=K,
         time=steps / rate,
         error=np.sqrt(mean[chosen[0]]),
         raw_error=np.sqrt(mean[-1]),
         raw_prediction=raw_size * np.sqrt(unit[-1]),
         bound=bounding_N * np.sqrt(unit[bounding]),
-        shares=_shares(sets, [V[:, chosen[0], -1] for V in each]),
+        shares=_shares((s, V[:k, chosen[0], -1]) for s, V, k in detected),
         sets=len(sets),
     )
 
@@ -602,30 +543,28 @@ def _of_axis(
 def _pairs(
     N: float, K: float, model: Model, seconds: float, process: Process, rate: float, record: float
 ) -> Float[np.ndarray, "g 2"]:
-    """Memory and correlation time [s] of the filters that are compared, and of that of the raw coefficients."""
+    """Memory and correlation time [s] of filters that are compared, and at last those of N and K."""
     shortest, own = 2.0 / rate, [term for term in model.terms if isinstance(term, Markov)]
-    count, drives, times = _MEMORIES, [K], [math.inf]
+    count, drives, times = _MEMORIES, [K], np.array([math.inf])
     if process == "markov":
         count, drives = _MARKOV_MEMORIES, [K, *(float(term.amplitude) for term in own)]
         # A process that returns sooner is white noise for a filter up to the horizon.
         grid = np.geomspace(max(seconds / 100.0, shortest), record, _TIMES)
         times = np.unique(np.clip([*grid, *(float(t.correlation_time) for t in own)], shortest, record))
     memories = [*np.geomspace(shortest, record, count), *(N / q for q in drives if q > 0.0)]
-    memory = np.unique(np.clip(memories, shortest, record))
-    compared = np.stack(np.meshgrid(memory, times, indexing="ij"), axis=-1).reshape(-1, 2)
+    compared = np.meshgrid(np.unique(np.clip(memories, shortest, record)), times, indexing="ij")
     raw = np.clip(N / K if K > 0.0 else record, shortest, record)
-    return np.concatenate([compared, [[raw, math.inf]]])
+    return np.append(np.reshape(compared, (2, -1)).T, [[raw, math.inf]], axis=0)
 
 
-def _shares(sets: Sequence[Likely], each: Sequence[Float[np.ndarray, " terms"]]) -> dict[str, float]:
-    """Shares of the detected terms in the mean variance, the largest first, given those of unit terms."""
-    total: dict[str, float] = {}
-    for likely, variance in zip(sets, each, strict=True):
-        detected = likely.labels[: len(variance) - likely.limited]
-        for label, part in zip(detected, likely.power.sum(axis=0) * variance, strict=False):
-            total[label] = total.get(label, 0.0) + float(part)
-    overall = sum(total.values())
-    return {label: part / overall for label, part in sorted(total.items(), key=lambda item: -item[1])}
+def _shares(parts: Iterable[tuple[Likely, Float[np.ndarray, " detected"]]]) -> dict[str, float]:
+    """Shares of terms in the mean variance, the largest first, given the variances of detected unit terms."""
+    total: Counter[str] = Counter()
+    for likely, variance in parts:
+        count = len(variance)
+        mean = likely.power[:, :count].sum(axis=0) * variance
+        total.update(dict(zip(likely.labels[:count], mean.tolist(), strict=True)))
+    return {label: part / total.total() for label, part in total.most_common()}
 
 
 def _estimate(axis: Axis, name: str, values: Float[np.ndarray, " draws+1"]) -> Estimate:
