@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
@@ -162,15 +162,8 @@ def _rough_fit(
         (power,), _ = power_fits(level, shape * used, rough, columns[None], power[None], steps=_STEPS)
         mean = power @ columns
     chi2 = chi_squared((level / mean)[used], 2.0 * shape[used])
-    F, present = information(columns, mean, shape * used), power > 0.0
-    std = np.array([_beside(F, present, k) for k in range(len(F))])
+    std = bounds(information(columns, mean, shape * used), power > 0.0)
     return power, std, bool(chi2 <= beyond_doubt(np.asarray(max(used.sum() - 3.0, 1.0))))
-
-
-def _beside(F: Float[np.ndarray, "terms terms"], present: Bool[np.ndarray, " terms"], k: int) -> float:
-    """Bound of the standard deviation of one power if only terms that are present are unknown besides."""
-    own = present | (np.arange(len(F)) == k)
-    return float(bounds(F[np.ix_(own, own)])[own[:k].sum()])
 
 
 def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate:
@@ -193,13 +186,7 @@ def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate
 
 
 class Densities(NamedTuple):
-    """Densities of terms of unit power at frequencies that suffice for records of any length.
-
-    Attributes:
-        rate: sample rate [Hz].
-        frequency: logarithms of the frequencies.
-        density: logarithms of the densities.
-    """
+    """Logarithms of densities of terms of unit power and of frequencies that suffice for any length."""
 
     rate: float
     frequency: Float[np.ndarray, " m"]
@@ -219,8 +206,8 @@ class Densities(NamedTuple):
         bins = Bins.of(round(seconds * self.rate), self.rate, per_octave=_PER_OCTAVE)
         at = np.log(bins.frequency)
         unit = np.exp([np.interp(at, self.frequency, density) for density in self.density])
-        F = information(unit, power @ unit, bins.size / 2.0)
-        return _beside(F, power > 0.0, k) / (2.0 * power[k])
+        std = bounds(information(unit, power @ unit, bins.size / 2.0), power > 0.0)
+        return float(std[k] / (2.0 * power[k]))
 
     def length_for(self, power: Float[np.ndarray, " terms"], k: int, target: float) -> float | None:
         """Length [s] at which that bound is `target`; None if it is more than `LONGEST`."""
