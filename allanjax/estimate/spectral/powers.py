@@ -68,8 +68,13 @@ def information(
     return (relative * shape) @ relative.T
 
 
-def bounds(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, " p"]:
-    """Cramér–Rao bounds of standard deviations: the roots of the diagonal of the inverse information."""
-    size = np.sqrt(np.diag(information))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    return np.sqrt((vectors**2 / np.maximum(values, 1e-12)).sum(axis=1)) / size
+def bounds(information: Float[np.ndarray, "p p"], present: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+    """Cramér–Rao bound of the standard deviation of each power, if only it and those present are unknown."""
+    found = np.empty(len(present))
+    for k in range(len(present)):
+        own = present | (np.arange(len(present)) == k)
+        F, at = information[np.ix_(own, own)], own[:k].sum()
+        size = np.sqrt(np.diag(F))
+        values, vectors = np.linalg.eigh(F / np.outer(size, size))
+        found[k] = np.sqrt((vectors[at] ** 2 / np.maximum(values, 1e-12)).sum()) / size[at]
+    return found
