@@ -318,7 +318,7 @@ class AxisSampler:
         random: np.random.RandomState,
     ) -> dict[str, Estimate]:
         """Marginals of all parameters by label, from the draws of those sampled, in SI and in coordinates."""
-        parameters, axis = target.likelihood.parameters, self.fit.results[0].axis
+        parameters = target.likelihood.parameters
         by_index = dict(zip(target.sampled.tolist(), draws.T, strict=True))
         evidence = {i: bayes_factor(target, i, x) for i, x in by_index.items() if target.amplitude[i]}
         detected = {parameters[i].term: factor < _DETECTED for i, factor in evidence.items()}

@@ -57,6 +57,11 @@ class ExpectedLevels:
         self._free: list[dict[str, int]] = [{} for _ in range(len(model) + 1)]
         for k, p in shapes:
             self._free[p.term][p.parameter.name] = k
+        # Attributes of modules are slow.
+        owners: list[Any] = [*model.terms, *filter(None, [model.response])]
+        self._held = [{p.name: getattr(owner, p.name) for p in owner.parameters()} for owner in owners]
+        self._is_markov = [isinstance(term, Markov) for term in model.terms]
+        self._inside, self._response = model.inside, self._model.response
         fixed = [k for k in range(len(model)) if not self._free[k]]
         columns = columns_of([model.terms[k] for k in fixed], bins)
         self._columns = dict(zip(fixed, columns, strict=True))
@@ -81,25 +86,22 @@ class ExpectedLevels:
 
     def _evaluated(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b terms m"]:
         others = {} if self._others is None else self._others(values)
-        passed = None if self._model.response is None else self._passed(values)
+        passed = None if self._response is None else self._passed(values)
         rows = []
-        for k in range(len(self._model)):
+        for k in range(len(self._is_markov)):
             row = self._columns.get(k, others.get(k))
             row = self._slot(k, values) if row is None else row
-            row = row * passed if passed is not None and self._model.inside[k] else row
+            row = row * passed if passed is not None and self._inside[k] else row
             rows.append(np.broadcast_to(np.mean(row, axis=-2), (len(values), row.shape[-1])))
         return np.stack(rows, axis=1)
 
     def _at(self, k: int, values: Float[np.ndarray, "b parameters"]) -> dict[str, Any]:
         """Shapes of a term, or of the response after all terms, by name, [b, 1, 1] or a number."""
-        owner = self._model.terms[k] if k < len(self._model) else self._model.response
-        held = {p.name: getattr(owner, p.name) for p in owner.parameters()}
-        return held | {name: values[:, at, None, None] for name, at in self._free[k].items()}
+        return self._held[k] | {name: values[:, at, None, None] for name, at in self._free[k].items()}
 
     def _passed(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b 2 m"]:
         """Power response at the nodes, with what the record's ends add to white noise after it."""
-        response: Any = self._model.response
-        response = response.replace(**self._at(len(self._model), values))
+        response: Any = self._response.replace(**self._at(len(self._is_markov), values))
         power = response.power(self._angle * self._rate / (2.0 * np.pi), self._rate)
         n, M = self._length, self._interval
         if isinstance(response, MovingAverage):
@@ -113,6 +115,8 @@ class ExpectedLevels:
             return power + np.where(M == 1.0, -2.0 / n * np.tensordot(r, self._lags, 1), 0.0)
         s = np.sin(self._angle * M / 2.0) ** 2
         w, c = (x.reshape(*x.shape, *(1,) * (4 - x.ndim)) for x in response.poles(self._rate))
+        if not np.any(w.imag):
+            w, c = w.real, c.real
         last = w**M
         y = 1.0 - last
         first = c * w * (y / (M * (1.0 - w))) ** 2
@@ -126,7 +130,7 @@ class ExpectedLevels:
     def _slot(self, k: int, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b 2 m"]:
         """Expected squares at the nodes of a Gauss–Markov process or a resonance, see `components`."""
         at, M = self._at(k, values), self._interval
-        if isinstance(self._model.terms[k], Markov):
+        if self._is_markov[k]:
             time = at["correlation_time"]
             pole, weight = -1.0 / (self._rate * time), time / 2.0
             r_0, r_1 = averaged_lags(-pole * M)
