@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from allanjax.base.normal import TWO_SIDED_95
@@ -129,7 +128,7 @@ def critique_figures(
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
         for name, figure in named.items():
-            draw.save(figure, Path(path) / name)
+            draw.saved(figure, Path(path) / name)
     return named
 
 
@@ -183,7 +182,7 @@ def _panels(
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
-    For a finding that is the empty one for its effect, beside the description.
+    For a finding that is the empty one for its effect, with the description beside it.
     """
     key = []
     for stage in stages:
@@ -197,14 +196,11 @@ def _panels(
         sheet = dataclasses.replace(sheet, bottom=below)
     name = f"{critique.name}, {title}" if critique.name else title
     heading = Heading(name, draw.facts_of(record.n, critique.rate), key)
-    figure, panels = sheet.draw(heading, [2, 2] if finding else [2], Figure)
-    FigureCanvasAgg(figure)
+    figure, panels = sheet.draw(heading, [2, 1] if finding else [2], None, single=False)
     _draw_curves(panels[0], stages, record.axis)
     if finding is not None:
-        text = panels[1][1]
-        text.set_axis_off()
-        look: dict[str, Any] = {"va": "top", "transform": text.transAxes, "linespacing": 1.35}
-        text.text(0.0, 1.0, draw.literal("\n".join(lines)), **look)
+        left, top = panels[0][1].get_position().x0, panels[1][0].get_position().y1
+        figure.text(left, top, draw.literal("\n".join(lines)), va="top", linespacing=1.35)
     return figure, panels[-1][0]
 
 
