@@ -310,7 +310,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
     name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
     panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **draw.dots())
-    some = np.arange(before.n)[:: max(before.n // 5000, 1)]
+    some = draw.extremes(effect)
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
     quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
     _finish(panel, draw.label_in(f"{quantity} − mean", unit))

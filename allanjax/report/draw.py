@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
 from allanjax.base import tables
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 # Okabe and Ito's colours, for the colour-blind; the dashes distinguish terms in black and white.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9")
@@ -115,7 +114,7 @@ class Points:
         ends = np.stack([self.y - self.spread[0], self.y + self.spread[1]])
         segments = np.stack([np.broadcast_to(self.x, ends.shape), ends], axis=-1).swapaxes(0, 1)
         # `errorbar` would transform each bar by itself to find limits.
-        bars = LineCollection(segments, colors=line.get_color(), linewidths=0.8, zorder=3)
+        bars = LineCollection(list(segments), colors=line.get_color(), linewidths=0.8, zorder=3)
         panel.add_collection(bars, autolim=False)
         panel.add_container(ErrorbarContainer((line, (), (bars,)), has_yerr=True, label=self.label))
 
@@ -195,7 +194,7 @@ def saved(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
         # The font may lack some of the characters.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         # As small as at Pillow's own level, in half of the time.
-        options = {} if suffix in ("svg", "pdf") else {"pil_kwargs": {"compress_level": 3}}
+        options: dict[str, Any] = {} if suffix in ("svg", "pdf") else {"pil_kwargs": {"compress_level": 3}}
         figure.savefig(path, dpi=130, **options)
     return figure
 
@@ -302,7 +301,7 @@ class Sheet:
         return figure, [[figure.add_axes((x, y, *size)) for x in lefts[:count]] for y, count in pairs]
 
 
-def line_entry(x: Any = (), y: Any = (), **look: Any) -> Line2D:
+def line_entry(x: Any = (), y: Any = (), **look: Any) -> Artist:
     """Line or marks of this style: without points an entry of a figure's key, which has a label."""
     from matplotlib.lines import Line2D
 
@@ -366,6 +365,14 @@ def _set_log(panel: Axes, letter: str, axis: Any) -> None:
     look: dict[str, Any] = {"marker": marker, "markersize": 2.0, "markeredgewidth": 0.6, "linestyle": "none"}
     look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
     panel.add_artist(line_entry(*data, color=ink(), label="_marks", **look))
+
+
+def extremes(y: Float[np.ndarray, " n"], most: int = 4000) -> Int[np.ndarray, " m"]:
+    """Indices of the points that a long curve is drawn through: the ends of the range of each stretch."""
+    stretch = -(-len(y) // most)
+    parts = np.pad(y, (0, -len(y) % stretch), mode="edge").reshape(-1, stretch)
+    ends = np.arange(len(parts)) * stretch + [parts.argmin(axis=1), parts.argmax(axis=1)]
+    return np.unique(np.minimum([*ends.ravel(), 0, len(y)], len(y) - 1))
 
 
 def mark_off_scale(panel: Axes, x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"], colour: Any) -> None:
@@ -668,18 +675,15 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
 
 def _draw_key(panel: Axes, apart: float, entries: Sequence[KeyEntry]) -> None:
     """Write the key so far below a panel [inches], each entry with its curve."""
-    from matplotlib.transforms import ScaledTranslation
-
-    figure, box = panel.figure, panel.get_position()
-    # In inches from the key's upper left corner.
-    corner = ScaledTranslation(box.x0, box.y0, figure.transFigure)
-    inches = figure.dpi_scale_trans + corner
-    y = -apart
+    figure, inches = panel.figure, panel.figure.dpi_scale_trans
+    x, y = inches.inverted().transform(panel.bbox.p0) - (0.0, apart)
     for entry in entries:
         if entry.style is not None:
-            figure.add_artist(line_entry([0.0, 0.32], [y - _LINE / 2.0] * 2, transform=inches, **entry.style))
+            figure.add_artist(
+                line_entry([x, x + 0.32], [y - _LINE / 2.0] * 2, transform=inches, **entry.style)
+            )
         colour = entry.colour or ink(0.4 if entry.style is None else 0.0)
         lines = entry.lines()
         look: dict[str, Any] = {"va": "top", "linespacing": 1.25, "fontsize": FONT_SIZE - 0.5}
-        figure.text(0.42, y, literal("\n".join(lines)), color=colour, transform=inches, **look)
+        figure.text(x + 0.42, y, literal("\n".join(lines)), color=colour, transform=inches, **look)
         y -= _LINE * len(lines)

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 _RESIDUALS_PER_OCTAVE = 4
 _CORRELATIONS = Sheet(3.4, 2.2, left=1.1)
 _OCTAVES = Sheet(5.6, 0.8, between=0.12, left=1.6)
-# More samples than this are drawn as the range of each of so many stretches.
-_DRAWN = 4000
 
 
 def plot_psd(
@@ -256,16 +254,18 @@ def plot_autocorrelation(
 def _draw_correlation(panel: Axes, result: Autocorrelation, k: int) -> None:
     unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
     value, error = result.value[:, k] / scale, result.standard_error[:, k] / scale
+    some = draw.extremes(value)
+    lag, value, error = result.lag[some], value[some], error[some]
     if np.isfinite(error).all():
         band: dict[str, Any] = {"color": draw.ink(0.85), "linewidth": 0.0, "label": "95 % under the model"}
-        panel.fill_between(result.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
-    panel.plot(result.lag, value, color=draw.ink(0.3), linewidth=1.0, label="estimate")
+        panel.fill_between(lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
+    panel.plot(lag, value, color=draw.ink(0.3), linewidth=1.0, label="estimate")
     below = np.flatnonzero(math.e * value < value[0])
     if below.size:
         dotted: dict[str, Any] = {"color": draw.ink(0.5), "linewidth": 0.8, "linestyle": ":"}
         panel.axhline(value[0] / math.e, **dotted)
-        panel.axvline(result.lag[below[0]], **dotted)
-    panel.set_xlim(-0.02 * result.lag[-1], result.lag[-1])
+        panel.axvline(lag[below[0]], **dotted)
+    panel.set_xlim(-0.02 * lag[-1], lag[-1])
     panel.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
     draw.dress(panel, x="lag [s]", y=draw.label_in("autocorrelation", unit))
 
@@ -299,8 +299,7 @@ def plot_decomposition(
 ) -> Figure:
     """Draw an axis as measured, its details and the last approximation, one below the other, over time.
 
-    As figure 3.6 of Hou (2004), with what was taken out between. Long records are drawn as the range of each
-    of some thousand stretches.
+    As figure 3.6 of Hou (2004), with what was taken out between.
 
     Args:
         decomposition: what `wavelet_decomposition` returns.
@@ -328,22 +327,13 @@ def plot_decomposition(
         figure, panels = _OCTAVES.draw(heading, [1] * len(parts), path)
         for row, ((label, part), (panel,)) in enumerate(zip(parts, panels, strict=True)):
             draw.dress(panel)
-            _draw_range(panel, part.values[:, k] / scale, recording.rate, row in (0, len(parts) - 1))
+            y = part.values[:, k] / scale
+            some = draw.extremes(y)
+            colour = draw.ink(0.3) if row in (0, len(parts) - 1) else draw.COLOURS[0]
+            panel.plot(some / recording.rate, y[some], color=colour, linewidth=0.7)
             panel.set_ylabel(label, rotation=0, ha="right", va="center")
             panel.yaxis.set_label_coords(-0.11, 0.5)
             panel.set_xlim(0.0, recording.n / recording.rate)
             panel.tick_params(labelbottom=row == len(parts) - 1)
         panel.set_xlabel(draw.TIME)
         return draw.saved(figure, path)
-
-
-def _draw_range(panel: Axes, x: Any, rate: float, measured: bool) -> None:
-    """Draw samples over time, of a long record the range of each stretch."""
-    colour = draw.ink(0.3) if measured else draw.COLOURS[0]
-    if len(x) <= _DRAWN:
-        panel.plot(np.arange(len(x)) / rate, x, color=colour, linewidth=0.7)
-        return
-    stretch = -(-len(x) // _DRAWN)
-    starts = np.arange(0, len(x), stretch)
-    low, high = np.minimum.reduceat(x, starts), np.maximum.reduceat(x, starts)
-    panel.fill_between((starts + stretch / 2.0) / rate, low, high, color=colour, linewidth=0.4)

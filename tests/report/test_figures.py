@@ -10,6 +10,8 @@ import pytest
 from altered_fits import with_terms, without_result
 from figures import check_texts_apart, lines_of, panels, points_of, strip_of, texts
 from matplotlib import pyplot as plt
+from matplotlib.axis import Tick
+from matplotlib.figure import Figure
 from refusals import refuses
 from scipy.stats import chi2
 
@@ -284,6 +286,31 @@ def test_figures_do_not_pile_up_and_one_is_rendered(tmp_path):
     refuses(".gif", fit.plot, path=tmp_path / "a.gif")
 
 
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_a_picture_is_drawn_once_in_fixed_places_with_few_ticks(suffix, tmp_path, monkeypatch):
+    """Layout and ticks are most of it: a decade has one tick, and the marks at 2 and 5 are one line."""
+    figures, ticks, fit = [], [], bench.fit("small")
+
+    def count(kind, method, counted):
+        original = getattr(kind, method)
+        monkeypatch.setattr(kind, method, lambda of, *a, **k: (counted.append(of), original(of, *a, **k))[1])
+
+    monkeypatch.setattr(Figure, "savefig", getattr(Figure.savefig, "original", Figure.savefig))
+    count(Figure, "draw", figures)
+    count(Tick, "__init__", ticks)
+    spectrum, critique = of_small(aj.power_spectrum), bench.critique("lines")
+    drawn = [
+        fit.plot(path=tmp_path / f"a.{suffix}"),
+        aj.plot_psd(spectrum, fit, path=tmp_path / f"b.{suffix}"),
+    ]
+    drawn += [critique.plot(tmp_path, critique.findings[:1])[0]] if suffix == "png" else []
+    assert figures == drawn
+    assert [figure.get_layout_engine() for figure in drawn] == [None] * len(drawn)
+    assert len(ticks) < 10 * sum(2 * len(figure.axes) for figure in drawn)
+    marks = lines_of(panels(drawn[0])["gyro_x"])["_marks"].get_xydata()
+    assert {float(f"{x / 10.0 ** np.floor(np.log10(x)):.6f}") for x in marks[marks > 0.0]} == {2.0, 5.0}
+
+
 @pytest.fixture(scope="module")
 def posterior():
     return bench.posterior("small", ("gyro_x", "accel_z"))
@@ -377,9 +404,12 @@ def test_an_autocorrelation_has_the_models_band_and_a_decomposition_a_panel_per_
     assert labels == ["measured", "level 5\n1.6–3.1 Hz", "level 6\n0.78–1.6 Hz", "below\n0.78 Hz"]
     parts = [found.recording, found.details(5), found.details(6), found.approximation(6)]
     for panel, part in zip(figure.axes, parts, strict=True):
-        ends = panel.collections[0].get_paths()[0].vertices[:, 1]
-        values = part.values[:, 2] / HOUR
-        assert [ends.min(), ends.max()] == pytest.approx([values.min(), values.max()])
+        (time, drawn), values = panel.get_lines()[0].get_data(), part.values[:, 2] / HOUR
+        np.testing.assert_array_equal(drawn, values[np.rint(100.0 * time).astype(int)])
+        # Each stretch of five samples has its least and its largest one.
+        ends = [end(values[:16_380].reshape(-1, 5), axis=1) for end in (np.min, np.max)]
+        assert len(drawn) < 8_500
+        assert np.isin(ends, drawn).all()
     refuses("gyro_w", found.plot, "gyro_w")
 
 
