@@ -8,7 +8,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -197,19 +197,6 @@ def saved(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
         options: dict[str, Any] = {} if suffix in ("svg", "pdf") else {"pil_kwargs": {"compress_level": 3}}
         figure.savefig(path, dpi=130, **options)
     return figure
-
-
-def check_single(ax: Axes | None, count: int) -> None:
-    """Raise AllanjaxError if so many panels are to be drawn into the caller's axes."""
-    if ax is not None and count > 1:
-        raise AllanjaxError('ax= takes a single axis: name it, e.g. axes="gyro_x"')
-
-
-def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
-    """Figure of the caller's axes, saved if there is a path; it is theirs to close."""
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    return saved(figure, path)
 
 
 def place_below(panel: Axes, height: float, apart: float = APART) -> Axes:
@@ -534,7 +521,7 @@ class Panel:
     Attributes:
         name: the axis's.
         label: of the vertical scale, the same along a row.
-        points: what was measured; the scales are made for it.
+        points: what was measured; logarithmic scales, the same along a row, are made for it.
         draw: draws all else into axes whose scales are set.
         key: entries of the key below.
         residual: None for an axis that has no result.
@@ -562,12 +549,14 @@ def draw_panels(
 
     A strip of residuals is below each panel if any axis has residuals.
     """
-    check_single(ax, sum(map(len, rows)))
+    if ax is not None and sum(map(len, rows)) > 1:
+        raise AllanjaxError('ax= takes a single axis: name it, e.g. axes="gyro_x"')
     with style():
         of_rows = [[panel_of(k) for k in row] for row in rows]
         if ax is not None:
             _draw_row(of_rows[0], [ax], [], x_label)
-            return figure_of(ax, path)
+            # The figure is the caller's to close.
+            return saved(cast("Figure", ax.get_figure(root=True)), path)
         every = [panel for row in of_rows for panel in row]
         lines = max(sum(len(entry.lines()) for entry in panel.key) for panel in every)
         strip = 0.0
@@ -578,7 +567,9 @@ def draw_panels(
         # From the panel to the key.
         apart = strip + APART * (strip > 0.0) + _X_LABEL
         below = apart + (_LINE * lines + _BELOW if lines else 0.0)
-        sheet = Sheet(_PANEL_WIDTH, 2.3, gap=0.25, between=below + _HEADING, left=0.85, bottom=below)
+        # Panels without points have scales of their own.
+        gap, left = (0.25, 0.85) if any(panel.points for panel in every) else (0.75, 1.1)
+        sheet = Sheet(_PANEL_WIDTH, 2.3, gap, between=below + _HEADING, left=left, bottom=below)
         figure, places = sheet.draw(heading, [len(row) for row in rows], path)
         for row, panels in zip(of_rows, places, strict=True):
             strips = [place_below(axes, strip) for axes in panels] if strip else []
@@ -659,7 +650,14 @@ def _round(x: float) -> float:
 
 
 def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
-    """Set the same scales along a row, so that axes compare; terms far below the points leave the panel."""
+    """Set the same scales along a row, so that axes compare; terms far below the points leave the panel.
+
+    Panels without points set their own.
+    """
+    if not any(panel.points for panel in row):
+        for axes in panels:
+            dress(axes)
+        return
     x, y = (
         np.concatenate(of) for of in zip(*((p.x, p.y) for panel in row for p in panel.points), strict=True)
     )

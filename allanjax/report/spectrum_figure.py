@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4
-_CORRELATIONS = Sheet(3.4, 2.2, left=1.1)
 _OCTAVES = Sheet(5.6, 0.8, between=0.12, left=1.6)
 
 
@@ -235,24 +234,20 @@ def plot_autocorrelation(
     lag zero over e, and the lag at which the curve comes there.
     """
     rows = draw.rows_of(result.names, result.axes, axes)
-    draw.check_single(ax, sum(map(len, rows)))
-    if ax is not None:
-        _draw_correlation(ax, result, rows[0][0])
-        return draw.figure_of(ax, path)
-    with draw.style():
-        heading = Heading("Autocorrelation", draw.facts_of(result.n, result.rate))
-        figure, panels = _CORRELATIONS.draw(heading, [len(row) for row in rows], path)
-        for row, axes_of in zip(rows, panels, strict=True):
-            for k, panel in zip(row, axes_of, strict=True):
-                _draw_correlation(panel, result, k)
-                panel.set_title(result.names[k], loc="left", fontweight="bold")
-                if panel is not axes_of[0]:
-                    panel.set_ylabel("")
-        return draw.saved(figure, path)
+    heading = Heading("Autocorrelation", draw.facts_of(result.n, result.rate))
+
+    def panel(k: int) -> Panel:
+        unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+        label, fill = (
+            draw.label_in("autocorrelation", unit),
+            functools.partial(_draw_correlation, result, k, scale),
+        )
+        return Panel(result.names[k], label, (), fill, ())
+
+    return draw.draw_panels(heading, "lag [s]", rows, panel, path, ax)
 
 
-def _draw_correlation(panel: Axes, result: Autocorrelation, k: int) -> None:
-    unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+def _draw_correlation(result: Autocorrelation, k: int, scale: float, panel: Axes) -> None:
     value, error = result.value[:, k] / scale, result.standard_error[:, k] / scale
     some = draw.extremes(value)
     lag, value, error = result.lag[some], value[some], error[some]
@@ -267,7 +262,6 @@ def _draw_correlation(panel: Axes, result: Autocorrelation, k: int) -> None:
         panel.axvline(lag[below[0]], **dotted)
     panel.set_xlim(-0.02 * lag[-1], lag[-1])
     panel.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
-    draw.dress(panel, x="lag [s]", y=draw.label_in("autocorrelation", unit))
 
 
 def plot_wavelet_variance(
