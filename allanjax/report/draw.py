@@ -345,13 +345,18 @@ def _set_log(panel: Axes, letter: str, axis: Any) -> None:
     from matplotlib.ticker import NullLocator
 
     panel.set(**{f"{letter}scale": "log"})
+    setattr(panel, f"fmt_{letter}data", "{:.4g}".format)
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(lambda value, _: f"10{superscript(round(np.log10(value)))}")
+    axis.set_major_formatter(_power_of_ten)
     at, edge = _BETWEEN, np.zeros(len(_BETWEEN))
     data, marker = ((at, edge), 2) if letter == "x" else ((edge, at), 1)
     look: dict[str, Any] = {"marker": marker, "markersize": 2.0, "markeredgewidth": 0.6, "linestyle": "none"}
     look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
     panel.add_artist(line_entry(*data, color=ink(), label="_marks", **look))
+
+
+def _power_of_ten(value: float, _: int | None) -> str:
+    return f"10{superscript(round(np.log10(value)))}"
 
 
 def extremes(y: Float[np.ndarray, " n"], most: int = 4000) -> Int[np.ndarray, " m"]:
