@@ -244,8 +244,8 @@ class AllanCovariance(eqx.Module):
         coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
 
         def of_pair(u: Array, offset: Array) -> Array:
-            G = term.phase_covariance(jnp.abs(u + offset[:, None]) * self.sample_interval)
-            return jnp.sum(coefficient[:, None] * G, axis=0)
+            # A row for each lag: the constants of G are those of a row.
+            return term.phase_covariance(jnp.abs(u[:, None] + offset) * self.sample_interval) @ coefficient
 
         return jax.vmap(of_pair, in_axes=1, out_axes=1)(jnp.asarray(self.lags), offsets)
 

@@ -101,7 +101,12 @@ def power_of(largest: float) -> int:
 
 def times_ten(power: int) -> str:
     """Power of ten as it stands after a number, e.g. "×10⁻⁵"; "" for the power 0."""
-    return f"×10{str(power).translate(_SUPERSCRIPT)}" if power else ""
+    return f"×10{superscript(power)}" if power else ""
+
+
+def superscript(power: int) -> str:
+    """Whole number as an exponent, e.g. "⁻⁵"."""
+    return str(power).translate(_SUPERSCRIPT)
 
 
 def fixed(x: float, decimals: int) -> str:

@@ -47,16 +47,16 @@ def gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]
 
 
 def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array, ...]:
-    """Value of `small(x)` if all of x is below one in magnitude, else of `large(x)`.
+    """Value of `small(x)` where all of x along its last axis is below one in magnitude, else of `large(x)`.
 
     The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
-    survive the second difference, far out it would dominate them; so the whole call takes one side.
+    survive the second difference, far out it would dominate them; so all of a row takes one side.
     """
     xp = namespace(x)
-    is_small = xp.max(xp.abs(x)) < 1.0
-    if xp is np:
-        return small(x) if is_small else large(x)
-    return jnp.where(is_small, small(jnp.where(is_small, x, jnp.zeros_like(x))), large(x))
+    is_small = xp.max(xp.abs(xp.atleast_1d(x)), axis=-1, keepdims=x.ndim > 0) < 1.0
+    if xp is np and is_small.all():
+        return small(x)
+    return xp.where(is_small, small(xp.where(is_small, x, 0.0)), large(x))
 
 
 def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> Float[Array, ""]:
@@ -117,7 +117,7 @@ def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Floa
 
 
 def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
-    """Remainder e^z − 1 − z, up to a multiple of z² common to the call (see `in_gauge`); real or complex."""
+    """Remainder e^z − 1 − z, up to a multiple of z² common to a row (see `in_gauge`); real or complex."""
 
     xp = namespace(z)
 

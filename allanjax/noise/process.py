@@ -52,7 +52,7 @@ class Process(eqx.Module):
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
 
-        Known up to c0 + c1·t²; different calls may differ in these two constants.
+        Known up to c0 + c1·t², two constants that the lags along the last axis of a call have in common.
         """
         raise NotImplementedError(f"{type(self).__name__} does not define phase_covariance(lag)")
 
@@ -129,16 +129,8 @@ class Process(eqx.Module):
         """Weighted sum of G at 0, 1, … cluster times, over divisor·T²."""
         xp = namespace(self, cluster_time)
         T = xp.asarray(cluster_time, float)
-        G, steps, w = self.phase_covariance, xp.arange(len(weights)), xp.asarray(weights)
-
-        def at(t: Float[Array, ""]) -> Float[Array, ""]:
-            # A call a cluster time, since G is known up to a multiple of t² that each call may choose.
-            return G(steps * t) @ w / (divisor * t**2)
-
-        # A term of the user's own may be JAX's only.
-        if xp is np and T.size and not isinstance(at(T.flat[0]), jax.Array):
-            return xp.array([at(t) for t in T.flat]).reshape(T.shape)
-        return jax.vmap(at)(T.ravel()).reshape(T.shape)
+        G = self.phase_covariance(T[..., None] * xp.arange(len(weights)))
+        return G @ xp.asarray(weights) / (divisor * T**2)
 
 
 def numbers_as_data(processes: tuple[Process, ...]) -> tuple[Process, ...]:

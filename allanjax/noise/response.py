@@ -434,9 +434,10 @@ class MovingAverage(Response):
         count = LONGEST if xp is jnp else math.ceil(samples)
         d = np.arange(1 - count, count)
         weight = xp.maximum(samples - abs(d), 0.0)
-        # One call, since G is known up to a multiple of lag² that is common to a call.
-        moved = process.phase_covariance(abs(xp.asarray(lag)[..., None] + d / rate))
-        return moved @ weight / xp.sum(weight)
+        moved = abs(xp.asarray(lag)[..., None] + d / rate)
+        # In one row, since G is known up to a multiple of lag² that lags of a row have in common.
+        rows = moved.reshape(*moved.shape[:-2], -1)
+        return process.phase_covariance(rows).reshape(moved.shape) @ weight / xp.sum(weight)
 
     @property
     def ahead(self) -> int:

@@ -22,7 +22,7 @@ from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import Sensor
 from allanjax.report import draw
-from allanjax.report.draw import Frame, KeyEntry, Panel, Points, Residual
+from allanjax.report.draw import Heading, KeyEntry, Panel, Points, Residual
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,20 +71,18 @@ def plot_allan(
     if not isinstance(data, Fit | AllanDeviation | Recording) and isinstance(data, Sequence):
         return _plot_several(data, axes, path, labels, ax)
     if isinstance(data, DataSheet):
-        frame = Frame(data.name, "from its data sheet", draw.CLUSTER_TIME, True, False, has_points=False)
+        heading = Heading(data.name, "from its data sheet", [draw.model_entry()])
         sheet, sensors = data, [*data.models]
         rows = [[k] for k in draw.rows_of(sensors, None, axes)[0]]
-        return frame.draw(rows, lambda k: _panel_of_sheet(sheet, sensors[k]), path, ax)
+        panel_of = lambda k: _panel_of_sheet(sheet, sensors[k])  # noqa: E731
+        return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, panel_of, path, ax)
     if labels is not None:
         raise AllanjaxError("labels= names several curves: give them as a list, or leave it out")
     fit, curve = _fit_and_curve(data)
-    title = fit.name if fit is not None and fit.name else _kind_of(curve)
-    has_fit = fit is not None
     facts = draw.facts_of(curve.n, curve.rate) + curve.describe_others()
-    facts += draw.absent_axes(fit) if axes is None else ""
-    frame = Frame(title, facts, draw.CLUSTER_TIME, has_fit, has_fit)
+    heading = draw.heading_of(fit, _kind_of(curve), facts, axes)
     rows = draw.rows_of(curve.names, curve.axes, axes)
-    return frame.draw(rows, lambda k: _panel(curve, fit, k), path, ax)
+    return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, lambda k: _panel(curve, fit, k), path, ax)
 
 
 def plot_sample_rates(
@@ -158,16 +156,16 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
     """Draw the model and its terms; returns the lines of the terms by their labels, and the model's."""
     time = _times_to_draw(fit.curve)
-    total = np.zeros(len(time))
+    total, styles = np.zeros(len(time)), draw.term_styles(fit, result)
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
         if isinstance(term, Transient):
             continue
         variance = np.asarray(term.allan_variance(time))
         total += variance
-        if label in draw.drawn_terms(result):
+        if label in styles:
             y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
-            (lines[label],) = panel.plot(time, y, label=name, **draw.term_style(fit, result, label))
+            (lines[label],) = panel.plot(time, y, label=name, **styles[label])
     return lines, panel.plot(time, np.sqrt(total) / scale, **draw.model_line())[0]
 
 
@@ -190,9 +188,7 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     time = _TIMES_OF_SHEET
     curves = [np.sqrt(np.asarray(term.allan_variance(time))) / scale for term in model.terms]
     total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"marker": "none"}
-    styles = [
-        {"color": draw.COLOURS[k], "linestyle": draw.DASHES[k], "linewidth": 1.3} for k in range(len(curves))
-    ]
+    styles = [draw.line_style(k, 1.3) for k in range(len(curves))]
 
     def fill(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
@@ -254,11 +250,14 @@ def _plot_several(
     if of_curves and len(of_curves) < len(known):
         raise AllanjaxError("some curves are of arrays without a unit: draw them separately")
     names, of_axes = list(known), [*known.items()]
-    facts = _facts_of_several([c.curve for c in curves])
-    has_model = any(c.fit is not None for c in curves)
-    frame = Frame(_kind_of(curves[0].curve), facts, draw.CLUSTER_TIME, has_model, has_strip=False)
+    key = [draw.measured_entry(), *([draw.model_entry()] if any(c.fit for c in curves) else [])]
+    heading = Heading(_kind_of(curves[0].curve), _facts_of_several([c.curve for c in curves]), key)
     rows = draw.rows_of(names, of_curves or None, axes)
-    return frame.draw(rows, lambda k: _panel_of_several(curves, *of_axes[k], ax is not None), path, ax)
+
+    def panel(k: int) -> Panel:
+        return _panel_of_several(curves, *of_axes[k], ax is not None)
+
+    return draw.draw_panels(heading, draw.CLUSTER_TIME, rows, panel, path, ax)
 
 
 def _facts_of_several(curves: Sequence[AllanDeviation]) -> str:

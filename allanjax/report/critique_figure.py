@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Int
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from allanjax.base.normal import TWO_SIDED_95
@@ -23,7 +22,7 @@ from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import values_of
-from allanjax.critic.result import AxisCritique, Critique
+from allanjax.critic.result import Critique
 from allanjax.record.recording import Axis
 from allanjax.report import draw
 from allanjax.report.critique_story import (
@@ -118,18 +117,15 @@ def critique_figures(
     jobs = _jobs(critique, findings)
     figures: dict[str, Figure] = {}
     with draw.style():
+        record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique))
         # Axis by axis, since the curves of an axis are used again.
-        for name in critique.axes:
-            axis = critique[name]
-            record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique, axis))
-            for job in jobs:
-                if job.axis == name:
-                    figures[job.name] = _draw(critique, axis, job.finding, record)
+        for job in sorted(jobs, key=lambda job: critique.axes.index(job.axis)):
+            figures[job.name] = _draw(critique, job, record)
     named = {f"{job.name}.{suffix}": figures[job.name] for job in jobs}
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
         for name, figure in named.items():
-            draw.save(figure, Path(path) / name)
+            draw.saved(figure, Path(path) / name)
     return named
 
 
@@ -147,26 +143,25 @@ class _Stage(NamedTuple):
         return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
-def _record(critique: Critique, axis: AxisCritique, stage: int) -> StageResiduals:
+def _record(critique: Critique, axis: str, stage: int) -> StageResiduals:
     """Residuals of an axis at a stage."""
-    return StageResiduals(axis.axis, 1.0, critique.rate, axis.stages[stage])
+    return StageResiduals(critique[axis].axis, 1.0, critique.rate, critique[axis].stages[stage])
 
 
-def _draw(
-    critique: Critique, axis: AxisCritique, finding: Finding | None, record: Callable[[int], StageResiduals]
-) -> Figure:
-    """Figure of a finding, or of an axis without; `record` gives the axis at a stage."""
+def _draw(critique: Critique, job: _Job, record: Callable[[str, int], StageResiduals]) -> Figure:
+    """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
+    finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, f"{axis.axis.name}: no finding", [_Stage(record(0))])[0]
+        return _panels(critique, f"{job.axis}: no finding", [_Stage(record(job.axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
-        records = [_record(critique, critique[name], -1) for name in finding.axes]
+        records = [_record(critique, name, -1) for name in finding.axes]
         figure, effect = _panels(critique, "", [_Stage(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in axis.findings)
     k = axis.findings.index(own)
-    before, after = record(k), record(min(k + 1, len(axis.stages) - 1))
+    before, after = (record(job.axis, min(stage, len(axis.stages) - 1)) for stage in (k, k + 1))
     stages = [_Stage(before)]
     if before is not after:
         stages = [_Stage(before, " before", _BEFORE), _Stage(after, " after", _AFTER, "s")]
@@ -183,7 +178,7 @@ def _panels(
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
-    For a finding that is the empty one for its effect, beside the description.
+    For a finding that is the empty one for its effect, with the description beside it.
     """
     key = []
     for stage in stages:
@@ -197,14 +192,11 @@ def _panels(
         sheet = dataclasses.replace(sheet, bottom=below)
     name = f"{critique.name}, {title}" if critique.name else title
     heading = Heading(name, draw.facts_of(record.n, critique.rate), key)
-    figure, panels = sheet.draw(heading, [2, 2] if finding else [2], Figure)
-    FigureCanvasAgg(figure)
+    figure, panels = sheet.draw(heading, [2, 1] if finding else [2], None, single=False)
     _draw_curves(panels[0], stages, record.axis)
     if finding is not None:
-        text = panels[1][1]
-        text.set_axis_off()
-        look: dict[str, Any] = {"va": "top", "transform": text.transAxes, "linespacing": 1.35}
-        text.text(0.0, 1.0, draw.literal("\n".join(lines)), **look)
+        left, top = panels[0][1].get_position().x0, panels[1][0].get_position().y1
+        figure.text(left, top, draw.literal("\n".join(lines)), va="top", linespacing=1.35)
     return figure, panels[-1][0]
 
 
@@ -314,7 +306,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
     name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
     panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **draw.dots())
-    some = np.arange(before.n)[:: max(before.n // 5000, 1)]
+    some = draw.extremes(effect)
     panel.plot(some / before.rate, effect[some], color=_BEFORE, linewidth=1.2, label="effect")
     quantity = "rate" if before.axis.sensor == "gyro" else "acceleration"
     _finish(panel, draw.label_in(f"{quantity} − mean", unit))

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import warnings
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from allanjax.allan.deviation import AllanDeviation, rate_unit
 from allanjax.base import tables
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import chi_squared, duration, plain, significant
+from allanjax.base.wording import chi_squared, duration, plain, significant, superscript
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.inspection.facts import why_no_measurement
 from allanjax.noise.estimate import Estimate, title_of
@@ -81,7 +81,7 @@ def model_line(label: str = "model") -> dict[str, Any]:
     return {"color": ink(), "linewidth": 1.4, "label": label, "zorder": 2.5}
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Points:
     """Measured values over x with error bars of these lengths below and above, in the unit shown."""
 
@@ -89,7 +89,7 @@ class Points:
     y: Float[np.ndarray, " m"]
     spread: Float[np.ndarray, "2 m"]
     label: str = "measured"
-    style: dict[str, Any] = field(default_factory=dict)
+    style: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -104,10 +104,19 @@ class Points:
         # Of few degrees of freedom, the interval may lie beside the estimate.
         return cls(x, y / scale, np.maximum(np.stack([y - lower, upper - y]), 0.0) / scale)
 
-    def draw(self, panel: Axes) -> None:
-        """Draw the points with their error bars."""
-        look = dots(2.6, label=self.label, zorder=3, elinewidth=0.8, **self.style)
-        panel.errorbar(self.x, self.y, self.spread, **look)
+    def draw(self, panel: Axes, size: float = 2.6) -> None:
+        """Draw the points with their error bars; the panel's limits are set."""
+        from matplotlib.collections import LineCollection
+        from matplotlib.container import ErrorbarContainer
+
+        look = dots(size, label=self.label, zorder=3, **self.style)
+        (line,) = panel.plot(self.x, self.y, **look)
+        ends = np.stack([self.y - self.spread[0], self.y + self.spread[1]])
+        segments = np.stack([np.broadcast_to(self.x, ends.shape), ends], axis=-1).swapaxes(0, 1)
+        # `errorbar` would transform each bar by itself to find limits.
+        bars = LineCollection(list(segments), colors=line.get_color(), linewidths=0.8, zorder=3)
+        panel.add_collection(bars, autolim=False)
+        panel.add_container(ErrorbarContainer((line, (), (bars,)), has_yerr=True, label=self.label))
 
 
 def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
@@ -132,7 +141,10 @@ def style() -> AbstractContextManager[None]:
     """Settings under which a figure is drawn."""
     import matplotlib
 
-    return matplotlib.rc_context({"font.size": FONT_SIZE, "axes.linewidth": 0.7, "text.usetex": False})
+    # With a place for titles, Matplotlib does not look for one.
+    return matplotlib.rc_context(
+        {"font.size": FONT_SIZE, "axes.linewidth": 0.7, "axes.titley": 1.0, "text.usetex": False}
+    )
 
 
 def literal(text: str) -> str:
@@ -140,66 +152,50 @@ def literal(text: str) -> str:
     return text.encode("utf-8", "replace").decode("utf-8").replace("$", r"\$")
 
 
-def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Save a figure as PNG, SVG or PDF by the path's suffix, whatever characters are in its names.
+def new_figure(size: tuple[float, float], path: str | os.PathLike[str] | None, single: bool) -> Figure:
+    """Empty figure of this size [inches], which pyplot knows only if it is to be shown, and is a single one.
+
+    So figures do not pile up in pyplot: it knows none that is saved and, where there are no windows, only the
+    last one, for `plt.savefig` and the like.
+    """
+    import matplotlib
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    backend = matplotlib.get_backend().lower()
+    # A notebook shows the figure returned; pyplot would show it twice.
+    if not single or "inline" in backend or (path is not None and not plt.isinteractive()):
+        figure = Figure(figsize=size)
+        FigureCanvasAgg(figure)
+        return figure
+    former = list(_waiting)
+    _waiting.clear()
+    if backend in _WINDOWLESS:
+        for one in former:
+            plt.close(one)
+    figure = plt.figure(figsize=size)
+    _waiting.add(figure)
+    return figure
+
+
+def saved(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
+    """The figure, saved if there is a path: as PNG, SVG or PDF by its suffix, whatever names are in it.
 
     Raises:
         AllanjaxError: another suffix.
     """
+    if path is None:
+        return figure
     suffix = os.path.splitext(path)[1].removeprefix(".").lower()
     if suffix and suffix not in _FORMATS:
         raise AllanjaxError(f"{os.fspath(path)!r}: a figure is saved as .png, .svg or .pdf, not .{suffix}")
     with warnings.catch_warnings():
-        # The font may lack some of them.
+        # The font may lack some of the characters.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
-        figure.savefig(path, dpi=130)
-
-
-def save_and_close(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """Figure, saved if there is a path, and closed in pyplot where nobody will show it.
-
-    So figures do not pile up in pyplot: one that is saved is closed, and so is, where there are no windows,
-    the one before it. A closed figure can be saved and shown by itself as before.
-    """
-    import matplotlib
-    import matplotlib.pyplot as plt
-
-    if path is not None:
-        save(figure, path)
-    backend = matplotlib.get_backend().lower()
-    # A notebook shows the figure returned; left open there, it would show it twice.
-    if "inline" in backend or (path is not None and not plt.isinteractive()):
-        _close(figure)
-    elif backend in _WINDOWLESS:
-        for former in tuple(_waiting):
-            _close(former)
-        _waiting.clear()
-        # For `plt.savefig` and the like.
-        _waiting.add(figure)
-    return figure
-
-
-def _close(figure: Figure) -> None:
-    """Take a figure out of pyplot; its canvas stays one that can draw."""
-    import matplotlib.pyplot as plt
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    plt.close(figure)
-    FigureCanvasAgg(figure)
-
-
-def check_single(ax: Axes | None, count: int) -> None:
-    """Raise AllanjaxError if so many panels are to be drawn into the caller's axes."""
-    if ax is not None and count > 1:
-        raise AllanjaxError('ax= takes a single axis: name it, e.g. axes="gyro_x"')
-
-
-def figure_of(ax: Axes, path: str | os.PathLike[str] | None) -> Figure:
-    """Figure of the caller's axes, saved if there is a path; it is theirs to close."""
-    figure = ax.get_figure(root=True)
-    assert figure is not None
-    if path is not None:
-        save(figure, path)
+        # As small as at Pillow's own level, in half of the time.
+        options: dict[str, Any] = {} if suffix in ("svg", "pdf") else {"pil_kwargs": {"compress_level": 3}}
+        figure.savefig(path, dpi=130, **options)
     return figure
 
 
@@ -250,7 +246,7 @@ class Heading(NamedTuple):
         )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Sheet:
     """Places of panels in a figure [inches], fixed so that nothing can overlap.
 
@@ -269,17 +265,19 @@ class Sheet:
     bottom: float = 0.55
 
     def draw(
-        self, heading: Heading, rows: Sequence[int], make: Callable[..., Figure] | None = None
+        self,
+        heading: Heading,
+        rows: Sequence[int],
+        path: str | os.PathLike[str] | None,
+        single: bool = True,
     ) -> tuple[Figure, list[list[Axes]]]:
-        """Figure with so many panels in each row, and the panels; by pyplot unless `make` makes it."""
-        import matplotlib.pyplot as plt
-
+        """Figure with so many panels in each row, and the panels; for the rest see `new_figure`."""
         inner = max(rows) * (self.width + self.gap) - self.gap
         # A title needs some width.
         width = self.left + self.right + max(inner, 3.0)
         top = heading.height(width - self.left - self.right)
         height = top + self.bottom + len(rows) * (self.height + self.between) - self.between
-        figure = (make or plt.figure)(figsize=(width, height))
+        figure = new_figure((width, height), path, single)
         heading.draw(figure, self.left, self.right)
         lefts = [(self.left + j * (self.width + self.gap)) / width for j in range(max(rows))]
         bottoms = [
@@ -290,11 +288,21 @@ class Sheet:
         return figure, [[figure.add_axes((x, y, *size)) for x in lefts[:count]] for y, count in pairs]
 
 
-def line_entry(**look: Any) -> Artist:
-    """Entry of a figure's key for a line or marks of this style, which has a label."""
+def line_entry(x: Any = (), y: Any = (), **look: Any) -> Artist:
+    """Line or marks of this style: without points an entry of a figure's key, which has a label."""
     from matplotlib.lines import Line2D
 
-    return Line2D([], [], **look)
+    return Line2D(x, y, **look)
+
+
+def measured_entry() -> Artist:
+    """Entry of a figure's key for what was measured."""
+    return points_entry("measured, 68 % interval")
+
+
+def model_entry() -> Artist:
+    """Entry of a figure's key for a model."""
+    return line_entry(**model_line("model, sum of its terms"))
 
 
 def points_entry(label: str, colour: Any = None) -> Artist:
@@ -311,14 +319,9 @@ def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Artist:
 
 def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") -> None:
     """Give a panel its name, labels, logarithmic axes (of "xy"), faint grid and ticks that point inwards."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
     for letter, axis in (("x", panel.xaxis), ("y", panel.yaxis)):
         if letter in log:
-            axis.axes.set(**{f"{letter}scale": "log"})
-            # 2 and 5 times powers of ten are marked without numbers.
-            axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-            axis.set_minor_formatter(NullFormatter())
+            _set_log(panel, letter, axis)
     panel.grid(True, which="major", color=ink(0.88), linewidth=0.6)
     panel.set_axisbelow(True)
     panel.tick_params(which="both", direction="in")
@@ -327,6 +330,41 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
             write(text)
     if name:
         panel.set_title(name, loc="left", fontweight="bold")
+
+
+# Powers of ten that a scale may have, and the marks between them.
+_TEN = 10.0 ** np.arange(-40.0, 41.0)
+_BETWEEN = np.ravel([2.0 * _TEN, 5.0 * _TEN])
+
+
+def _set_log(panel: Axes, letter: str, axis: Any) -> None:
+    """Give a panel a logarithmic scale, with marks at 2 and 5 times powers of ten.
+
+    The marks are one line, and numbers are plain text: ticks and formulas would take most of the time.
+    """
+    from matplotlib.ticker import NullLocator
+
+    panel.set(**{f"{letter}scale": "log"})
+    setattr(panel, f"fmt_{letter}data", "{:.4g}".format)
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(_power_of_ten)
+    at, edge = _BETWEEN, np.zeros(len(_BETWEEN))
+    data, marker = ((at, edge), 2) if letter == "x" else ((edge, at), 1)
+    look: dict[str, Any] = {"marker": marker, "markersize": 2.0, "markeredgewidth": 0.6, "linestyle": "none"}
+    look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
+    panel.add_artist(line_entry(*data, color=ink(), label="_marks", **look))
+
+
+def _power_of_ten(value: float, _: int | None) -> str:
+    return f"10{superscript(round(np.log10(value)))}"
+
+
+def extremes(y: Float[np.ndarray, " n"], most: int = 4000) -> Int[np.ndarray, " m"]:
+    """Indices of the points that a long curve is drawn through: the ends of the range of each stretch."""
+    stretch = -(-len(y) // most)
+    parts = np.pad(y, (0, -len(y) % stretch), mode="edge").reshape(-1, stretch)
+    ends = np.arange(len(parts)) * stretch + [parts.argmin(axis=1), parts.argmax(axis=1)]
+    return np.unique(np.minimum([*ends.ravel(), 0, len(y)], len(y) - 1))
 
 
 def mark_off_scale(panel: Axes, x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"], colour: Any) -> None:
@@ -345,12 +383,13 @@ def term_entries(
     `notes` are what is written after the coefficients of some terms.
     """
     entries, absent = [], []
+    styles, further = term_styles(fit, result), result.further
     if not result.measured:
         why = "the model does not fit" if result.is_far_off else why_no_measurement(result.not_measured)
         text = f"not a measurement of this sensor: {why}; values of the fitted curve:"
         entries.append(KeyEntry(text, colour=COLOURS[3]))
     for term, kind in zip(fit.template.term_labels, fit.template.terms, strict=True):
-        if term in result.further:
+        if term in further:
             continue
         own = [c.in_unit() for c in result.coefficients.values() if c.term == term]
         amplitude, name = own[0], title_of(term, result.axis.sensor)
@@ -367,8 +406,7 @@ def term_entries(
         else:
             text = f"{name} {amplitude.describe()}"
         text += remark if is_hidden and term in result.term_labels else ""
-        drawn = term in drawn_terms(result) and not is_hidden
-        entries.append(KeyEntry(text, term_style(fit, result, term) if drawn else None))
+        entries.append(KeyEntry(text, None if is_hidden else styles.get(term)))
     if absent:
         entries.append(KeyEntry(f"not detected (95 % limits): {', '.join(absent)}"))
     if result.correction:
@@ -413,19 +451,23 @@ def _further() -> dict[str, Any]:
     return {"color": ink(0.55), "linewidth": 0.8, "linestyle": (0, (1, 1))}
 
 
-def drawn_terms(result: AxisFit) -> set[str]:
-    """Labels of the terms of a fitted model that have lines: those detected, and those that have rivals."""
+def term_styles(fit: Fit, result: AxisFit) -> dict[str, dict[str, Any]]:
+    """Styles, the same in every panel, of the terms of a fitted model that have lines, by label.
+
+    Those are the ones detected, and those that have rivals.
+    """
     of_terms = [c for c in result.coefficients.values() if c.is_amplitude]
     hidden = {c.term for c in of_terms if c.measured and not (c.detected or c.rivals)}
-    return set(result.term_labels) - hidden
+    known, further = fit.template.term_labels, result.further
+    styles = {label: _further() for label in result.term_labels if label in further}
+    for label in set(result.term_labels) - hidden - set(further):
+        styles[label] = line_style(known.index(label), 1.3)
+    return styles
 
 
-def term_style(fit: Fit, result: AxisFit, term_label: str) -> dict[str, Any]:
-    """Style of a term's line, the same in every panel."""
-    if term_label in result.further:
-        return _further()
-    i = fit.template.term_labels.index(term_label)
-    return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)], "linewidth": 1.3}
+def line_style(k: int, width: float) -> dict[str, Any]:
+    """Style of the kth of several lines."""
+    return {"color": COLOURS[k % len(COLOURS)], "linestyle": DASHES[k % len(DASHES)], "linewidth": width}
 
 
 def facts_of(n: int, rate: float) -> str:
@@ -433,10 +475,14 @@ def facts_of(n: int, rate: float) -> str:
     return f"{duration(n / rate)} at {rate:g} Hz, {n:,} samples"
 
 
-def absent_axes(fit: Fit | None) -> str:
-    """What to append to a text about a fit whose figure lacks dead axes."""
-    dead = () if fit is None else fit.dead
-    return "".join(f"; {axis.axis.name} is not drawn: {axis.reason.partition(';')[0]}" for axis in dead)
+def heading_of(fit: Fit | None, title: str, facts: str, axes: Sequence[str] | str | None) -> Heading:
+    """Heading of a measured curve, and of its fit, which has a name and perhaps dead axes."""
+    if fit is None:
+        return Heading(title, facts, [measured_entry()])
+    if axes is None:
+        dead = (f"; {a.axis.name} is not drawn: {a.reason.partition(';')[0]}" for a in fit.dead)
+        facts += "".join(dead)
+    return Heading(fit.name or title, facts, [measured_entry(), model_entry()])
 
 
 def unit_of(axis: Axis | None) -> tuple[str, float]:
@@ -458,7 +504,7 @@ PRECISE = 0.2
 _LINEAR = 4.0
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Residual:
     """Measured values over the model minus one, in per cent.
 
@@ -473,14 +519,14 @@ class Residual:
     chance: Float[np.ndarray, "2 m"]
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class Panel:
     """What is drawn of an axis.
 
     Attributes:
         name: the axis's.
         label: of the vertical scale, the same along a row.
-        points: what was measured; the scales are made for it.
+        points: what was measured; logarithmic scales, the same along a row, are made for it.
         draw: draws all else into axes whose scales are set.
         key: entries of the key below.
         residual: None for an axis that has no result.
@@ -496,81 +542,64 @@ class Panel:
     worst: float = float("nan")
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A figure of panels in rows.
+def draw_panels(
+    heading: Heading,
+    x_label: str,
+    rows: Sequence[Sequence[int]],
+    panel_of: Callable[[int], Panel],
+    path: str | os.PathLike[str] | None,
+    ax: Axes | None,
+) -> Figure:
+    """Draw the panels of axes in rows, saved if there is a path; or the only one of them into `ax`.
 
-    Attributes:
-        title: title of the figure.
-        record: its length and rate.
-        x_label: label of the horizontal scales.
-        has_model: whether a model is drawn.
-        has_strip: whether a strip of residuals is below each panel.
-        has_points: whether anything was measured.
+    A strip of residuals is below each panel if any axis has residuals.
     """
+    if ax is not None and sum(map(len, rows)) > 1:
+        raise AllanjaxError('ax= takes a single axis: name it, e.g. axes="gyro_x"')
+    with style():
+        of_rows = [[panel_of(k) for k in row] for row in rows]
+        if ax is not None:
+            _draw_row(of_rows[0], [ax], [], x_label)
+            # The figure is the caller's to close.
+            return saved(cast("Figure", ax.get_figure(root=True)), path)
+        every = [panel for row in of_rows for panel in row]
+        lines = max(sum(len(entry.lines()) for entry in panel.key) for panel in every)
+        strip = 0.0
+        if any(panel.residual is not None for panel in every):
+            strip = _STRIP_HEIGHT
+            chance = band_entry("95 % by chance if the model is right", ink(0.85))
+            heading = heading._replace(key=[*heading.key, chance])
+        # From the panel to the key.
+        apart = strip + APART * (strip > 0.0) + _X_LABEL
+        below = apart + (_LINE * lines + _BELOW if lines else 0.0)
+        # Panels without points have scales of their own.
+        gap, left = (0.25, 0.85) if any(panel.points for panel in every) else (0.75, 1.1)
+        sheet = Sheet(_PANEL_WIDTH, 2.3, gap, between=below + _HEADING, left=left, bottom=below)
+        figure, places = sheet.draw(heading, [len(row) for row in rows], path)
+        for row, panels in zip(of_rows, places, strict=True):
+            strips = [place_below(axes, strip) for axes in panels] if strip else []
+            for axes, panel in zip(panels, row, strict=True):
+                axes.set_title(panel.name, loc="left", fontweight="bold")
+                _draw_key(axes, apart, panel.key)
+            _draw_row(row, panels, strips, x_label)
+        return saved(figure, path)
 
-    title: str
-    record: str
-    x_label: str
-    has_model: bool
-    has_strip: bool
-    has_points: bool = True
 
-    def draw(
-        self,
-        rows: Sequence[Sequence[int]],
-        panel_of: Callable[[int], Panel],
-        path: str | os.PathLike[str] | None,
-        ax: Axes | None,
-    ) -> Figure:
-        """Draw the panels of axes, saved if there is a path; or the only one of them into `ax`."""
-        check_single(ax, sum(map(len, rows)))
-        with style():
-            of_rows = [[panel_of(k) for k in row] for row in rows]
-            if ax is not None:
-                self._draw_row(of_rows[0], [ax], [])
-                return figure_of(ax, path)
-            lines = max(sum(len(entry.lines()) for entry in panel.key) for row in of_rows for panel in row)
-            strip = _STRIP_HEIGHT if self.has_strip else 0.0
-            # From the panel to the key.
-            apart = strip + APART * self.has_strip + _X_LABEL
-            below = apart + (_LINE * lines + _BELOW if lines else 0.0)
-            sheet = Sheet(_PANEL_WIDTH, 2.3, gap=0.25, between=below + _HEADING, left=0.85, bottom=below)
-            heading = Heading(self.title, self.record, self._key())
-            figure, places = sheet.draw(heading, [len(row) for row in rows])
-            for row, panels in zip(of_rows, places, strict=True):
-                strips = [place_below(axes, strip) for axes in panels] if strip else []
-                for axes, panel in zip(panels, row, strict=True):
-                    axes.set_title(panel.name, loc="left", fontweight="bold")
-                    if lines:
-                        _draw_key(place_below(axes, _LINE * lines, apart), lines, panel.key)
-                self._draw_row(row, panels, strips)
-            return save_and_close(figure, path)
-
-    def _draw_row(self, row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
-        _set_scales(row, panels, strips)
-        for panel, axes in zip(row, panels, strict=True):
-            for points in panel.points:
-                points.draw(axes)
-            panel.draw(axes)
-        for panel, axes in zip([*row, *row], [*panels, *strips], strict=False):
-            if np.isfinite(panel.worst):
-                axes.axvline(panel.worst, label="worst place", **WORST)
-        panels[0].set_ylabel(row[0].label)
-        if strips:
-            _draw_residuals(strips, [panel.residual for panel in row])
-            strips[0].set_ylabel("measured /\nmodel − 1 [%]")
-        for lowest in strips or panels:
-            lowest.set_xlabel(self.x_label)
-
-    def _key(self) -> list[Artist]:
-        """Entries for points, model and band."""
-        key: list[Artist] = [points_entry("measured, 68 % interval")] if self.has_points else []
-        if self.has_model:
-            key.append(line_entry(**model_line("model, sum of its terms")))
-        if self.has_strip:
-            key.append(band_entry("95 % by chance if the model is right", ink(0.85)))
-        return key
+def _draw_row(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes], x_label: str) -> None:
+    _set_scales(row, panels, strips)
+    for panel, axes in zip(row, panels, strict=True):
+        for points in panel.points:
+            points.draw(axes)
+        panel.draw(axes)
+    for panel, axes in zip([*row, *row], [*panels, *strips], strict=False):
+        if np.isfinite(panel.worst):
+            axes.axvline(panel.worst, label="worst place", **WORST)
+    panels[0].set_ylabel(row[0].label)
+    if strips:
+        _draw_residuals(strips, [panel.residual for panel in row])
+        strips[0].set_ylabel("measured /\nmodel − 1 [%]")
+    for lowest in strips or panels:
+        lowest.set_xlabel(x_label)
 
 
 def rows_of(
@@ -616,8 +645,7 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
             continue
         strip.axhline(0.0, color=ink(), linewidth=1.0)
         strip.fill_between(r.points.x, *r.chance, color=ink(0.85), linewidth=0.0, zorder=0, label="chance")
-        look = dots(2.2, label="residual", elinewidth=0.8)
-        strip.errorbar(r.points.x, r.points.y, r.points.spread, **look)
+        dataclasses.replace(r.points, label="residual").draw(strip, 2.2)
 
 
 def _round(x: float) -> float:
@@ -627,7 +655,14 @@ def _round(x: float) -> float:
 
 
 def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[Axes]) -> None:
-    """Set the same scales along a row, so that axes compare; terms far below the points leave the panel."""
+    """Set the same scales along a row, so that axes compare; terms far below the points leave the panel.
+
+    Panels without points set their own.
+    """
+    if not any(panel.points for panel in row):
+        for axes in panels:
+            dress(axes)
+        return
     x, y = (
         np.concatenate(of) for of in zip(*((p.x, p.y) for panel in row for p in panel.points), strict=True)
     )
@@ -641,17 +676,17 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
         panel.tick_params(labelbottom=not strips)
 
 
-def _draw_key(key: Axes, height: int, entries: Sequence[KeyEntry]) -> None:
-    """Write the key below a panel, each entry with its curve."""
-    key.set_axis_off()
-    key.set_xlim(0.0, _PANEL_WIDTH)
-    key.set_ylim(height, 0.0)
-    y = 0
+def _draw_key(panel: Axes, apart: float, entries: Sequence[KeyEntry]) -> None:
+    """Write the key so far below a panel [inches], each entry with its curve."""
+    figure, inches = panel.figure, panel.figure.dpi_scale_trans
+    x, y = inches.inverted().transform(panel.bbox.p0) - (0.0, apart)
     for entry in entries:
         if entry.style is not None:
-            key.plot([0.0, 0.32], [y + 0.5] * 2, **entry.style)
+            figure.add_artist(
+                line_entry([x, x + 0.32], [y - _LINE / 2.0] * 2, transform=inches, **entry.style)
+            )
         colour = entry.colour or ink(0.4 if entry.style is None else 0.0)
         lines = entry.lines()
         look: dict[str, Any] = {"va": "top", "linespacing": 1.25, "fontsize": FONT_SIZE - 0.5}
-        key.text(0.42, y, literal("\n".join(lines)), color=colour, **look)
-        y += len(lines)
+        figure.text(x + 0.42, y, literal("\n".join(lines)), color=colour, transform=inches, **look)
+        y -= _LINE * len(lines)

@@ -79,7 +79,7 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
     sheet = dataclasses.replace(_SHEET, between=_SHEET.between + below, bottom=_SHEET.bottom + below)
     with draw.style():
         heading = Heading(f"{table['recording'].nunique()} units", _remarks(table, drawn), _key(table))
-        figure, panels = sheet.draw(heading, [columns] * rows if coefficients else [0])
+        figure, panels = sheet.draw(heading, [columns] * rows if coefficients else [0], path)
         for coefficient, row in zip(coefficients, panels, strict=False):
             for sensor, panel in zip(sensors, row, strict=True):
                 of = drawn[(drawn["coefficient"] == coefficient) & (drawn["sensor"] == sensor)]
@@ -87,7 +87,7 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
                     panel.remove()
                     continue
                 _draw_panel(panel, of, groups, names)
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)
 
 
 def _drawn(table: pd.DataFrame) -> pd.DataFrame:

@@ -60,7 +60,7 @@ def plot_bias_tracks(
         else:
             key.append(draw.line_entry(label="95 % of innovations by chance", **_ENDS))
         heading = Heading(title, draw.facts_of(len(results[0].samples), results[0].rate), key)
-        figure, panels = _TRACKS.draw(heading, [1] * len(results))
+        figure, panels = _TRACKS.draw(heading, [1] * len(results), path)
         for track, (upper,) in zip(results, panels, strict=True):
             unit, scale = rate_unit_of(track.axis.unit, track.axis.sensor)
             lower = draw.place_below(upper, _STRIP)
@@ -71,7 +71,7 @@ def plot_bias_tracks(
             draw.dress(upper, track.axis.name, y=draw.label_in("bias", unit))
             draw.dress(lower, x=draw.TIME if upper is panels[-1][0] else "")
             upper.tick_params(labelbottom=False)
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)
 
 
 def _draw_innovations(panel: Axes, result: FilteredAxis) -> None:
@@ -147,7 +147,7 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
         loop = "Schuler loop included" if result.schuler else "short-term"
         facts = f"biases averaged over {duration(result.calibration)} at rest, {result.rate:g} Hz, {loop}"
         heading = Heading(result.name or "Errors of a navigator at rest", facts, key)
-        figure, panels = _ERRORS.draw(heading, [len(columns)] * len(growths))
+        figure, panels = _ERRORS.draw(heading, [len(columns)] * len(growths), path)
         for growth, row in zip(growths, panels, strict=True):
             for channel, panel in zip(columns, row, strict=True):
                 if channel not in growth.channels:
@@ -156,7 +156,7 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
                 _draw(panel, growth, channel, styles)
                 if growth.time[-1] > result.quarter_period:
                     panel.axvline(result.quarter_period, color=draw.ink(0.4), linewidth=0.8, linestyle=":")
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)
 
 
 def _styles(growths: list[ErrorGrowth]) -> dict[str, dict[str, Any]]:
@@ -223,7 +223,7 @@ def plot_calibration(
         ]
         key = [draw.points_entry("measured − fitted mean, ± 1σ of the noise")]
         heading = Heading(f"Calibration from {len(at)} positions", "; ".join(checks), key)
-        figure, panels = sheet.draw(heading, [len(kept) for _, _, kept in rows])
+        figure, panels = sheet.draw(heading, [len(kept) for _, _, kept in rows], path)
         for (sensor, misfit, kept), row in zip(rows, panels, strict=True):
             scale = unit_scale(_UNITS[sensor], sensor)
             reach = np.nanmax(np.abs(misfit.residuals) + misfit.residual_std) / scale * 1.15 or 1.0
@@ -236,4 +236,4 @@ def plot_calibration(
                 panel.set_xlim(-0.5, len(at) - 0.5)
                 panel.set_xticks(at, labels, rotation=45, ha="right", rotation_mode="anchor")
                 panel.tick_params(labelleft=column == 0)
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)

@@ -65,7 +65,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
         lines = "lines: median and 68 % interval, prior (broken); contours: 68 and 95 %"
         remark = lines if posterior.converged else f"not converged; {lines}"
         heading = Heading(f"{posterior.axis.name}: posterior", remark)
-        figure, panels = _CORNER.draw(heading, range(1, count + 1))
+        figure, panels = _CORNER.draw(heading, range(1, count + 1), path)
         for row, column in [(i, j) for i in range(count) for j in range(i + 1)]:
             panel = panels[row][column]
             if row == column:
@@ -75,7 +75,7 @@ def plot_corner(posterior: AxisPosterior, path: str | os.PathLike[str] | None = 
             else:
                 _draw_pair(panel, draws[:, column], draws[:, row], ranges[column], ranges[row])
             _label(panel, marginals, row, column)
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)
 
 
 def _label(panel: Axes, marginals: Sequence[Estimate], row: int, column: int) -> None:
@@ -185,20 +185,20 @@ def plot_posterior(
     measured = posterior.fit.curve if curve is None else curve.curve if isinstance(curve, Fit) else curve
     with draw.style():
         key = [
-            draw.points_entry("measured, 68 % interval"),
+            draw.measured_entry(),
             draw.line_entry(color=_COLOUR, linewidth=1.2, label="median of the model's curves"),
             draw.band_entry("68 % of them", _COLOUR, 0.45),
             draw.band_entry("95 %", _COLOUR, 0.2),
         ]
         heading = Heading(posterior.fit.name or "Posterior", draw.facts_of(measured.n, measured.rate), key)
-        figure, panels = _SHEET.draw(heading, [2] * len(chosen))
+        figure, panels = _SHEET.draw(heading, [2] * len(chosen), path)
         for result, (left, right) in zip(chosen, panels, strict=True):
             _draw_deviation(left, result, measured)
             _draw_density(right, result, spectrum, measured.n)
             state = "" if result.converged else ", not converged"
             draw.dress(left, f"{result.axis.name}{state}", log="xy")
             draw.dress(right, log="xy")
-        return draw.save_and_close(figure, path)
+        return draw.saved(figure, path)
 
 
 def _draw_band(

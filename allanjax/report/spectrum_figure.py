@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.parameter import Parametrized
 from allanjax.report import draw
-from allanjax.report.draw import Frame, Heading, KeyEntry, Panel, Points, Residual, Sheet
+from allanjax.report.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 from allanjax.wavelets.decomposition import WaveletDecomposition
@@ -34,10 +35,7 @@ if TYPE_CHECKING:
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4
-_CORRELATIONS = Sheet(3.4, 2.2, left=1.1)
 _OCTAVES = Sheet(5.6, 0.8, between=0.12, left=1.6)
-# More samples than this are drawn as the range of each of so many stretches.
-_DRAWN = 4000
 
 
 def plot_psd(
@@ -73,17 +71,15 @@ def plot_psd(
             than one axis.
     """
     spectrum = spectrum.averaged()
-    title = fit.name if fit is not None and fit.name else "Power spectral density"
-    has_fit = fit is not None
     facts = draw.facts_of(spectrum.n, spectrum.rate)
     if fit is not None and fit.curve.others and spectrum.n == fit.curve.n:
         facts += f" (the longest of {1 + len(fit.curve.others)} segments)"
-    facts += draw.absent_axes(fit) if axes is None else ""
-    frame = Frame(title, facts, draw.FREQUENCY, has_fit, has_fit)
+    heading = draw.heading_of(fit, "Power spectral density", facts, axes)
     rows = draw.rows_of(spectrum.names, spectrum.axes, axes)
     # In axes of the caller's there is no key to say what the band is; a fit has an N of its own.
     has_band = ax is None and spectrum.axes is not None and fit is None
-    return frame.draw(rows, lambda k: _panel(spectrum, fit, k, has_band), path, ax)
+    panel_of = functools.partial(_panel, spectrum, fit, has_band)
+    return draw.draw_panels(heading, draw.FREQUENCY, rows, panel_of, path, ax)
 
 
 def plot_spectrum(
@@ -97,7 +93,7 @@ def plot_spectrum(
     return plot_psd(spectrum, axes=axes, path=path, ax=ax)
 
 
-def _panel(spectrum: PowerSpectrum, fit: Fit | None, k: int, has_band: bool) -> Panel:
+def _panel(spectrum: PowerSpectrum, fit: Fit | None, has_band: bool, k: int) -> Panel:
     """Power spectral density of an axis and, of a fit, the model, its terms and residuals."""
     unit, scale = ("", 1.0) if spectrum.axes is None else density_unit(spectrum.axes[k])
     name, label = spectrum.names[k], draw.label_in("one-sided PSD", unit)
@@ -148,18 +144,17 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     rate = spectrum.rate
     model = result.model.sampled(rate)
     frequency = _frequencies(spectrum, model)
-    total = np.zeros(len(frequency))
+    total, styles = np.zeros(len(frequency)), draw.term_styles(fit, result)
     for label, term in zip(result.term_labels, model.processes, strict=True):
-        look = {"label": title_of(label, result.axis.sensor), **draw.term_style(fit, result, label)}
-        drawn = label in draw.drawn_terms(result)
+        name, look = title_of(label, result.axis.sensor), styles.get(label)
         if not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
             total += density
-            if drawn:
-                panel.plot(frequency, density / scale, **look)
-        elif drawn:
+            if look:
+                panel.plot(frequency, density / scale, label=name, **look)
+        elif look:
             for line in _line_of(term):
-                panel.axvline(line, **look)
+                panel.axvline(line, label=name, **look)
     panel.plot(frequency, total / scale, **draw.model_line())
 
 
@@ -170,7 +165,7 @@ def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f
     away = np.geomspace(1e-5, 0.5, 40)
     for p in model.parameters:
         if p.parameter.kind == "line" and not model.terms[p.term].deterministic:
-            parts += [float(model.values[p.label] or 0.0) * factor for factor in (1.0 - away, 1.0 + away)]
+            parts += [(p.start or 0.0) * factor for factor in (1.0 - away, 1.0 + away)]
     f = np.unique(np.concatenate(parts))
     return f[(lowest <= f) & (f <= highest)]
 
@@ -239,37 +234,34 @@ def plot_autocorrelation(
     lag zero over e, and the lag at which the curve comes there.
     """
     rows = draw.rows_of(result.names, result.axes, axes)
-    draw.check_single(ax, sum(map(len, rows)))
-    if ax is not None:
-        _draw_correlation(ax, result, rows[0][0])
-        return draw.figure_of(ax, path)
-    with draw.style():
-        heading = Heading("Autocorrelation", draw.facts_of(result.n, result.rate))
-        figure, panels = _CORRELATIONS.draw(heading, [len(row) for row in rows])
-        for row, axes_of in zip(rows, panels, strict=True):
-            for k, panel in zip(row, axes_of, strict=True):
-                _draw_correlation(panel, result, k)
-                panel.set_title(result.names[k], loc="left", fontweight="bold")
-                if panel is not axes_of[0]:
-                    panel.set_ylabel("")
-        return draw.save_and_close(figure, path)
+    heading = Heading("Autocorrelation", draw.facts_of(result.n, result.rate))
+
+    def panel(k: int) -> Panel:
+        unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+        label, fill = (
+            draw.label_in("autocorrelation", unit),
+            functools.partial(_draw_correlation, result, k, scale),
+        )
+        return Panel(result.names[k], label, (), fill, ())
+
+    return draw.draw_panels(heading, "lag [s]", rows, panel, path, ax)
 
 
-def _draw_correlation(panel: Axes, result: Autocorrelation, k: int) -> None:
-    unit, scale = ("", 1.0) if result.axes is None else square_unit(result.axes[k])
+def _draw_correlation(result: Autocorrelation, k: int, scale: float, panel: Axes) -> None:
     value, error = result.value[:, k] / scale, result.standard_error[:, k] / scale
+    some = draw.extremes(value)
+    lag, value, error = result.lag[some], value[some], error[some]
     if np.isfinite(error).all():
         band: dict[str, Any] = {"color": draw.ink(0.85), "linewidth": 0.0, "label": "95 % under the model"}
-        panel.fill_between(result.lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
-    panel.plot(result.lag, value, color=draw.ink(0.3), linewidth=1.0, label="estimate")
+        panel.fill_between(lag, value - TWO_SIDED_95 * error, value + TWO_SIDED_95 * error, **band)
+    panel.plot(lag, value, color=draw.ink(0.3), linewidth=1.0, label="estimate")
     below = np.flatnonzero(math.e * value < value[0])
     if below.size:
         dotted: dict[str, Any] = {"color": draw.ink(0.5), "linewidth": 0.8, "linestyle": ":"}
         panel.axhline(value[0] / math.e, **dotted)
-        panel.axvline(result.lag[below[0]], **dotted)
-    panel.set_xlim(-0.02 * result.lag[-1], result.lag[-1])
+        panel.axvline(lag[below[0]], **dotted)
+    panel.set_xlim(-0.02 * lag[-1], lag[-1])
     panel.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
-    draw.dress(panel, x="lag [s]", y=draw.label_in("autocorrelation", unit))
 
 
 def plot_wavelet_variance(
@@ -288,9 +280,9 @@ def plot_wavelet_variance(
         return Panel(variance.names[k], draw.label_in("wavelet variance", unit), [points], lambda _: None, [])
 
     facts = f"{variance.wavelet}, {draw.facts_of(variance.n, variance.rate)}"
-    frame = Frame("Wavelet variance", facts, "scale [s]", False, False)
     rows = draw.rows_of(variance.names, variance.axes, axes)
-    return frame.draw(rows, panel, path, ax)
+    heading = draw.heading_of(None, "Wavelet variance", facts, axes)
+    return draw.draw_panels(heading, "scale [s]", rows, panel, path, ax)
 
 
 def plot_decomposition(
@@ -301,8 +293,7 @@ def plot_decomposition(
 ) -> Figure:
     """Draw an axis as measured, its details and the last approximation, one below the other, over time.
 
-    As figure 3.6 of Hou (2004), with what was taken out between. Long records are drawn as the range of each
-    of some thousand stretches.
+    As figure 3.6 of Hou (2004), with what was taken out between.
 
     Args:
         decomposition: what `wavelet_decomposition` returns.
@@ -327,25 +318,16 @@ def plot_decomposition(
     with draw.style():
         record = f"{decomposition.wavelet}, {draw.facts_of(recording.n, recording.rate)}"
         heading = Heading(f"{name}, wavelet decomposition [{unit}]", record)
-        figure, panels = _OCTAVES.draw(heading, [1] * len(parts))
+        figure, panels = _OCTAVES.draw(heading, [1] * len(parts), path)
         for row, ((label, part), (panel,)) in enumerate(zip(parts, panels, strict=True)):
             draw.dress(panel)
-            _draw_range(panel, part.values[:, k] / scale, recording.rate, row in (0, len(parts) - 1))
+            y = part.values[:, k] / scale
+            some = draw.extremes(y)
+            colour = draw.ink(0.3) if row in (0, len(parts) - 1) else draw.COLOURS[0]
+            panel.plot(some / recording.rate, y[some], color=colour, linewidth=0.7)
             panel.set_ylabel(label, rotation=0, ha="right", va="center")
             panel.yaxis.set_label_coords(-0.11, 0.5)
             panel.set_xlim(0.0, recording.n / recording.rate)
             panel.tick_params(labelbottom=row == len(parts) - 1)
         panel.set_xlabel(draw.TIME)
-        return draw.save_and_close(figure, path)
-
-
-def _draw_range(panel: Axes, x: Any, rate: float, measured: bool) -> None:
-    """Draw samples over time, of a long record the range of each stretch."""
-    colour = draw.ink(0.3) if measured else draw.COLOURS[0]
-    if len(x) <= _DRAWN:
-        panel.plot(np.arange(len(x)) / rate, x, color=colour, linewidth=0.7)
-        return
-    stretch = -(-len(x) // _DRAWN)
-    starts = np.arange(0, len(x), stretch)
-    low, high = np.minimum.reduceat(x, starts), np.maximum.reduceat(x, starts)
-    panel.fill_between((starts + stretch / 2.0) / rate, low, high, color=colour, linewidth=0.4)
+        return draw.saved(figure, path)

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import re
+from unittest import mock
 
 import bench
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from altered_fits import with_terms, without_result
 from figures import check_texts_apart, lines_of, panels, points_of, strip_of, texts
 from matplotlib import pyplot as plt
+from matplotlib.axis import Tick
+from matplotlib.figure import Figure
 from refusals import refuses
 from scipy.stats import chi2
 
@@ -268,8 +271,8 @@ def test_arrays_without_a_unit_have_panels_by_number():
         assert figure.axes[0].get_ylabel() == label
 
 
-def test_figures_do_not_pile_up_and_one_is_rendered(tmp_path):
-    """The user's, one that waits, and the one that is drawn; a saved one is pyplot's no longer."""
+def test_figures_do_not_pile_up(tmp_path):
+    """The user's, one that waits, and the one that is drawn; a saved one is not pyplot's."""
     own, fit = plt.figure(), bench.fit("small")
     for k in range(2):
         saved = fit.plot(["gyro_x"], path=tmp_path / "a.png")
@@ -277,11 +280,23 @@ def test_figures_do_not_pile_up_and_one_is_rendered(tmp_path):
         assert plt.gcf() is not saved
         fit.plot("gyro_x")
         assert own.number in plt.get_fignums()
-    # Small, and its name is no formula.
-    figure = dataclasses.replace(fit, name="[/red] x $a$ :smile: <b>&").plot("gyro_x")
-    type(figure).savefig.original(figure, tmp_path / "real.png")
-    assert 5_000 < (tmp_path / "real.png").stat().st_size < 500_000
     refuses(".gif", fit.plot, path=tmp_path / "a.gif")
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_a_picture_is_drawn_once_in_fixed_places_with_few_ticks(suffix, tmp_path, monkeypatch):
+    """Layout and ticks would take most of the time. The picture is small, and its name is no formula."""
+    path, named = tmp_path / f"a.{suffix}", dataclasses.replace(bench.fit("small"), name="[/red] x $a$ <b>&")
+    counted = [(Figure, "draw"), (Tick, "__init__")]
+    monkeypatch.setattr(Figure, "savefig", Figure.savefig.original)
+    draws, ticks = (mock.Mock(side_effect=getattr(*what)) for what in counted)
+    for (kind, method), counter in zip(counted, (draws, ticks), strict=True):
+        monkeypatch.setattr(kind, method, lambda *a, counter=counter, **k: counter(*a, **k))
+    figure = named.plot("gyro_x", path=path)
+    assert (draws.call_count, figure.get_layout_engine()) == (1, None)
+    # One for each power of ten, and five of residuals; the marks between are one line.
+    assert ticks.call_count < 8 * 2 * len(figure.axes)
+    assert 5_000 < path.stat().st_size < 500_000
 
 
 @pytest.fixture(scope="module")
@@ -377,9 +392,12 @@ def test_an_autocorrelation_has_the_models_band_and_a_decomposition_a_panel_per_
     assert labels == ["measured", "level 5\n1.6–3.1 Hz", "level 6\n0.78–1.6 Hz", "below\n0.78 Hz"]
     parts = [found.recording, found.details(5), found.details(6), found.approximation(6)]
     for panel, part in zip(figure.axes, parts, strict=True):
-        ends = panel.collections[0].get_paths()[0].vertices[:, 1]
-        values = part.values[:, 2] / HOUR
-        assert [ends.min(), ends.max()] == pytest.approx([values.min(), values.max()])
+        (time, drawn), values = panel.get_lines()[0].get_data(), part.values[:, 2] / HOUR
+        np.testing.assert_array_equal(drawn, values[np.rint(100.0 * time).astype(int)])
+        # Each stretch of five samples has its least and its largest one.
+        ends = [end(values[:16_380].reshape(-1, 5), axis=1) for end in (np.min, np.max)]
+        assert len(drawn) < 8_500
+        assert np.isin(ends, drawn).all()
     refuses("gyro_w", found.plot, "gyro_w")
 
 
@@ -391,14 +409,14 @@ def test_a_figure_for_every_finding_and_one_for_each_axis_without(tmp_path):
     assert {f"lines_{axis}.png" for axis in critique if not critique[axis].findings} <= written
     finding = next(f for f in critique.findings if f.cause == "sinusoid")
     (figure,) = critique.plot(findings=[finding])
-    allan, psd, spectrum, text = figure.axes
+    allan, psd, spectrum = figure.axes
     labels = [axes.get_xlabel() for axes in (allan, psd, spectrum)]
     assert labels == ["cluster time T [s]", "frequency f [Hz]", "frequency f [Hz]"]
     unit = "deg/h" if finding.strongest.axes[0].startswith("gyro") else "µg"
     assert allan.get_ylabel() == f"Allan deviation\n[{unit}]"
     x, y = spectrum.get_lines()[0].get_data()
     assert x[np.argmax(y)] == pytest.approx(finding.parameters["frequency"].value, abs=0.01)
-    assert "spectral line" in " ".join(t.get_text() for t in text.texts)
+    assert "spectral line" in texts(figure)
     (step,) = steps.plot(findings=steps.findings[:1])
     assert step.axes[2].get_xlabel() == "time since start [s]"
     for each in (figure, step):
