@@ -221,7 +221,9 @@ class Template(NamedTuple):
             else:
                 parameter.append((at.frequencies if first else at.qualities) + k - at.first_oscillator)
         owner = np.array([p.term for p in shapes], int)
-        return Places(at, self.component, np.array(parameter, int), owner, 1.0 / rate)
+        noise = self.noise
+        inside = np.array(noise.inside or [False] * len(noise), bool)
+        return Places(at, self.component, np.array(parameter, int), owner, inside, 1.0 / rate)
 
 
 def fit_jointly(

@@ -31,6 +31,8 @@ from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
 #: Numbers of levels to which arrays are padded, so that few compiled programs serve every record.
 CAPACITIES = (384, 1024)
+# Parts of a spectrum are padded to a multiple of this.
+_PARTS = 8
 # Lags are padded to a multiple of this, so that compiled functions are reused.
 _LAGS = 256
 
@@ -45,8 +47,10 @@ class Levels(NamedTuple):
         shape: half the degrees of freedom of each.
         angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
             are those of its coefficients (2, m).
-        interval: number of samples that were averaged to each value before the transform, 1 for a record.
-        length: number of values in the transform.
+        square: sin² of half the angle between the values that were transformed, at the nodes (2, m).
+        part: which part of the spectrum each level is of; a record has one.
+        interval: number of samples that were averaged to each value before the transform of a part.
+        length: number of values in the transform of a part.
         parity: (−1)^j for a level of a single coefficient j, else 0.
         columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
             (columns, 2, m).
@@ -55,6 +59,8 @@ class Levels(NamedTuple):
     level: Any
     shape: Any
     angle: Any
+    square: Any
+    part: Any
     interval: Any
     length: Any
     parity: Any
@@ -87,22 +93,24 @@ def levels_of(
         slots: number of columns after padding.
         capacity: number of levels after padding; by default the least that suffices.
     """
-    angle, interval, length, parity = ([] for _ in range(4))
-    for part in bins.parts:
+    angle, square, which, parity = ([] for _ in range(4))
+    for k, part in enumerate(bins.parts):
         first, size = part.edges[:-1], np.diff(part.edges)
         angle.append(2.0 * np.pi * part.node_frequencies / bins.rate)
-        interval.append(np.full(len(size), np.rint(bins.rate / part.rate)))
-        length.append(np.full(len(size), float(part.n)))
+        square.append(np.sin(np.pi * part.node_frequencies / part.rate) ** 2)
+        which.append(np.full(len(size), k))
         parity.append(np.where(size == 1, 1.0 - 2.0 * (first % 2), 0.0))
-    m, whole = len(bins.size), float(bins.parts[0].n)
+    m, parts = len(bins.size), -(-len(bins.parts) // _PARTS) * _PARTS
     capacity = room_for(m, CAPACITIES) if capacity is None else capacity
     room = [(0, slots - len(columns)), (0, 0), (0, 0)]
     return Levels(
         level=padded(np.ones(m), capacity, 1.0),
         shape=np.zeros(capacity),
         angle=padded(np.concatenate(angle, axis=1), capacity, np.pi / 2.0),
-        interval=padded(np.concatenate(interval), capacity, 1.0),
-        length=padded(np.concatenate(length), capacity, whole),
+        square=padded(np.concatenate(square, axis=1), capacity, 0.5),
+        part=padded(np.concatenate(which), capacity, 0),
+        interval=padded(np.array([np.rint(bins.rate / part.rate) for part in bins.parts]), parts, 1.0),
+        length=padded(np.array([float(part.n) for part in bins.parts]), parts, 1.0),
         parity=padded(np.concatenate(parity), capacity, 0.0),
         columns=padded(np.pad(columns, room), capacity, 0.0),
     )
@@ -182,12 +190,25 @@ def oscillation(
     by_second = jax.lax.complex(decay, decay / root) / Q
     weight_by_second = jax.lax.complex(jnp.zeros(()), 4.0 * Q / root**3)
     value, slope = _geometric(levels, pole, is_markov)
-    by_first = jnp.real(weight * jnp.where(is_markov, -pole, pole) * slope)
-    other = jnp.real(weight_by_second * value + weight * by_second * slope) * (Q - 0.5)
-    return jnp.real(weight * value), by_first, jnp.where(is_markov, 0.0, other)
+    by_first = _real_product(weight * jnp.where(is_markov, -pole, pole), slope)
+    other = _real_product(weight_by_second, value) + _real_product(weight * by_second, slope)
+    other = jnp.where(is_markov, 0.0, other * (Q - 0.5))
+    return _real_product(weight, value), by_first, other
 
 
-def _geometric(levels: Levels, pole: Array, is_markov: Array) -> tuple[Array, Array]:
+# A complex array as its real and imaginary parts, of which compiled programs make faster loops.
+_Pair = tuple[Array, Array]
+
+
+def _product(a: _Pair, b: _Pair) -> _Pair:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def _real_product(scalar: Array, b: _Pair) -> Array:
+    return jnp.real(scalar) * b[0] - jnp.imag(scalar) * b[1]
+
+
+def _geometric(levels: Levels, pole: Array, is_markov: Array) -> tuple[_Pair, _Pair]:
     """Expected squares of e^{pole·d}, complex, and their derivative by the pole, of the form above."""
     M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
 
@@ -198,18 +219,31 @@ def _geometric(levels: Levels, pole: Array, is_markov: Array) -> tuple[Array, Ar
 
     (r0, r1), (d0, d1) = jax.jvp(lags, (pole,), (jnp.ones_like(pole),))
     y, last = -jnp.expm1(pole * M), jnp.exp(pole * M * n)
-    by_y, by_last = -M * (1.0 - y), M * n * last
-    s = jnp.sin(levels.angle * M / 2.0) ** 2
-    D = y**2 + 4.0 * (1.0 - y) * s
-    inverse = jnp.conj(D) / (jnp.real(D) ** 2 + jnp.imag(D) ** 2)
-    a = 2.0 * (y - 2.0 * s)
-    c = 4.0 / n * (1.0 - s)
-    ends = 1.0 - levels.parity * last
-    b = c * y**2 * ends
-    G = (a - b * inverse) * inverse
-    by_b = c * y * (2.0 * by_y * ends - levels.parity * by_last * y)
-    slope = (2.0 * by_y - by_b * inverse - by_y * a * (a - 2.0 * b * inverse) * inverse) * inverse
-    return r0 + r1 * G, d0 + d1 * G + r1 * slope
+    by_y = -M * (1.0 - y)
+    # What the ends add to a part, and its derivative, each with a share that only single coefficients have.
+    of_ends = (y**2, -last * y**2, 2.0 * y * by_y, -(M * n * last * y**2 + 2.0 * last * y * by_y))
+    of_parts = jnp.stack([r0, r1, d0, d1, y, by_y, y**2, 4.0 * (1.0 - y), *(4.0 / n * x for x in of_ends)])
+    at = jnp.take(jnp.stack([jnp.real(of_parts), jnp.imag(of_parts)]), levels.part, axis=2)
+    r0_, r1_, d0_, d1_, y_, by_y_, square, four, *ends = ((at[0, k], at[1, k]) for k in range(12))
+    s = jnp.asarray(levels.square)
+    D = square[0] + four[0] * s, square[1] + four[1] * s
+    size = D[0] ** 2 + D[1] ** 2
+    inverse = D[0] / size, -D[1] / size
+    b, by_b = (
+        tuple((1.0 - s) * (x + levels.parity * single) for x, single in zip(one, other, strict=True))
+        for one, other in (ends[:2], ends[2:])
+    )
+    a = 2.0 * y_[0] - 4.0 * s, 2.0 * y_[1] + 0.0 * s
+    of_b = _product(b, inverse)
+    G = _product((a[0] - of_b[0], a[1] - of_b[1]), inverse)
+    inner = _product(_product(a, (a[0] - 2.0 * of_b[0], a[1] - 2.0 * of_b[1])), inverse)
+    inner, of_by_b = _product(by_y_, inner), _product(by_b, inverse)
+    slope = _product(tuple(2.0 * by_y_[k] - of_by_b[k] - inner[k] for k in (0, 1)), inverse)
+    value, of_d, of_slope = _product(r1_, G), _product(d1_, G), _product(r1_, slope)
+    return (
+        (r0_[0] + value[0], r0_[1] + value[1]),
+        tuple(d0_[k] + of_d[k] + of_slope[k] for k in (0, 1)),
+    )
 
 
 #: Kinds of response: none; one pole or two, read at the instants of the samples; a moving average; digital
@@ -241,23 +275,33 @@ def response(
         centre: the shape itself, or for a difference the one beside it.
     """
     wc, Q = jnp.exp(shape[0]), 0.5 + jnp.exp(shape[1])
-    a = levels.angle
-    s = jnp.sin(a / 2.0) ** 2
+    a = jnp.asarray(levels.angle)
+    branches = (
+        lambda: jnp.ones_like(a),
+        lambda: _one_pole(a, wc),
+        lambda: _two_poles(a, wc, Q),
+        lambda: _mean(a, wc, jnp.exp(centre[0])),
+        lambda: _biquad(a, wc, Q),
+        lambda: _butterworth(a, wc, kind),
+    )
+    return jax.lax.switch(jnp.minimum(kind, len(branches) - 1), branches)
+
+
+def _one_pole(angle: Float[Array, "nodes m"], wc: Array) -> Float[Array, "nodes m"]:
     y = -jnp.expm1(-wc)
-    one = y**2 / (y**2 + 4.0 * (1.0 - y) * s)
-    decay = wc / (2.0 * Q)
+    return y**2 / (y**2 + 4.0 * (1.0 - y) * jnp.sin(angle / 2.0) ** 2)
+
+
+def _two_poles(angle: Float[Array, "nodes m"], wc: Array, Q: Array) -> Float[Array, "nodes m"]:
+    """Response of an oscillator that is read at instants, relative to that at frequency zero."""
+    decay, s = wc / (2.0 * Q), jnp.sin(angle / 2.0) ** 2
     wd = jnp.sqrt(wc**2 - decay**2)
-    pole = -decay + 1j * wd
-    c, z = 1.0 - 1j * decay / wd, -jnp.expm1(pole)
-    # Response of an oscillator sampled at instants, relative to that at frequency zero.
+    c, z = 1.0 - 1j * decay / wd, -jnp.expm1(-decay + 1j * wd)
     apart = z**2 / (4.0 * (1.0 - z))
     left = c * (apart + 0.5 * z)
     beside, across = s + jnp.real(apart), jnp.imag(apart)
     two = (jnp.real(left) * beside + jnp.imag(left) * across) / (beside**2 + across**2)
-    two = two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
-    found = [jnp.ones_like(a), one, two, _mean(a, wc, jnp.exp(centre[0])), _biquad(a, wc, Q)]
-    which = [kind == k for k in range(len(found))]
-    return jnp.select(which, found, _butterworth(a, wc, kind))
+    return two / jnp.real(c * (1.0 + 2.0 * (1.0 - z) / z))
 
 
 def response_and_slope(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> tuple[Array, Array]:
@@ -270,7 +314,12 @@ def response_and_slope(levels: Levels, shape: Float[Array, " 2"], kind: Array) -
         return response(levels, at, kind, shape) + response_ends(levels, at, kind, shape)
 
     def filtered() -> tuple[Array, Array]:
-        R, *around = jax.lax.map(passed, shape + _STEP * _AROUND)
+        def at(k: Array, every: Array) -> Array:
+            return every.at[k].set(passed(shape + _STEP * jnp.asarray(_AROUND)[k]))
+
+        # Other filters than these have no quality factor.
+        count = jnp.where((kind == TWO_POLES) | (kind == BIQUAD), 5, 3)
+        R, *around = jax.lax.fori_loop(0, count, at, jnp.zeros((5, *nodes)))
         return R, jnp.stack([around[0] - around[1], around[2] - around[3]]) / (2.0 * _STEP)
 
     nodes = levels.angle.shape
@@ -313,7 +362,8 @@ def _ends_of_mean(levels: Levels, wc: Array, centre: Array) -> Float[Array, "nod
     slope = m * (jnp.cos(a) - jnp.cos(m * a)) / (4.0 * s) - apart * jnp.sin(a) / (8.0 * s**2)
     total = jnp.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * jnp.sin(a)))
     both = jnp.sum(share * total, axis=0)
-    return jnp.where(levels.interval == 1.0, -2.0 * both / levels.length, 0.0)
+    M, n = jnp.take(levels.interval, levels.part), jnp.take(levels.length, levels.part)
+    return jnp.where(M == 1.0, -2.0 * both / n, 0.0)
 
 
 # Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
@@ -361,23 +411,32 @@ def response_ends(
         kind: the kind of response.
         centre: the shape itself, or for a difference the one beside it.
     """
+    return jax.lax.cond(
+        kind == MOVING_AVERAGE,
+        lambda: _ends_of_mean(levels, *jnp.exp(jnp.stack([shape[0], centre[0]]))),
+        lambda: _ends_of_poles(levels, shape, kind),
+    )
+
+
+def _ends_of_poles(levels: Levels, shape: Float[Array, " 2"], kind: Array) -> Float[Array, "nodes m"]:
+    """`response_ends` of a filter of poles."""
     # Poles along the first axis.
-    w, e = (x[:, None, None] for x in _poles_of_response(shape, kind))
+    w, e = (x[:, None] for x in _poles_of_response(shape, kind))
     M, n = jnp.asarray(levels.interval), jnp.asarray(levels.length)
-    s = jnp.sin(levels.angle * M / 2.0) ** 2
     last_of_mean = _power(w, M)
     y = 1.0 - last_of_mean
     # Means of M samples: the first lag, over that of samples, is the square of (1 − w^M)/(M(1 − w)).
     e = e * (y / (M * (1.0 - w))) ** 2 * y**2 / n
-    D = y**2 + 4.0 * last_of_mean * s
-    both = (
-        e
-        * (1.0 - levels.parity * _power(w, M * n))
-        * (jnp.conj(D) / (jnp.real(D) ** 2 + jnp.imag(D) ** 2)) ** 2
-    )
-    total = -4.0 * (1.0 - s) * jnp.sum(jnp.real(both), axis=0)
-    of_mean = _ends_of_mean(levels, *jnp.exp(jnp.stack([shape[0], centre[0]])))
-    return jnp.where(kind == MOVING_AVERAGE, of_mean, total)
+    of_parts = jnp.stack([y**2, 4.0 * last_of_mean, e, -e * _power(w, M * n)])
+    at = jnp.take(jnp.stack([jnp.real(of_parts), jnp.imag(of_parts)]), levels.part, axis=3)[..., None, :]
+    square, four, of_all, of_single = ((at[0, k], at[1, k]) for k in range(4))
+    s = jnp.asarray(levels.square)
+    D = square[0] + four[0] * s, square[1] + four[1] * s
+    size = D[0] ** 2 + D[1] ** 2
+    inverse = D[0] / size, -D[1] / size
+    both = tuple(x + levels.parity * single for x, single in zip(of_all, of_single, strict=True))
+    ends = _product(both, _product(inverse, inverse))[0]
+    return -4.0 * (1.0 - s) * jnp.sum(ends, axis=0)
 
 
 # Angles φ of the poles q = tan(ω_c/2)·e^{iφ} of Butterworth filters of order 1 to 4, one per conjugate pair,

@@ -74,6 +74,7 @@ class Places(NamedTuple):
         component: component of each term.
         parameter: parameter of each free shape.
         owner: term of each free shape; the number of terms for the response.
+        inside: whether each term passes through the response.
         interval: sample interval [s].
     """
 
@@ -81,6 +82,7 @@ class Places(NamedTuple):
     component: Int[np.ndarray, " terms"]
     parameter: Int[np.ndarray, " shapes"]
     owner: Int[np.ndarray, " shapes"]
+    inside: Bool[np.ndarray, " terms"]
     interval: float
 
     @property
@@ -100,12 +102,17 @@ class Places(NamedTuple):
         self, maximum: Maximum
     ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
         """Expected levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
-        at, model, unit = self.layout, maximum.model, self.unit_power(maximum.theta)[:, None]
+        at, model = self.layout, maximum.model
+        unit = self.unit_power(np.asarray(maximum.theta))[:, None]
         base = np.asarray(model.unit)[self.component] * unit
         by_shape = np.zeros((*base.shape, len(self.parameter)))
+        # What passes through the response changes in proportion.
+        passing = self.inside[:, None] * base
+        total = np.asarray(maximum.theta)[self.component] @ (passing / unit)
         for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
             if at.response <= p < at.other_shapes:
-                by_shape[:, :, s] = np.asarray(model.by_response)[p - at.response, self.component] * unit
+                slope = np.asarray(model.by_response)[p - at.response]
+                by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
                 continue
             row = p - at.times if p < at.response else len(at.owner) + p - at.other_shapes
             by_shape[k, :, s] = np.asarray(model.by_shape)[row] * unit[k]
@@ -181,7 +188,8 @@ class Arrangement(NamedTuple):
                 held[index] = math.log(p.start - p.parameter.lower) + offset
         parameter, shift = np.array(free).reshape(-1, 2).T
         owner = np.array([p.term for p in free_shapes(model)], int)
-        places = Places(layout, component, parameter.astype(int), owner, 1.0 / bins.rate)
+        through = inside[component]
+        places = Places(layout, component, parameter.astype(int), owner, through, 1.0 / bins.rate)
         return cls(model, places, slots, levels, shift, held, bins.per_octave())
 
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Arrangement:

@@ -256,19 +256,19 @@ class Expected(NamedTuple):
     Attributes:
         unit: the levels.
         by_shape: derivatives by each shape of a component, those of the response left out.
-        by_response: derivatives by bandwidth and quality factor of the response.
+        by_response: derivatives of their sum by bandwidth and quality factor of the response.
     """
 
     unit: Float[Array, "components m"]
     by_shape: Float[Array, "shapes m"]
-    by_response: Float[Array, "2 components m"]
+    by_response: Float[Array, "2 m"]
 
     def slope(self, power: Any, at: Layout, own: Sequence[int] = ()) -> Float[Array, "parameters m"]:
         """Derivatives of the expected levels by the parameters; `own`: components of the further shapes."""
         xp = namespace(power, self.unit)
         owner = np.concatenate([at.owner, np.asarray(own, int)])
         moved, first = power[owner, None] * self.by_shape, len(at.owner)
-        return xp.concatenate([self.unit, moved[:first], power @ self.by_response, moved[first:]])
+        return xp.concatenate([self.unit, moved[:first], self.by_response, moved[first:]])
 
 
 def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -> Expected:
@@ -278,47 +278,42 @@ def expected(theta: Float[Array, " parameters"], slots: Slots, levels: Levels) -
     """
     at, others = slots.layout, slots.others
     R, moved = response_and_slope(levels, theta[at.response : at.other_shapes], slots.kind)
-    through = jnp.stack([R, *moved])
+    power, m = theta[: at.components], levels.angle.shape[-1]
+    inside = jnp.asarray(slots.inside)
+    passes = jnp.where(inside, power, 0.0)
 
     def observed(squares: Array, inside: Array) -> Array:
-        """Squares at the nodes as they are in the levels, and their derivatives by the response."""
-        plain = jnp.ones_like(through).at[1:].set(0.0)
-        return jnp.mean(squares * jnp.where(inside, through, plain), axis=1)
-
-    def slot(of: tuple[Array, ...]) -> Array:
-        used, inside, *shape = of
-
-        def evaluated() -> Array:
-            value, *slopes = oscillation(levels, *shape)
-            R = jnp.where(inside, through[0], 1.0)
-            return jnp.concatenate([observed(value, inside), jnp.mean(jnp.stack(slopes) * R, axis=1)])
-
-        return jax.lax.cond(used, evaluated, lambda: jnp.zeros((5, levels.angle.shape[-1])))
+        """Squares at the nodes as they are in the levels."""
+        return jnp.mean(squares * jnp.where(inside, R, 1.0), axis=-2)
 
     first, last = at.first_markov, at.first_other
+    columns = jnp.asarray(levels.columns)
     used = ((theta > 0.0) | slots.free)[first:last]
-    nothing = jnp.zeros(at.markovs)
-    shapes = (
-        jnp.concatenate([theta[at.times : at.qualities]]),
-        jnp.concatenate([nothing, theta[at.qualities : at.response]]),
-        np.arange(last - first) < at.markovs,
-    )
-    of_slots = jax.lax.map(slot, (used, slots.inside[first:last], *shapes)) if last > first else None
-    parts = [jax.vmap(observed)(jnp.asarray(levels.columns), slots.inside[:first])]
-    by_shape = jnp.zeros((0, levels.angle.shape[-1]))
-    if of_slots is not None:
-        parts.append(of_slots[:, :3])
-        by_shape = jnp.concatenate([of_slots[:, 3], of_slots[at.markovs :, 4]])
+    order = jnp.argsort(~used)
+    of_first = theta[at.times : at.qualities]
+    of_second = jnp.concatenate([jnp.zeros(at.markovs), theta[at.qualities : at.response]])
+
+    def slot(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
+        """The next used slot."""
+        (passing, found), k = state, order[i]
+        every = jnp.stack(oscillation(levels, of_first[k], of_second[k], k < at.markovs))
+        passing += passes[first + k] * every[0]
+        return passing, found.at[k].set(observed(every, inside[first + k]))
+
+    # What passes through the response, before it.
+    passing = jnp.tensordot(passes[:first], columns, 1)
+    nothing = jnp.zeros((last - first, 3, m))
+    passing, of_slots = jax.lax.fori_loop(0, jnp.sum(used), slot, (passing, nothing))
+    parts = [observed(columns, inside[:first, None, None]), of_slots[:, 0]]
+    by_shape = [of_slots[:, 1], of_slots[at.markovs :, 2]]
     if others is not None:
-        values, m = theta[at.other_shapes :], levels.angle.shape[-1]
-        parts.append(jax.vmap(observed)(others.expected(values, m), slots.inside[last:]))
-        slope = jax.jacfwd(lambda shapes: others.expected(shapes, m))(values)
-        own = [
-            observed(slope[k, ..., s], slots.inside[last + k])[:1] for s, (k, *_) in enumerate(others.shapes)
-        ]
-        by_shape = jnp.concatenate([by_shape, *own])
-    unit, *by_response = jnp.moveaxis(jnp.concatenate(parts), 1, 0)
-    return Expected(unit, by_shape, jnp.stack(by_response))
+        values, inside = theta[at.other_shapes :], slots.inside[last:]
+        squares, slopes = others.expected(values, m), jax.jacfwd(lambda u: others.expected(u, m))(values)
+        passing += jnp.tensordot(passes[last:], squares, 1)
+        parts.append(observed(squares, inside[:, None, None]))
+        by_shape += [observed(slopes[k, ..., s], inside[k])[None] for s, (k, *_) in enumerate(others.shapes)]
+    by_response = jnp.mean(moved * passing, axis=1)
+    return Expected(jnp.concatenate(parts), jnp.concatenate(by_shape), by_response)
 
 
 def loss(mean: Float[Array, " m"], levels: Levels) -> Float[Array, ""]:
@@ -383,7 +378,7 @@ class _Problem(NamedTuple):
             information=jnp.eye(at.parameters),
             interior=jnp.zeros(at.parameters, bool),
             mean=jnp.ones(m),
-            model=Expected(jnp.zeros((at.components, m)), by_shape, jnp.zeros((2, at.components, m))),
+            model=Expected(jnp.zeros((at.components, m)), by_shape, jnp.zeros((2, m))),
             steps=jnp.asarray(0),
             converged=jnp.asarray(False),
         )
