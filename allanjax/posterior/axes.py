@@ -18,11 +18,11 @@ import dataclasses
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import Progress, TaskID
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
@@ -189,14 +189,14 @@ class AxisSampler:
 
     def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
         """Posteriors of the named axes, with a progress bar if wanted."""
+        shown = sys.stderr.isatty() if progress is None else progress
         results = []
-        with _progress_bar(progress) as bar:
+        with Progress(console=Console(stderr=True), disable=not shown) as bar:
             for name in names:
-                task = None if bar is None else bar.add_task(name, total=None)
+                task = bar.add_task(name, total=None)
 
-                def report(steps: int, expected: int, task: Any = task) -> None:
-                    if bar is not None:
-                        bar.update(task, completed=steps, total=expected)
+                def report(steps: int, expected: int, task: TaskID = task) -> None:
+                    bar.update(task, completed=steps, total=expected)
 
                 results.append(dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report))
         return tuple(results)
@@ -204,19 +204,21 @@ class AxisSampler:
     def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
         """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
         likelihood = likelihood_of(self.fit, name)
-        priors, sampled = self._all_priors(likelihood), self._sampled(likelihood, name)
-        target = Target(likelihood, tuple(priors[p.label] for p in likelihood.parameters), sampled)
-        walkers = self._walkers(len(sampled))
+        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
+        if not sampled.size:
+            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
+        target = Target(likelihood, self._all_priors(likelihood), sampled)
         # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
         streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
         random = np.random.RandomState(streams)
         try:
-            start = first_walkers(target, walkers, random)
+            start = first_walkers(target, self._walkers(len(sampled)), random)
         except FitError as error:
             raise FitError(f"{name}: {error}") from None
         chains = run(target, start, random, self.convergence, report)
         if not chains.converged:
-            warnings.warn(self._complaint(name, likelihood, sampled, chains), PosteriorWarning, stacklevel=4)
+            labels = [likelihood.parameters[i].label for i in sampled]
+            warnings.warn(self._complaint(name, labels, chains), PosteriorWarning, stacklevel=4)
         return self._result(name, target, chains, random)
 
     def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
@@ -233,13 +235,6 @@ class AxisSampler:
                 )
         return priors | dict(self.priors)
 
-    def _sampled(self, likelihood: Likelihood, name: str) -> Int[np.ndarray, " sampled"]:
-        """Indices of the parameters to sample."""
-        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
-        if not sampled.size:
-            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
-        return sampled
-
     def _walkers(self, count: int) -> int:
         """Number of walkers for `count` parameters."""
         if self.walkers is None:
@@ -251,21 +246,16 @@ class AxisSampler:
             )
         return self.walkers
 
-    def _complaint(
-        self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
-    ) -> str:
+    def _complaint(self, name: str, labels: Sequence[str], chains: Chains) -> str:
         """Warning about chains that have not converged, with the worst parameter and the remedy."""
-        wanted = self.convergence
-        length = wanted.min_length * chains.tau
+        wanted, left = self.convergence, len(chains.y)
         excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
-        lack = np.max([length / len(chains.y), excess, chains.change / wanted.max_change], axis=0)
-        lack = np.nan_to_num(lack, nan=np.inf)
-        worst = int(np.argmax(lack))
-        label = likelihood.parameters[sampled[worst]].label
+        lack = [wanted.min_length * chains.tau / left, excess, chains.change / wanted.max_change]
+        worst = int(np.argmax(np.nan_to_num(np.max(lack, axis=0), nan=np.inf)))
         return (
-            f"{name}: the posterior has not converged in {chains.steps} steps; {label} is worst, with "
-            f"τ = {plain(chains.tau[worst], 3)} steps, {len(chains.y)} of {length[worst]:.0f} steps after "
-            f"the burn-in, a last change of τ of {percent(chains.change[worst])} and "
+            f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, with "
+            f"τ = {plain(chains.tau[worst], 3)} steps, {left} of {wanted.min_length * chains.tau[worst]:.0f} "
+            f"steps after the burn-in, a last change of τ of {percent(chains.change[worst])} and "
             f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
             "or give narrower priors"
         )
@@ -334,20 +324,3 @@ class AxisSampler:
             else:
                 found[p.label] = _marginal(p, axis, np.zeros(0), False, sampled=False)
         return found
-
-
-def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
-    """Context of a progress bar on stderr, or of None if no bar is wanted."""
-    if not (sys.stderr.isatty() if wanted is None else wanted):
-        return nullcontext()
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("steps"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True))

@@ -1,10 +1,9 @@
 """Expected levels of a spectrum for many values of a model's parameters at once, in NumPy.
 
-The walkers of a chain move together, so arrays of a batch are evaluated by one call of NumPy, which costs less
-than a compiled program for each of them and needs no compilation. Expectations are those of the joint spectral
-model (`spectral.components`, where their form is explained): exact for Gauss–Markov processes and resonances.
-What a record's ends add to filtered noise is in proportion to what they add under the fitted response. Terms
-whose shapes fit no slot there are JAX's, compiled once for each set of them.
+The walkers of a chain move together: a batch of them is one call of NumPy, which takes less time than a
+compiled program of all kinds of terms, and none to compile. Expectations are those of the joint spectral model
+(`spectral.components`, which explains their form). Other terms with free shapes are JAX's, compiled once for
+each set of them.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from jaxtyping import Array, Float
 from allanjax.estimate.spectral.components import columns_of, levels_of
 from allanjax.estimate.spectral.model import Others
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.response import HALF_POWER, LONGEST, MovingAverage
 from allanjax.noise.numerics import averaged_lags, mean_lags
+from allanjax.noise.response import HALF_POWER, LONGEST, MovingAverage
 from allanjax.noise.terms import Markov, Resonance
 from allanjax.spectrum.cosine import Bins
 
@@ -45,13 +44,11 @@ def in_batches(
 class ExpectedLevels:
     """Levels of the random terms of a model in these bins, for unit amplitudes.
 
-    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²] of
-    each term, [b, terms, m] or [1, terms, m] if its shapes are those of all. Amplitudes make no difference.
-
-    `values`: the values around which the response is.
+    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²]
+    of each term, [b, terms, m] or [1, terms, m] if all have the same shapes. Amplitudes make no difference.
     """
 
-    def __init__(self, model: Model, bins: Bins, values: Float[np.ndarray, " parameters"]) -> None:
+    def __init__(self, model: Model, bins: Bins) -> None:
         self._model, self._rate = model.sampled(bins.rate), bins.rate
         shapes = [(k, p) for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
         self._shapes = np.array([k for k, _ in shapes], int)

@@ -8,7 +8,7 @@ are jointly normal with the correlations of the variances.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -37,16 +37,6 @@ _CEILING = 1e2
 _ROWS = 64
 
 
-class Density(Protocol):
-    """Log-likelihood of an axis, given the values of all parameters of its model."""
-
-    def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, " b"]:
-        """Log-likelihood [nats] up to a constant; NaN where the noise has no power."""
-
-    def scales(self, values: Float[np.ndarray, " parameters"]) -> dict[int, tuple[float, float]]:
-        """By the place of each amplitude: that of one standard deviation, and the largest that the data allow."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Likelihood:
     """Log-likelihood of the free parameters of a model, in SI and in the model's order.
@@ -59,7 +49,7 @@ class Likelihood:
         prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
             parameters.
         found: which parameters belong to terms that the fit detected.
-        density: the likelihood of a complete record.
+        density: the likelihood of a complete record, from values of all parameters of the model.
         widening: factor by which missing samples widen it.
         held: values of all parameters of the model.
         places: which of these are the free ones.
@@ -72,7 +62,7 @@ class Likelihood:
     upper: Float[np.ndarray, " params"]
     prior_scale: Float[np.ndarray, " params"]
     found: Bool[np.ndarray, " params"]
-    density: Density
+    density: WhittleDensity | AllanDensity
     widening: float
     held: Float[np.ndarray, " all"]
     places: Int[np.ndarray, " params"]
@@ -129,8 +119,7 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     values = np.array([result[p.label].value if p.free else p.start or 0.0 for p in every], float)
     # Shapes of absent terms have some value in their range.
     held = np.where(np.isfinite(values), values, [p.parameter.lower + 1.0 for p in every])
-    of_axis: Any = WhittleDensity if result.spectrum is not None else AllanDensity
-    density: Density = of_axis(fit, result, held)
+    density = (AllanDensity if result.spectrum is None else WhittleDensity)(fit, result, held)
     parameters, start = tuple(every[k] for k in places), held[places]
     scale, ceiling = np.full((2, len(every)), np.nan)
     for k, (own, largest) in density.scales(held).items():
@@ -194,7 +183,7 @@ class WhittleDensity:
     The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
     """
 
-    def __init__(self, fit: Fit, result: AxisFit, values: Float[np.ndarray, " all"]) -> None:
+    def __init__(self, fit: Fit, result: AxisFit, _: Float[np.ndarray, " all"]) -> None:
         spectrum, model = result.spectrum, fit.template
         assert spectrum is not None
         self._bins, self._spectrum = spectrum.bins, spectrum
@@ -204,7 +193,7 @@ class WhittleDensity:
         self._own = [k for k, p in enumerate(model.parameters) if p.term in random or p.term == len(model)]
         self._amplitude = _amplitudes(model)
         self._random = self._amplitude[random]
-        self._levels = ExpectedLevels(model.without(labels), spectrum.bins, values[self._own])
+        self._levels = ExpectedLevels(model.without(labels), spectrum.bins)
         size = spectrum.bins.size.astype(float)
         # The error of powers is twice that of deviations.
         self._share = share_with_error(size, spectrum.bins.per_octave(), 2.0 * result.discrepancy)
@@ -248,6 +237,7 @@ class WhittleDensity:
         return total
 
     def scales(self, values: Float[np.ndarray, " all"]) -> dict[int, tuple[float, float]]:
+        """By the place of each amplitude: that of one standard deviation, and the largest the data allow."""
         found, level = {}, self._spectrum.squares / self._bins.size
         mean = self._mean(values[None])[0]
         with np.errstate(divide="ignore"):
