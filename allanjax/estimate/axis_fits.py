@@ -24,7 +24,7 @@ from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     AllanDesign,
     Starts,
-    best_starts,
+    different,
     find_lines,
     find_starts,
     free_powers,
@@ -46,16 +46,17 @@ from allanjax.estimate.inference import (
 )
 from allanjax.estimate.result import AxisFit, Misfit, fitted_model, misfit_of, spectral_misfit, widened
 from allanjax.estimate.spectral.components import columns_of
+from allanjax.estimate.spectral.expected import ExpectedLevels
 from allanjax.estimate.spectral.fit import (
-    SpectralDesign,
-    TangentDesign,
+    Arrangement,
+    LevelDesign,
+    LevelFit,
     best_of,
     chi_squared,
+    fit_levels,
     infer_levels,
-    levels_under,
-    solve_levels,
-    tangent_of,
 )
+from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
@@ -69,6 +70,8 @@ _ROUNDS = 3
 _FEW = 8.0
 # Bins per octave where the spectrum is not smooth: for resonances, and for filters.
 _FINE = 24
+# Candidates of start values that are evaluated together.
+_BLOCK = 32
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
 
@@ -172,11 +175,10 @@ def fit_spectrum(
     labels = zip(template.term_labels, random, strict=True)
     noise = template.without([label for label, here in labels if not here])
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
-    design, projection, solution = _fit_noise(noise, spectrum, used, active[random], peaks)
-    mean = levels_under(design, solution)
-    design = design.owned(noise, active[random] & (np.asarray(solution.power) > 0.0))
-    tangent = tangent_of(design, np.asarray(solution.shape))
-    return inferred(template, axis, active, spectrum, projection, tangent, solution, mean)
+    arrangement, projection, fit = _fit_noise(noise, spectrum, used, active[random], peaks)
+    mean = np.asarray(fit.maximum.mean)[: len(projection.level)]
+    design, solution = arrangement.tangent(fit), fit.solution
+    return inferred(template, axis, active, spectrum, projection, design, solution, mean)
 
 
 def inferred(
@@ -185,7 +187,7 @@ def inferred(
     active: Bool[np.ndarray, " terms"],
     spectrum: AxisSpectrum,
     projection: Projection,
-    design: TangentDesign,
+    design: LevelDesign,
     solution: Solution,
     mean: Float[np.ndarray, " m"],
 ) -> WhittleFit:
@@ -234,33 +236,51 @@ def _fit_noise(
     used: Bool[np.ndarray, " columns"],
     active: Bool[np.ndarray, " terms"],
     peaks: Float[np.ndarray, " peaks"] | Sequence[float],
-) -> tuple[SpectralDesign, Projection, Solution]:
+) -> tuple[Arrangement, Projection, LevelFit]:
     """Fit the random terms, alternating with the projection of the deterministic parts in use."""
-    bins = spectrum.bins
-    solution: Solution | None = None
     smooth, free = _smoothed(spectrum), free_powers(noise)
-    variance = smooth
-    empty = SpectralDesign.of(noise, bins).owned(noise, active)
+    empty, variance, fit = Arrangement.of(noise, spectrum.bins), smooth, None
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
-        design = empty.with_data(projection.level, projection.dof)
-        if solution is None:
+        arrangement = empty.with_data(projection.level, projection.dof)
+        if fit is None:
             # Single coefficients scatter too much for start values.
             rough = np.where(projection.dof < _FEW, smooth, projection.level)
-            shapes = shape_candidates(free_shapes(noise), float(bins.n / bins.rate), bins.rate, peaks)
-            starts = best_starts(noise, design, rough[None], active[None], shapes[None])
-            # The likelihood may have several maxima in a correlation time: all starts are tried.
-            tried = range(starts.power.shape[1] if design.moves.any() else 1)
-            begun = [
-                solve_levels(design, free, active, starts.power[0, k], starts.shape[0, k], smooth)
-                for k in tried
-            ]
-            solution = best_of(begun)
+            starts = _starts(noise, spectrum.bins, rough, projection.dof, active, peaks)
         else:
-            solution = solve_levels(design, free, active, solution.power, solution.shape, smooth)
-        variance = levels_under(design, solution)
-    assert solution is not None
-    return design, projection, solution
+            starts = [(np.asarray(fit.solution.power), np.asarray(fit.solution.shape))]
+        # The likelihood may have several maxima in a correlation time: all starts are tried.
+        fit = best_of([fit_levels(arrangement, free, active, *start, smooth) for start in starts])
+        variance = np.asarray(fit.maximum.mean)[: len(smooth)]
+    assert fit is not None
+    return arrangement, projection, fit
+
+
+def _starts(
+    noise: Model,
+    bins: Bins,
+    level: Float[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
+    """Powers and shapes to start from: the best candidates of shapes with the powers that fit best."""
+    shapes, parameters = free_shapes(noise), noise.parameters
+    candidates = shape_candidates(shapes, float(bins.n / bins.rate), bins.rate, peaks)
+    values = np.tile([1.0 if p.start is None else p.start for p in parameters], (len(candidates), 1))
+    places = [k for k, p in enumerate(parameters) if p.free and not p.parameter.is_amplitude]
+    values[:, places] = np.exp(candidates) + [p.parameter.lower for p in shapes]
+    of, found = ExpectedLevels(noise, bins), []
+    amplitudes = [p for p in parameters if p.parameter.is_amplitude]
+    held, free = np.array([float(p.start or 0.0) ** 2 for p in amplitudes]), free_powers(noise)
+    for some in np.array_split(values, -(-len(values) // _BLOCK)):
+        unit = np.broadcast_to(of(some), (len(some), len(noise), len(level)))
+        start = np.where(free, np.min(level / np.maximum(unit, 1e-300), axis=-1), held)
+        found.append(power_fits(level, dof / 2.0, level, unit, start, np.tile(active, (len(some), 1))))
+    power, loss = (np.concatenate(part) for part in zip(*found, strict=True))
+    power = np.where(free, power, held)
+    best = different(candidates, loss, shapes)
+    return [(power[k], candidates[k]) for k in best]
 
 
 def _smoothed(spectrum: AxisSpectrum) -> Float[np.ndarray, " m"]:

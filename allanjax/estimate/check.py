@@ -1,16 +1,16 @@
 """Check, line by line, whether a recording is suitable for estimation, and how long it should be.
 
-Rough fits maximize Whittle's likelihood of the cosine spectrum by Fisher scoring with non-negative powers;
-errors follow from the Fisher information. Nothing is compiled, no terms are chosen, no structure is searched.
+Rough fits find the powers of quantization, N, B and K that make the cosine spectrum most likely; errors
+follow from the Fisher information. Nothing is compiled, no terms are chosen, no structure is searched.
 
 The levels c_j² of the cosine spectrum (see `spectrum.cosine`) are independent and χ² with one degree of
-freedom around the density S(f_j), f_j = j·rate/2n, j = 1 … n−1. So the Fisher information of n samples on
-the logarithms of the parameters θ is
+freedom around the density S(f_j) = Σ p_a u_a(f_j), f_j = j·rate/2n, j = 1 … n−1, of terms with powers p_a.
+So the Fisher information of n samples about the powers is
 
-    F_ab = ½ Σ_j (∂ ln S_j/∂ ln θ_a)(∂ ln S_j/∂ ln θ_b),
+    F_ab = ½ Σ_j u_a(f_j) u_b(f_j)/S(f_j)²,
 
-and no unbiased estimate of θ_a has a relative standard deviation below √[F⁻¹]_aa. A longer recording adds
-lower frequencies, where slow terms dominate, and more levels at all others.
+and no unbiased estimate of p_a has a standard deviation below √[F⁻¹]_aa. A longer recording adds lower
+frequencies, where slow terms dominate, and more levels at all others.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.optimize import nnls
+from jaxtyping import Float
 
-from allanjax.base.chi_squared import upper_tail
+from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
@@ -34,125 +33,36 @@ from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
 from allanjax.estimate.evidence import without_ramp
-from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.spectral.components import columns_of
-from allanjax.estimate.spectral.fit import chi_squared, error_of_powers
+from allanjax.estimate.spectral.fit import chi_squared
+from allanjax.estimate.spectral.powers import bounds, information, power_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.model import Model, ModelParameter, NoiseTerm
-from allanjax.noise.terms import AngleRandomWalk, BiasInstability, DriftRamp, RateRandomWalk, basic_terms
+from allanjax.noise.terms import NoiseTerm, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
 
-# Steps of Fisher scoring, and the scatter beyond which a level contains a line and is left out.
-_STEPS, _LINE = 30, 6.0
-# p-value below which the terms do not fit the spectrum.
-_REJECTED = 1e-6
+# Fits of an axis, each without the lines that exceed the one before; steps of each; and the scatter beyond
+# which a level contains a line.
+_ROUNDS, _STEPS, _LINE = 3, 40, 6.0
 #: Relative standard deviation at which a coefficient counts as known.
 TARGET = 0.2
 _TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
 #: Longest recording that is proposed [s]: a month.
 LONGEST = 30.0 * 86400.0
 # Coefficients for which a length is reported.
-_ASKED: dict[str, type[NoiseTerm]] = {"N": AngleRandomWalk, "B": BiasInstability, "K": RateRandomWalk}
-# Levels up to this one count individually, further ones in so many groups per octave.
-_SINGLE, _PER_OCTAVE = 256, 32
-# Step of the logarithm of a parameter in a derivative, downwards because some bandwidths have an upper bound.
-_STEP = 1e-4
-# Samples of the shortest record considered, and the relative accuracy of a length.
-_SHORTEST, _ACCURACY = 64, 1e-3
+_ASKED = ("N", "B", "K")
+# Levels an octave that stand for all of them above the lowest 64.
+_PER_OCTAVE = 32
+# Fewest samples for a length, or of a length; and the relative accuracy of a length.
+_FEWEST, _ACCURACY = 64, 1e-3
 SCHEMA_VERSION = 1
-# Fewest samples from which a length is determined.
-_FEWEST = 64
 # Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
-
-
-def rough_fits(recording: Recording, below: Float[np.ndarray, " axes"]) -> tuple[AxisFit, ...]:
-    """Return a rough fit of every axis to frequencies up to its `below` [Hz]; inf for all frequencies."""
-    n, rate = recording.n, recording.rate
-    bins = Bins.of(n, rate)
-    model = Model(tuple(term for term in basic_terms().terms if not term.deterministic))
-    columns = columns_of([term.sampled(rate) for term in model.terms], bins).mean(axis=1)
-    c = cosine_transform(recording.values - recording.values.mean(axis=0))
-    statistics = bins.statistics(c, ramp_column(n, rate))
-    found = []
-    for k, axis in enumerate(recording.axes):
-        inside = bins.frequency <= below[k]
-        own = SpectralStatistics(*(x[k][inside] for x in statistics))
-        found.append(_fit(own, bins.size[inside].astype(float), columns[:, inside], model, axis))
-    return tuple(found)
-
-
-def _fit(
-    statistics: SpectralStatistics,
-    size: Float[np.ndarray, " m"],
-    columns: Float[np.ndarray, "terms m"],
-    model: Model,
-    axis: Axis,
-) -> AxisFit:
-    """Return the rough fit of one axis."""
-    mean, used = np.maximum(statistics.squares / size, 1e-300), np.ones(len(size), bool)
-    # The first level is an average over neighbours, as single levels scatter.
-    mean = np.exp(np.convolve(np.log(np.pad(mean, 3, mode="edge")), np.ones(7) / 7.0, "valid"))
-    power = np.zeros(len(columns))
-    scale = np.median(mean) / np.median(columns, axis=1)
-    for step in range(_STEPS):
-        squares, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, True))
-        dof = np.maximum(dof, 1e-3)
-        if step in (_STEPS // 3, 2 * _STEPS // 3):
-            used = (squares / dof / mean - 1.0) * np.sqrt(dof / 2.0) < _LINE
-            used |= size == 1.0
-        weight = np.sqrt(dof / 2.0) / mean * used
-        power = nnls((columns * scale[:, None] * weight).T, squares / dof * weight)[0] * scale
-        mean = np.maximum(power @ columns, 1e-300)
-    squares, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, True))
-    dof = np.maximum(dof, 1e-3)
-    ratio, degrees = (squares / dof / mean)[used], max(float(used.sum() - 3), 1.0)
-    chi2 = float(chi_squared(ratio, dof[used]))
-    p_value = float(upper_tail(chi2, degrees))
-    wide = p_value < _REJECTED
-    off = float(error_of_powers(ratio, dof[used], np.ones(int(used.sum())), degrees)) / 2.0 if wide else 0.0
-    scaled = columns * scale[:, None] / mean * used
-    information, present = (scaled * dof / 2.0) @ scaled.T, power > 0.0
-    std = np.zeros(len(power))
-    for k in range(len(power)):
-        # Beside the terms that are present.
-        own = present | (np.arange(len(power)) == k)
-        inverse = np.linalg.pinv(information[np.ix_(own, own)], hermitian=True)
-        std[k] = np.sqrt(inverse[own[:k].sum(), own[:k].sum()]) * scale[k]
-    coefficients = _coefficients(model, axis, power, std)
-    covariance = np.diag([c.std**2 for c in coefficients.values()])
-    own = fitted_model(model, coefficients)
-    return AxisFit(axis, True, "", chi2, int(degrees), p_value, off, coefficients, covariance, own)
-
-
-def _coefficients(
-    model: Model, axis: Axis, power: Float[np.ndarray, " terms"], std: Float[np.ndarray, " terms"]
-) -> dict[str, Estimate]:
-    """Return the amplitudes of the terms from their powers, with errors and limits."""
-    found = {}
-    for term, p, s in zip(model.terms, power, std, strict=True):
-        detected, value = bool(p > ONE_SIDED_95 * s), float(np.sqrt(p))
-        levels = (-TWO_SIDED_95, TWO_SIDED_95, -TWO_SIDED_68, TWO_SIDED_68)
-        ends = [float(np.sqrt(max(p + z * s, 0.0))) for z in levels]
-        found[term.name()] = Estimate(
-            axis=axis,
-            label=term.name(),
-            value=value if detected else 0.0,
-            std=float(s / 2.0 / value) if detected else float("nan"),
-            interval=(ends[0], ends[1]),
-            interval_68=(ends[2], ends[3]),
-            parameter=term.amplitude_parameter(),
-            term=term.name(),
-            upper_limit=float(np.sqrt(p + ONE_SIDED_95 * s)),
-            detected=detected,
-        )
-    return found
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -164,7 +74,8 @@ class NeededLength(ByValue):
         relative_std: its relative standard deviation now; nan if it is not detected or not measured.
         now: length [s] that was fitted.
         seconds: length [s] at which the Cramér–Rao bound is 20 %, for an undetected coefficient if it were at
-            its 95 % upper limit; None if that is more than a month, or unknown.
+            its 95 % upper limit; None if that is more than a month, or unknown. If the standard deviation
+            exceeds the bound now, it is assumed to exceed it by the same factor later.
         reason: why it is unknown; "" if it is known.
     """
 
@@ -198,120 +109,136 @@ class NeededLength(ByValue):
             return f"{below}, at that limit it would usually be detected by now"
         return f"{below}; if it were at that limit, {needed}"
 
-
-def needed_lengths(result: AxisFit, n: int, rate: float) -> tuple[NeededLength, ...]:
-    """Return how long to record for N, B and K of an axis, given its fit to n samples at `rate` [Hz].
-
-    If the fit's standard deviation exceeds the bound at its own length, lengths are scaled accordingly.
-    """
-    if not result.converged:
-        return ()
-    wanted = (term.name() for term in _ASKED.values())
-    return tuple(_needed(result, result[label], n, rate) for label in wanted if label in result.coefficients)
-
-
-def _needed(result: AxisFit, c: Estimate, n: int, rate: float) -> NeededLength:
-    """Return how long to record for one coefficient of an axis."""
-    now = n / rate
-    if not result.measured:
-        return NeededLength(c, math.nan, now, None, "the fit does not describe this sensor")
-    if c.detected and c.value > 0.0 and np.isfinite(c.std):
-        std = c.std / c.value
-        if std <= TARGET:
-            return NeededLength(c, std, now, now)
-        if result.discrepancy > 0.0:
-            why = "the length is unknown as the model does not fit the data"
-            return NeededLength(c, std, now, None, why)
-        # The fit cannot be better than the bound; longer ones are assumed to be worse by the same factor.
-        target = TARGET * min(relative_std(result.model, n, rate)[c.label] / std, 1.0)
-        return NeededLength(c, std, now, length_for(result.model, c.label, rate, target))
-    if c.upper_limit is None or not c.upper_limit > 0.0:
-        return NeededLength(c, math.nan, now, None, "there is no upper limit")
-    term = next(term for term in _ASKED.values() if term.name() == c.term)
-    name = term.amplitude_parameter().name
-    there = result.model.without([c.term]) if c.term in result.model.term_labels else result.model
-    at_limit = there + term().replace(**{name: c.upper_limit})
-    return NeededLength(c, math.nan, now, length_for(at_limit, c.term, rate))
+    def to_dict(self) -> dict[str, Any]:
+        """Return the length as a dictionary, for JSON."""
+        c = self.coefficient
+        return {
+            "axis": c.axis.name,
+            "coefficient": c.label,
+            "detected": c.detected,
+            "relative_std": finite_or_none(self.relative_std),
+            "target": TARGET,
+            "needed_s": self.seconds,
+            "of_size_si": c.value if c.detected else c.upper_limit,
+            "reason": self.reason,
+        }
 
 
-def length_for(model: Model, label: str, rate: float, target: float = TARGET) -> float | None:
-    """Return the length [s] at which the bound of a parameter's relative standard deviation is `target`.
-
-    None if that is more than `LONGEST`.
-
-    Raises:
-        AllanjaxError: the model has no such parameter with a value.
-    """
-
-    def bound(n: float) -> float:
-        bounds = relative_std(model, round(n), rate)
-        if label not in bounds:
-            raise AllanjaxError(f"the model has no parameter {label!r}; it has {', '.join(bounds)}")
-        return bounds[label]
-
-    low, high = float(_SHORTEST), max(LONGEST * rate, _SHORTEST + 1.0)
-    if bound(low) <= target:
-        return low / rate
-    if bound(high) > target:
-        return None
-    while high / low > 1.0 + _ACCURACY:
-        middle = math.sqrt(low * high)
-        low, high = (low, middle) if bound(middle) <= target else (middle, high)
-    return high / rate
+def _lengths(
+    quiet: Recording, inspection: Inspection, widths: Mapping[str, float | None]
+) -> Iterator[NeededLength]:
+    """Yield how long to record for N, B and K of each axis, by rough fits to its spectrum."""
+    n, rate = quiet.n, quiet.rate
+    bins, terms = Bins.of(n, rate), [term for term in basic_terms().terms if not term.deterministic]
+    columns, densities = columns_of(terms, bins).mean(axis=1), Densities.of(terms, n, rate)
+    cosines = cosine_transform(quiet.values - quiet.values.mean(axis=0))
+    statistics = bins.statistics(cosines, ramp_column(n, rate))
+    for row, axis in enumerate(quiet.axes):
+        # Up to half of its bandwidth a filter passes nearly everything.
+        width = widths[axis.name]
+        inside = bins.frequency <= (np.inf if width is None else width / 2.0)
+        own = SpectralStatistics(*(x[row][inside] for x in statistics))
+        power, std, fits = _rough_fit(own, bins.size[inside], columns[:, inside])
+        found = [_estimate(axis, *x) for x in zip(terms, power.tolist(), std.tolist(), strict=True)]
+        measured, detected = not inspection.why_not(axis.name), np.array([c.value**2 for c in found])
+        for k, c in enumerate(found):
+            if c.symbol in _ASKED:
+                yield _needed(c if measured else c.unmeasured(), k, detected, fits, n / rate, densities)
 
 
-def relative_std(model: Model, n: int, rate: float) -> dict[str, float]:
-    """Return the Cramér–Rao bound of each parameter's relative standard deviation, for n samples at `rate`.
+def _rough_fit(
+    statistics: SpectralStatistics, size: Float[np.ndarray, " m"], columns: Float[np.ndarray, "terms m"]
+) -> tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " terms"], bool]:
+    """Powers of the terms in the spectrum of an axis, their standard deviations, and whether they fit."""
+    # Levels are averaged over neighbours at first, as single ones scatter.
+    logs = np.log(np.maximum(statistics.squares / size, 1e-300))
+    mean = rough = np.exp(np.convolve(np.pad(logs, 3, mode="edge"), np.ones(7) / 7.0, "valid"))
+    power = (rough / columns).min(axis=1)
+    for k in range(_ROUNDS):
+        squares, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, True))
+        shape = np.maximum(dof, 1e-3) / 2.0
+        level = squares / (2.0 * shape)
+        used = (k == 0) | ((level / mean - 1.0) * np.sqrt(shape) < _LINE) | (size == 1)
+        (power,), _ = power_fits(level, shape * used, rough, columns[None], power[None], steps=_STEPS)
+        mean = power @ columns
+    chi2 = chi_squared((level / mean)[used], 2.0 * shape[used])
+    std = bounds(information(columns, mean, shape * used), power > 0.0)
+    return power, std, bool(chi2 <= beyond_doubt(np.asarray(max(used.sum() - 3.0, 1.0))))
 
-    All parameters with a value count as unknown except held ones and those of deterministic terms, which
-    affect at most one level each. The bound is inf if n samples hold no information on the parameter.
-    """
-    first, last = _groups(n, 2 if any(isinstance(term, DriftRamp) for term in model.terms) else 1)
-    frequency, count = (first + last) * rate / (4.0 * n), last - first + 1
-    random = model.without(
-        [label for label, term in zip(model.term_labels, model.terms, strict=True) if term.deterministic]
+
+def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate:
+    """Amplitude of a term from its power, with errors and limits."""
+    detected, value = power > ONE_SIDED_95 * std, math.sqrt(power)
+    levels = (-TWO_SIDED_95, TWO_SIDED_95, -TWO_SIDED_68, TWO_SIDED_68)
+    ends = [math.sqrt(max(power + z * std, 0.0)) for z in levels]
+    return Estimate(
+        axis=axis,
+        label=term.name(),
+        value=value if detected else 0.0,
+        std=std / 2.0 / value if detected else math.nan,
+        interval=(ends[0], ends[1]),
+        interval_68=(ends[2], ends[3]),
+        parameter=term.amplitude_parameter(),
+        term=term.name(),
+        upper_limit=math.sqrt(power + ONE_SIDED_95 * std),
+        detected=detected,
     )
-    values = {
-        p.label: float(p.start) for p in random.parameters if p.start is not None and _counts(random, p)
-    }
-    labels = list(values)
-
-    def log_density(label: str, factor: float) -> Float[np.ndarray, " m"]:
-        moved = random.with_values(**{label: values[label] * factor})
-        return np.log(np.asarray(moved.sampled(rate).sampled_psd(frequency, rate)))
-
-    here = log_density(labels[0], 1.0)
-    D = np.stack([(here - log_density(label, math.exp(-_STEP))) / _STEP for label in labels], axis=1)
-    return dict(zip(labels, _bound(0.5 * (D.T * count) @ D), strict=True))
 
 
-def _counts(model: Model, p: ModelParameter) -> bool:
-    """Return whether a parameter is unknown: finite, nonzero, not held; numbers such as orders are known."""
-    owner = model.response if p.term == len(model.terms) else model.terms[p.term]
-    known = owner is None or p.parameter.name in owner.held or p.parameter.kind == "number"
-    return not known and bool(np.isfinite(p.start or 0.0) and p.start)
+class Densities(NamedTuple):
+    """Logarithms of densities of terms of unit power and of frequencies that suffice for any length."""
+
+    rate: float
+    frequency: Float[np.ndarray, " m"]
+    density: Float[np.ndarray, "terms m"]
+
+    @classmethod
+    def of(cls, terms: Sequence[NoiseTerm], n: int, rate: float) -> Densities:
+        """Densities of the samples at `rate` [Hz], for records of n samples, or up to a month."""
+        octaves = math.log2(max(n, LONGEST * rate))
+        frequency = np.geomspace(0.5 * rate / 2.0**octaves, 0.5 * rate, math.ceil(_PER_OCTAVE * octaves))
+        units = [term.sampled(rate).with_unit_amplitude() for term in terms]
+        density = [np.log(unit.sampled_psd(frequency, rate)) for unit in units]
+        return cls(rate, np.log(frequency), np.array(density))
+
+    def bound(self, seconds: float, power: Float[np.ndarray, " terms"], k: int) -> float:
+        """Bound of the relative standard deviation of one amplitude, for a record of this length."""
+        bins = Bins.of(round(seconds * self.rate), self.rate, per_octave=_PER_OCTAVE)
+        at = np.log(bins.frequency)
+        unit = np.exp([np.interp(at, self.frequency, density) for density in self.density])
+        std = bounds(information(unit, power @ unit, bins.size / 2.0), power > 0.0)
+        return float(std[k] / (2.0 * power[k]))
+
+    def length_for(self, power: Float[np.ndarray, " terms"], k: int, target: float) -> float | None:
+        """Length [s] at which that bound is `target`; None if it is more than `LONGEST`."""
+        low, high = _FEWEST / self.rate, max(LONGEST, 2.0 * _FEWEST / self.rate)
+        if self.bound(low, power, k) <= target:
+            return low
+        if self.bound(high, power, k) > target:
+            return None
+        while high > (1.0 + _ACCURACY) * low:
+            middle = math.sqrt(low * high)
+            low, high = (low, middle) if self.bound(middle, power, k) <= target else (middle, high)
+        return high
 
 
-def _bound(F: Float[np.ndarray, "params params"]) -> Float[np.ndarray, " params"]:
-    """Return the roots of the diagonal of an inverse Fisher matrix; inf where it has no information."""
-    size = np.sqrt(np.diag(F))
-    informed = size > 1e-6
-    bound = np.full(len(F), np.inf)
-    scaled = F[np.ix_(informed, informed)] / np.outer(size[informed], size[informed])
-    values, vectors = np.linalg.eigh(scaled)
-    variance = (vectors**2 / np.maximum(values, 1e-12)).sum(axis=1)
-    bound[informed] = np.sqrt(variance) / size[informed]
-    return bound
-
-
-def _groups(n: int, first: int) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Return the first and last level of each group, from level `first` to n − 1."""
-    single = np.arange(first, min(_SINGLE, n - 1) + 1)
-    octaves = max(math.log2(n / _SINGLE), 0.0)
-    further = (_SINGLE + 1) * 2.0 ** np.arange(0.0, octaves, 1.0 / _PER_OCTAVE)
-    starts = np.unique(np.concatenate([single, np.rint(further).astype(int)]))
-    starts = starts[starts < n]
-    return starts, np.append(starts[1:] - 1, n - 1)
+def _needed(
+    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, now: float, densities: Densities
+) -> NeededLength:
+    """How long to record for one coefficient of an axis, given the powers of its detected terms."""
+    if not c.measured:
+        return NeededLength(c, math.nan, now, None, "the fit does not describe this sensor")
+    if not c.detected:
+        at_limit = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
+        return NeededLength(c, math.nan, now, densities.length_for(at_limit, k, TARGET))
+    std = c.std / c.value
+    if std <= TARGET:
+        return NeededLength(c, std, now, now)
+    if not fits:
+        return NeededLength(c, std, now, None, "the length is unknown as the model does not fit the data")
+    # The fit cannot be better than the bound.
+    target = TARGET * min(densities.bound(now, power, k) / std, 1.0)
+    return NeededLength(c, std, now, densities.length_for(power, k, target))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -360,7 +287,7 @@ class Check(ByValue, Tabled):
             "recording": {"name": self.name, "n": self.n, "rate_hz": self.rate, "duration_s": seconds},
             "verdict": self.verdict,
             "lines": [dataclasses.asdict(line) for line in self.lines],
-            "lengths": [_length(length) for length in self.lengths],
+            "lengths": [length.to_dict() for length in self.lengths],
         }
 
     def _title(self) -> str:
@@ -436,28 +363,15 @@ def check_of(recording: Recording, inspection: Inspection) -> Check:
     quiet = recording if inspection.refusal else inspection.quiet(recording)
     spectrum = spectrum_of(quiet.values, quiet.rate)
     widths = {name: spectrum and bandwidth_in(spectrum, k) for k, name in enumerate(quiet.names)}
-    lengths = () if inspection.refusal or quiet.n < _FEWEST else _lengths(quiet, inspection, widths)
+    lengths = () if inspection.refusal or quiet.n < _FEWEST else tuple(_lengths(quiet, inspection, widths))
     lines = (*lines_of(recording, inspection, widths), *_of_length(inspection, lengths))
     return Check(recording.name, recording.n, recording.rate, lines, lengths)
 
 
-def _lengths(
-    quiet: Recording, inspection: Inspection, widths: Mapping[str, float | None]
-) -> tuple[NeededLength, ...]:
-    """Return how long to record for N, B and K of each axis."""
-    # Up to half of its bandwidth a filter passes nearly everything.
-    below = np.array([np.inf if width is None else width / 2.0 for width in widths.values()])
-    results = (
-        result.unmeasured(not_measured=why) if (why := inspection.why_not(result.axis.name)) else result
-        for result in rough_fits(quiet, below)
-    )
-    return tuple(length for result in results for length in needed_lengths(result, quiet.n, quiet.rate))
-
-
 def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Iterator[Line]:
     """Yield lines on the length needed for N, B and K."""
-    for symbol, term in _ASKED.items():
-        own = [length for length in lengths if length.coefficient.label == term.name()]
+    for symbol in _ASKED:
+        own = [length for length in lengths if length.coefficient.symbol == symbol]
         name = f"length for {symbol}"
         if not own:
             short = f"fewer than {_FEWEST} samples"
@@ -492,18 +406,3 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
 
 def _in_words(seconds: float | None) -> str:
     return duration(seconds) if seconds else "more than a month"
-
-
-def _length(length: NeededLength) -> dict[str, Any]:
-    """Return a needed length as a dictionary."""
-    c = length.coefficient
-    return {
-        "axis": c.axis.name,
-        "coefficient": c.label,
-        "detected": c.detected,
-        "relative_std": finite_or_none(length.relative_std),
-        "target": TARGET,
-        "needed_s": length.seconds,
-        "of_size_si": c.value if c.detected else c.upper_limit,
-        "reason": length.reason,
-    }

@@ -2,7 +2,7 @@
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
-at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`SpectralDesign`).
+at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`LevelDesign`).
 """
 
 from __future__ import annotations
@@ -134,11 +134,6 @@ class Design(eqx.Module):
         both = jnp.concatenate([X, jnp.eye(len(mean))], axis=1)
         values = self.whiten(covariance, mean, power_error, both).values
         return values[:, :k], values[:, :k].T @ values[:, k:]
-
-    @property
-    @abc.abstractmethod
-    def weight(self) -> Float[Array, " m"]:
-        """Rough relative weight of each estimate, for use without a model."""
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -448,7 +443,7 @@ class Starts(NamedTuple):
 
 def find_starts(
     model: Model,
-    design: Design,
+    design: AllanDesign,
     V: Float[np.ndarray, "axes m"],
     active: Bool[np.ndarray, "axes terms"],
     records: Iterable[Float[np.ndarray, " samples"] | None],
@@ -468,14 +463,14 @@ def find_starts(
 
 def best_starts(
     model: Model,
-    design: Design,
+    design: AllanDesign,
     V: Float[np.ndarray, "axes m"],
     active: Bool[np.ndarray, "axes terms"],
     shape: Float[np.ndarray, "axes candidates shapes"],
 ) -> Starts:
     """Start values for every axis from candidate shapes: the best few, with the powers that fit best.
 
-    The powers come from a non-negative least squares fit weighted by `Design.weight`.
+    The powers come from a non-negative least squares fit weighted by the number of clusters.
     """
     from scipy.ndimage import median_filter
 
@@ -493,18 +488,19 @@ def best_starts(
     for k, (term, value) in enumerate(zip(model.terms, given, strict=True)):
         if value is not None and not term.has_free_amplitude:
             power[:, :, k] = value**2
-    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in free_shapes(model)])
-    best = np.stack([_different(*of_axis, apart) for of_axis in zip(shape, misfit, strict=True)])
+    of_axes = zip(shape, misfit, strict=True)
+    best = np.stack([different(*of_axis, free_shapes(model)) for of_axis in of_axes])
     axis = np.arange(len(V))[:, None]
     return Starts(power[axis, best], shape[axis, best])
 
 
-def _different(
+def different(
     shape: Float[np.ndarray, "candidates shapes"],
     misfit: Float[np.ndarray, " candidates"],
-    apart: Float[np.ndarray, " shapes"],
+    shapes: Sequence[ModelParameter],
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
+    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
     order = list(np.argsort(misfit))
     chosen: list[int] = []
     for i in order:
@@ -515,7 +511,7 @@ def _different(
 
 @eqx.filter_jit
 def _rough_powers(
-    design: Design,
+    design: AllanDesign,
     V: Float[ArrayLike, "axes m"],
     active: Bool[ArrayLike, "axes terms"],
     shape: Float[ArrayLike, "axes candidates shapes"],

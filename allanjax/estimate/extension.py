@@ -21,8 +21,8 @@ from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.result import AxisFit, extended_model, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
-from allanjax.estimate.spectral.components import NONE, padded
-from allanjax.estimate.spectral.fit import TangentDesign, chi_squared, error_of_powers
+from allanjax.estimate.spectral.components import NONE
+from allanjax.estimate.spectral.fit import LevelDesign, Places, chi_squared, error_of_powers
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.search import TIMES, WIDE, Record, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
@@ -31,6 +31,7 @@ from allanjax.estimate.structure.structure import (
     LINE,
     LOWEST,
     OUTSIDE,
+    QUANTIZATION,
     WHITE,
     Fitted,
     Spectrum,
@@ -54,8 +55,6 @@ _BLOCK, _MEDIAN = 64, 0.4549
 _LOOKS = 3
 # Rounds of projecting out ramp and lines and fitting the rest.
 _WEIGHT_ROUNDS = 2
-# Numbers of terms, free shapes and levels to which arrays are padded: those of the joint spectral model.
-_TERMS, _SHAPES, _LEVELS = 24, 32, 1024
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
 _SHAPED, _AROUND = 0.05, 1.5
@@ -65,6 +64,9 @@ _SHORT = 20.0
 _APART = 1.5
 # Most joint fits until every component of the model is detected.
 _ROUNDS = 6
+# Growth of the discrepancy, relative and absolute, that the removal of what is not detected may cause:
+# judgements.
+_WORSE, _SLIGHT = 1.2, 0.001
 # Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
 
@@ -96,9 +98,10 @@ class Content(NamedTuple):
 
     @property
     def plain_terms(self) -> list[int]:
-        """Components with some power that are basic terms or Markov processes."""
-        markovs = range(FULL.first_markov, FULL.first_oscillator)
-        return [k for k in self.structure.there if k < OUTSIDE or k in markovs]
+        """Components with some power that are basic terms or Markov processes before the response, if any."""
+        markovs, structure = range(FULL.first_markov, FULL.first_oscillator), self.structure
+        before = structure.inside if structure.kind != NONE else np.ones_like(structure.inside)
+        return [k for k in structure.there if (k < OUTSIDE or k in markovs) and before[k]]
 
 
 def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
@@ -197,6 +200,29 @@ class Template(NamedTuple):
         model = Model(each, response, () if response is None else inside)
         return cls(model, np.array(active), np.array(component))
 
+    @property
+    def noise(self) -> Model:
+        """The random terms."""
+        terms = zip(self.model.term_labels, self.model.terms, strict=True)
+        return self.model.without([label for label, term in terms if term.deterministic])
+
+    def places(self, rate: float) -> Places:
+        """Where the random terms and their shapes are in the structure's slots."""
+        at, parameter = FULL, []
+        shapes = free_shapes(self.noise)
+        for p in shapes:
+            first = p.parameter.name in ("correlation_time", "frequency", "bandwidth")
+            if p.term == len(self.component):
+                parameter.append(at.response if first else at.response + 1)
+                continue
+            k = int(self.component[p.term])
+            if k < at.first_oscillator:
+                parameter.append(at.times + k - at.first_markov)
+            else:
+                parameter.append((at.frequencies if first else at.qualities) + k - at.first_oscillator)
+        owner = np.array([p.term for p in shapes], int)
+        return Places(at, self.component, np.array(parameter, int), owner, 1.0 / rate)
+
 
 def fit_jointly(
     content: Content, ramp: bool, axis: Axis, x: Float[np.ndarray, " n"]
@@ -206,19 +232,28 @@ def fit_jointly(
     base = Record(content.c**2, rate).binned(content.structure)
     spectrum = spectrum_of(template.model, x, rate, {}, bins=base.bins)
     used = spectrum.used([k for k in range(len(template.model)) if not template.active[k]])
-    found, rows = base.fit(content.structure), len(base.bins.size)
-    for _ in range(_WEIGHT_ROUNDS):
-        projection = spectrum.project(found.mean[:rows], used)
-        base = base.with_data(projection.level, projection.dof).weighing(found, filters=True, skirts=True)
-        found = base.fit(found.structure, FINE)
-    template = Template.of(content._replace(structure=found.structure), ramp)
-    mean, per_octave = found.mean[:rows], base.bins.per_octave()
+    first, rows = base.fit(content.structure), len(base.bins.size)
+    # Errors of the model count only where the data show any.
+    for errors in (False, True):
+        found = first
+        for _ in range(_WEIGHT_ROUNDS):
+            projection = spectrum.project(found.mean[:rows], used)
+            base = base.with_data(projection.level, projection.dof)
+            base = base.weighing(found, filters=True, skirts=True) if errors else base
+            found = base.fit(found.structure, FINE)
+        mean = found.mean[:rows]
+        chi2 = chi_squared(projection.level / mean, projection.dof)
+        left = max(projection.estimates - np.sum(template.active) - len(free_shapes(template.model)), 1.0)
+        if chi2 <= beyond_doubt(left):
+            break
+    template, per_octave = (
+        Template.of(content._replace(structure=found.structure), ramp),
+        base.bins.per_octave(),
+    )
     degrees = 2.0 * np.asarray(base.levels.shape)
-    unshaped = _unshaped(found.structure, base, projection.level / mean)
-    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
-    left = max(projection.estimates - np.sum(template.active) - len(solution.shape), 1.0)
     ratio = projection.level / mean
-    chi2 = chi_squared(ratio, projection.dof)
+    unshaped = _unshaped(found.structure, base, ratio)
+    design, solution = _tangent(template, found, rate, degrees, per_octave, unshaped)
     sure = chi2 > beyond_doubt(left)
     error = error_of_powers(ratio, projection.dof, per_octave, left) if sure else 0.0
     misfit: dict[str, Any] = {"chi2": np.asarray(chi2), "power_error": np.asarray(error)}
@@ -234,65 +269,32 @@ def _tangent(
     degrees: Float[np.ndarray, " capacity"],
     per_octave: Float[np.ndarray, " m"],
     unshaped: Container[int],
-) -> tuple[TangentDesign, Solution]:
+) -> tuple[LevelDesign, Solution]:
     """Levels around a fit, linear in all shapes, and the solution; see `_fillers` for the unshaped."""
-    random = [k for k, term in enumerate(template.model.terms) if not term.deterministic]
-    noise = template.model.without(
-        [label for k, label in enumerate(template.model.term_labels) if k not in random]
-    )
-    at, structure, model = FULL, found.structure, found.maximum.model
-    component, shapes = template.component, free_shapes(noise)
-    # A Gauss–Markov process of unit amplitude has the variance T_c/2 (4.59).
-    is_markov = (component >= at.first_markov) & (component < at.first_oscillator)
-    time = np.array(
-        [
-            structure.time(k - at.first_markov) / rate if m else 2.0
-            for k, m in zip(component, is_markov, strict=True)
-        ]
-    )
-    unit = np.asarray(model.unit)[component] * (time / 2.0)[:, None]
-    power = structure.power[component] / (time / 2.0)
+    noise, component = template.noise, template.component
+    shapes, theta = free_shapes(noise), np.asarray(found.maximum.theta)
+    places = template.places(rate)
+    base, by_shape = places.levels(found.maximum)
+    power = theta[component] / places.unit_power(theta)
     inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
-    levels = np.where(inside & (power > 0.0), (power[:, None] * unit).sum(axis=1), 0.0)
-    owner_of_response = WHITE if levels[WHITE] > 0.0 else int(np.argmax(levels))
-    owner, by_shape = [], np.zeros((len(noise), unit.shape[1], len(shapes)))
-    for s, p in enumerate(shapes):
-        if p.term == len(noise):
-            owner.append(owner_of_response)
-            of_response = np.asarray(model.by_response)[int(p.parameter.name != "bandwidth")]
-            by_shape[:, :, s] = of_response[component] * (time / 2.0)[:, None]
-            continue
-        k = p.term
-        owner.append(k)
-        if power[k] > 0.0:
-            place = _parameter(p.parameter.name, int(component[k])) - at.times
-            by_shape[k, :, s] = np.asarray(model.by_shape)[place] * time[k] / 2.0
-            by_shape[k, :, s] += unit[k] if is_markov[k] else 0.0
-    levels_of_white, slopes_of_white = unit[WHITE].copy(), by_shape[WHITE].copy()
+    passed = np.where(inside, power * (base @ degrees), 0.0)
+    response_of_term = WHITE if passed[WHITE] > 0.0 else int(np.argmax(passed))
+    levels_of_white, slopes_of_white = base[WHITE].copy(), by_shape[WHITE].copy()
     fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])
     for i, (plateau, by_own) in fillers.items():
         # Its power is redefined: at low frequencies it is that of white noise.
         power[WHITE] += plateau * power[i]
-        unit[i] -= plateau * levels_of_white
+        base[i] -= plateau * levels_of_white
         by_shape[i] -= plateau * slopes_of_white
         for s, p in enumerate(shapes):
             if p.term == i:
                 by_shape[i, :, s] -= plateau * by_own[p.parameter.name] * levels_of_white
-    room = [(0, _TERMS - len(noise)), (0, max(_LEVELS - unit.shape[1], 0))]
-    design = TangentDesign(
-        owner=padded(np.array(owner, int), _SHAPES, 0),
-        terms=np.asarray(len(noise)),
-        rows=np.asarray(len(per_octave)),
-        moves=np.arange(_SHAPES) < len(shapes),
-        per_octave=padded(per_octave, max(_LEVELS, unit.shape[1]), 1.0),
-        base=np.pad(unit, room),
-        by_shape=np.pad(by_shape, [*room, (0, _SHAPES - len(shapes))]),
-        centre=padded(shape_values(noise), _SHAPES, 0.0),
-        degrees_of_freedom=padded(degrees, max(_LEVELS, len(degrees)), 0.0),
-    )
+    owner = [response_of_term if p.term == len(noise) else p.term for p in shapes]
+    values = shape_values(noise)
+    design = LevelDesign.of(base, by_shape, values, owner, degrees, per_octave)
     nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
-    values: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
-    return design, Solution(*values)
+    solution: Any = power, values, nothing, nothing, converged, np.asarray(2.0 * found.loss)
+    return design, Solution(*solution)
 
 
 def _unshaped(structure: Structure, spectrum: Spectrum, ratio: Float[np.ndarray, " m"]) -> frozenset[int]:
@@ -334,15 +336,6 @@ def shape_values(noise: Model) -> Float[np.ndarray, " shapes"]:
     return np.log([float(p.start or 0.0) - p.parameter.lower for p in free_shapes(noise)])
 
 
-def _parameter(name: str, component: int) -> int:
-    """Parameter of the joint spectral model for a shape of a component."""
-    at = FULL
-    if component < at.first_oscillator:
-        return at.times + component - at.first_markov
-    first = at.frequencies if name == "frequency" else at.qualities
-    return first + component - at.first_oscillator
-
-
 class Extension(NamedTuple):
     """Fit of one axis with its extension, and the ranking of its terms."""
 
@@ -373,15 +366,20 @@ def extended(
     selection = _selection(content, axis)
     content = content._replace(structure=_with_terms(content, selection))
     ramp = "drift_ramp" in selection.chosen.terms
+    last = None
     for _ in range(_ROUNDS):
         template, found, structure = fit_jointly(content, ramp, axis, x)
         result = result_of(found, template.model, axis, template.active)
-        if (
-            not result.converged
-            or (tidied := _tidied(content._replace(structure=structure), template, result)) is None
-        ):
+        if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
+            # What was taken out was needed, though its size is not known.
+            template, result = last
             break
-        content = tidied
+        tidied = (
+            _tidied(content._replace(structure=structure), template, result) if result.converged else None
+        )
+        if tidied is None:
+            break
+        content, last = tidied, (template, result)
     if not result.converged or (plain.converged and result.discrepancy > _LESS * plain.discrepancy):
         return None
     inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
@@ -421,7 +419,11 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     If no set of terms suffices, those with a free time were left out, and the structure keeps its own.
     """
     chosen, structure = selection.chosen.terms, content.structure
+    after = structure.kind != NONE and not structure.inside[QUANTIZATION]
     for k, label in enumerate(FIXED):
+        if k == QUANTIZATION and after:
+            # The search has chosen what follows the response.
+            continue
         if label not in chosen:
             structure = structure.without(k)
         elif not structure.active[k]:

@@ -21,12 +21,14 @@ length D; about that mean a random walk has the variance K²D/6.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
@@ -38,9 +40,10 @@ from allanjax.estimate.likely_models import Likely, exact_model, likely_models
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.model import Model
+from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
 from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
+from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
@@ -55,8 +58,8 @@ _SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
 _DRAWS = 400
 # Time at rest [s] over which the bias is estimated for a data sheet, unless the horizon is longer.
 _AT_REST = 3600.0
-# Memories and correlation times of the Gauss–Markov filters that are compared.
-_MEMORIES, _TIMES = 25, 11
+# Memories of the walk's filters that are compared, and those and correlation times of Gauss–Markov filters.
+_MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 # Filters whose true error exceeds the smallest one by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
@@ -68,186 +71,132 @@ _LABELS = {
 
 
 class Filters(NamedTuple):
-    """Filters of white noise and a process of the bias.
+    """Filters of a memory N/K and a correlation time [s], infinite for a walk, that integrate some steps.
 
-    Attributes:
-        memory: N/K [s], over which a filter without mean reversion averages.
-        correlation_time: that of the Gauss–Markov process [s], infinite for a walk.
-        rate: sample rate [Hz].
+    `gain` is g, `again` φ(1 − g), which is left of an estimate after a sample, `share` s_n, and `unit` the
+    variance of the integral that filters of N = 1 predict.
     """
 
     memory: Float[np.ndarray, " g"]
-    correlation_time: Float[np.ndarray, " g"]
+    time: Float[np.ndarray, " g"]
     rate: float
+    steps: Float[np.ndarray, " t"]
+    gain: Float[np.ndarray, " g"]
+    again: Float[np.ndarray, " g"]
+    share: Float[np.ndarray, "g t"]
+    unit: Float[np.ndarray, "g t"]
 
     @classmethod
-    def of_walk(cls, memory: Float[np.ndarray, " g"], rate: float) -> Filters:
-        """Filters of a random walk."""
-        return cls(memory, np.full(len(memory), np.inf), rate)
-
-    @property
-    def kept(self) -> Float[np.ndarray, " g"]:
-        """φ, what is left of a bias after a sample."""
-        return np.exp(-1.0 / (self.correlation_time * self.rate))
-
-    @property
-    def drive(self) -> Float[np.ndarray, " g"]:
-        """Q/R, the variance of the bias's noise over that of a sample."""
-        walk = (1.0 / (self.memory * self.rate)) ** 2
-        x = 2.0 / (self.correlation_time * self.rate)
-        return walk * np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
-
-    @property
-    def gain(self) -> Float[np.ndarray, " g"]:
-        """The gain g."""
-        half = (self.drive + np.expm1(-2.0 / (self.correlation_time * self.rate))) / 2.0
-        root = np.sqrt(half**2 + self.drive)
-        # The one of two forms that avoids cancellation.
-        P = np.where(half > 0.0, half + root, self.drive / (root - np.minimum(half, 0.0)))
-        return P / (P + 1.0)
-
-    def sums(
-        self, steps: Float[np.ndarray, " t"]
-    ) -> tuple[Float[np.ndarray, "g t"], Float[np.ndarray, "g t"]]:
-        """s_n, and Σ_{k≤n} (s_k/φ)², after so many samples."""
-        count, at = int(steps[-1]), steps.astype(int) - 1
-        unique, which = np.unique(self.correlation_time, return_inverse=True)
-        shares, squares = np.empty((2, len(unique), len(steps)))
-        for k, time in enumerate(unique):
-            kept = np.exp(-np.arange(count) / (time * self.rate))
-            one = np.cumsum(kept)
-            shares[k] = one[at] * np.exp(-1.0 / (time * self.rate))
-            squares[k] = np.cumsum(one**2)[at]
-        return shares[which], squares[which]
+    def of(cls, pairs: Float[np.ndarray, "g 2"], steps: Float[np.ndarray, " t"], rate: float) -> Filters:
+        """Filters of these memories and correlation times [s]."""
+        memory, time = pairs.T
+        kept, x = np.exp(-1.0 / (time * rate)), 2.0 / (time * rate)
+        lost = -np.expm1(-x)
+        # Q/R, the variance of the bias's noise over that of a sample.
+        drive = np.where(x > 0.0, lost / np.where(x > 0.0, x, 1.0), 1.0) / (memory * rate) ** 2
+        half = (drive - lost) / 2.0
+        root = np.sqrt(half**2 + drive)
+        # P/R by the one of two forms that avoids cancellation.
+        P = np.where(half > 0.0, half + root, drive / (root - np.minimum(half, 0.0)))
+        gain, at = P / (P + 1.0), steps.astype(int) - 1
+        # Sums over k of φ^(k−1), and of their squares; one correlation time after the other.
+        unique, which = np.unique(kept, return_inverse=True)
+        sums = (np.cumsum(phi ** np.arange(at[-1] + 1)) for phi in unique)
+        both = np.array([(one[at], np.cumsum(one**2)[at]) for one in sums])[which]
+        share = kept[:, None] * both[:, 0]
+        # The variance of b̂ after its update is PR/(P + R) = gR.
+        predicted = share**2 * gain[:, None] + drive[:, None] * both[:, 1] + steps
+        return cls(memory, time, rate, steps, gain, kept * (1.0 - gain), share, predicted / rate)
 
 
-def predicted(filters: Filters, steps: Float[np.ndarray, " t"]) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral that filters of N = 1 predict after so many samples."""
-    share, squares = filters.sums(steps)
-    # The variance of b̂ after its update is PR/(P + R) = gR.
-    own = share**2 * filters.gain[:, None] + filters.drive[:, None] * squares + steps
-    return own / filters.rate
-
-
-def actual(
-    model: Model,
-    filters: Filters,
-    steps: Float[np.ndarray, " t"],
-    duration: float,
-    known: dict[str, np.ndarray] | None = None,
+def variances(
+    model: Model, filters: Filters, duration: float, known: dict[Model, np.ndarray]
 ) -> Float[np.ndarray, "terms g t"]:
-    """Variance of the integral's error [rad² or (m/s)²] after so many samples, of each term by itself.
+    """Variance of the integral's error [rad² or (m/s)²] by each term, of noise of this duration [s].
 
-    Args:
-        model: the true noise.
-        filters: the filters that are compared.
-        steps: how many samples they integrate, in rising order.
-        duration: how long the noise has gone on [s], for bias instability and the mean that is known.
-        known: variances for the same filters and times of terms that other sets share; new ones are added.
-
-    Raises:
-        AllanjaxError: a term that has no state space.
+    `known` has those of terms that other sets of an axis share, for the same filters; new ones are added.
     """
+    for term in model.terms:
+        if isinstance(term, Transient):
+            raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
     labels = model.term_labels
-    known = {} if known is None else known
-    # One term at a time, after the response.
     alone = [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
-    for one in alone:
-        if repr(one) not in known:
-            known[repr(one)] = _of_term(one, filters, steps, duration)
-    return np.stack([known[repr(one)] for one in alone])
+    known |= {one: _of_term(one, filters, duration) for one in alone if one not in known}
+    return np.stack([known[one] for one in alone])
 
 
-def _of_term(
-    model: Model, filters: Filters, steps: Float[np.ndarray, " t"], duration: float
-) -> Float[np.ndarray, "g t"]:
+def _of_term(model: Model, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
     """Variance of the integral's error for a model of one term."""
-    (term,), rate = model.terms, filters.rate
+    (term,), rate, steps, share = model.terms, filters.rate, filters.steps, filters.share
+    gain, again = filters.gain[:, None], filters.again[:, None]
     if isinstance(term, Sinusoid):
-        return term.amplitude**2 / 2.0 * _line(term.frequency / rate, filters, steps) / rate**2
+        z = np.exp(2j * np.pi * term.frequency / rate)
+        error = (z**steps - 1.0) / (z - 1.0) - share * gain / (z - again)
+        return term.amplitude**2 / 2.0 * np.abs(error / rate) ** 2
     if isinstance(term, DriftRamp):
-        return (term.coefficient / rate**2) ** 2 * _ramp(filters, steps, duration)
-    return _of_block(model.state_block(rate, duration), filters, steps, duration)
+        followed = share * gain / (1.0 - again)
+        # The estimate of a drifting bias lags behind.
+        slope = steps * (steps + 1.0) / 2.0 + followed * again / (1.0 - again)
+        # About its mean over the record; a walk's filter follows that in full, except for rounding.
+        missed = np.where(np.isinf(filters.time)[:, None], 0.0, steps - followed)
+        error = slope**2 + missed**2 * (duration * rate) ** 2 / 12.0
+        return (term.coefficient / rate**2) ** 2 * error
+    block = _states(term, rate, duration)
+    if model.response is not None:
+        block = filtered_block(block, *model.response.sampled(rate).transfer(rate), "")
+    return _of_states(block, filters, duration)
 
 
-def _line(cycles: float, filters: Filters, steps: Float[np.ndarray, " t"]) -> Float[np.ndarray, "g t"]:
-    """Squared response of the integral, in samples, to a line of so many cycles a sample."""
-    z = np.exp(2j * np.pi * cycles)
-    gain, share = filters.gain, filters.sums(steps)[0]
-    estimate = gain / z / (1.0 - filters.kept * (1.0 - gain) / z)
-    return np.abs((z**steps - 1.0) / (z - 1.0) - share * estimate[:, None]) ** 2
+@functools.lru_cache(maxsize=64)
+def _states(term: NoiseTerm, rate: float, duration: float) -> Block:
+    """States of a term before its response; those of bias instability are found by a fit."""
+    return term.sampled(rate).state_block(rate, duration)
 
 
-def _ramp(filters: Filters, steps: Float[np.ndarray, " t"], duration: float) -> Float[np.ndarray, "g t"]:
-    """Mean square of the integral, in samples, of a ramp of one a sample about its mean over the record."""
-    share, again = filters.sums(steps)[0], filters.kept * (1.0 - filters.gain)
-    followed = (filters.gain / (1.0 - again))[:, None]
-    # The estimate of a drifting bias lags behind.
-    slope = steps * (steps + 1.0) / 2.0 + share * followed * (again / (1.0 - again))[:, None]
-    # A walk's filter follows in full, except for rounding.
-    missed = np.where(np.isinf(filters.correlation_time)[:, None], 0.0, steps - share * followed)
-    return slope**2 + missed**2 * (duration * filters.rate) ** 2 / 12.0
-
-
-def _of_block(
-    block: Block, filters: Filters, steps: Float[np.ndarray, " t"], duration: float
-) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral's error for noise of these states."""
+def _of_states(block: Block, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
+    """Variance of the integral's error for noise of these states, from those and b̂ together."""
     space = StateSpace.of(block, filters.rate, "gyro", "")
-    sums = [space.sum_covariance(int(n)) for n in steps]
+    sums = [space.sum_covariance(int(n)) for n in filters.steps]
     observed = np.stack([transition[-1, :-1] for transition, _ in sums])
     added = np.array([noise[-1, -1] for _, noise in sums])
-    A, n, found = block.transition, block.size, []
+    A, H, n, gain = block.transition, block.observation, block.size, filters.gain[:, None]
+    joint = np.zeros((len(gain), n + 1, n + 1))
+    joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, gain * (H @ A), filters.again
+    enters = np.concatenate([np.broadcast_to(np.eye(n), (len(gain), n, n)), (gain * H)[:, None]], axis=1)
+    noise = enters @ block.noise @ enters.swapaxes(1, 2)
+    noise[:, n, n] += filters.gain**2 * block.white
     # About its mean over the record a walk has the variance of a process with a correlation time of a third
     # of it; so has, nearly, anything slower than the record.
-    forgotten = np.append(np.full(n, np.exp(-3.0 / (duration * filters.rate))), 1.0)
-    shares, again = filters.sums(steps)[0], filters.kept * (1.0 - filters.gain)
-    for g, a, share, time in zip(filters.gain, again, shares, filters.correlation_time, strict=True):
-        joint = filtered_block(block, np.array([g]), np.array([1.0, -a]), "estimate")
-        if np.isinf(time):
-            P = settled(joint.transition, joint.noise, joint.level)
-        else:
-            transition = joint.transition.copy()
-            np.fill_diagonal(transition, np.diag(transition) * forgotten)
-            P = settled(transition, joint.noise, np.zeros_like(joint.level))
-        states = A @ P[:n, :n] @ A.T + block.noise
-        shared = A @ P[:n, n]
-        found.append(
-            np.einsum("ti,ij,tj->t", observed, states, observed)
-            - 2.0 * share * (observed @ shared)
-            + share**2 * P[n, n]
-            + added
-        )
-    return np.stack(found) / filters.rate**2
+    walks, states = np.isinf(filters.time), np.arange(n)
+    joint[:, states, states] *= np.where(walks, 1.0, math.exp(-3.0 / (duration * filters.rate)))[:, None]
+    P, level = np.empty_like(joint), np.append(block.level, False)
+    for own, walk in ((walks, level), (~walks, np.zeros_like(level))):
+        P[own] = settled(joint[own], noise[own], walk)
+    first = A @ P[:, :n, :n] @ A.T + block.noise
+    shared = P[:, n, :n] @ A.T @ observed.T
+    found = np.einsum("ti,gij,tj->gt", observed, first, observed, optimize=True) + added
+    share = filters.share
+    return (found - 2.0 * share * shared + share**2 * P[:, n, n, None]) / filters.rate**2
 
 
-def equal_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float, float]:
+def equal_pairs(
+    truth: Float[np.ndarray, "draws g t"], unit: Float[np.ndarray, "g t"]
+) -> tuple[Int[np.ndarray, " draws"], Float[np.ndarray, " draws"], Float[np.ndarray, " draws"]]:
     """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
 
-    At the last time they are equal; at the others the largest ratio, either way, is smallest. `unit` are
-    the predictions for N = 1.
+    At the last time they are equal; at the others the largest ratio, either way, is smallest.
     """
     ratio = np.log(truth / unit)
-    worst = np.abs(ratio - ratio[:, -1:]).max(axis=1)
-    best = int(np.argmin(worst))
-    return best, math.exp(ratio[best, -1] / 2.0), math.exp(worst[best])
+    worst = np.abs(ratio - ratio[..., -1:]).max(axis=-1)
+    best, draws = worst.argmin(axis=-1), np.arange(len(truth))
+    return best, np.exp(ratio[draws, best, -1] / 2.0), np.exp(worst[draws, best])
 
 
 def bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
-    """The filter whose prediction is nowhere below its true variance and least above it, and its N.
-
-    Least in the mean, over the times, of the logarithm of the predicted variance.
-    """
+    """The filter whose prediction is nowhere below its true variance and least in mean logarithm; its N."""
     scale = (truth / unit).max(axis=1)
-    mean = np.log(scale) + np.log(unit).mean(axis=1)
-    best = int(np.argmin(mean))
+    best = int(np.argmin(np.log(scale) + np.log(unit).mean(axis=1)))
     return best, math.sqrt(float(scale[best]))
-
-
-def memories(duration: float, rate: float, terms: Sequence[float] = (), count: int = 61) -> np.ndarray:
-    """Times over which filters may average [s], from two samples to the record, and some given ones."""
-    grid = np.geomspace(2.0 / rate, max(duration, 4.0 / rate), count)
-    return np.unique(np.clip([*grid, *terms], grid[0], grid[-1]))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -304,10 +253,7 @@ class AxisHorizon(ByValue):
     @property
     def inflation(self) -> dict[str, float]:
         """Factors N*/N and K*/K over the raw coefficients; infinite where the fit has none."""
-        pairs = {
-            "white": (self.white.value, self.raw_white),
-            "walk": (self.walk.value, self.raw_walk),
-        }
+        pairs = {"white": (self.white.value, self.raw_white), "walk": (self.walk.value, self.raw_walk)}
         return {name: new / raw if raw > 0.0 else math.inf for name, (new, raw) in pairs.items()}
 
     @property
@@ -345,18 +291,22 @@ class AxisHorizon(ByValue):
 
         time = "" if self.correlation_time is None else significant(self.correlation_time.value)
         bound = "" if math.isinf(self.bounding_time) else significant(self.bounding_time)
-        errors = (self.error, self.error, self.bound, self.raw_prediction, self.raw_error)
-        own, true, limit, raw, raw_true = (shown("integral", float(x[-1])) for x in errors)
-        N, K = self.bounding_white, self.bounding_walk
         # The table has no space for an interval of N beside a correlation time.
-        white, walk = "" if time else interval("white", self.white), interval("walk", self.walk)
-        equal = (shown("white", self.white.value), white, shown("walk", self.walk.value), walk)
-        bounding = (shown("white", N), "", shown("walk", K), "")
-        fitted = (shown("white", self.raw_white), "", shown("walk", self.raw_walk), "")
+        N, K = "" if time else interval("white", self.white), interval("walk", self.walk)
+        own, raw = (
+            (self.white.value, N, self.walk.value, K, time),
+            (self.raw_white, "", self.raw_walk, "", ""),
+        )
+        bounding = (self.bounding_white, "", self.bounding_walk, "", bound)
+        table = {
+            "equal": (*own, self.bias_std, self.error[-1], self.error[-1]),
+            "bound": (*bounding, self.bounding_bias_std, self.bound[-1], 0.0),
+            "fitted": (*raw, 0.0, self.raw_prediction[-1], self.raw_error[-1]),
+        }
+        kinds = ("white", "", "walk", "", "", "bias", "integral", "integral")
         return [
-            (self.axis.name, "equal", *equal, time, shown("bias", self.bias_std), own, true),
-            (self.axis.name, "bound", *bounding, bound, shown("bias", self.bounding_bias_std), limit, ""),
-            (self.axis.name, "fitted", *fitted, "", "", raw, raw_true),
+            (self.axis.name, pair, *(shown(*x) if x[0] else str(x[1]) for x in zip(kinds, row, strict=True)))
+            for pair, row in table.items()
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -459,15 +409,6 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         return [explained, *causes, *(f"note: {note}" for note in self.notes)]
 
 
-class _Noise(NamedTuple):
-    """Noise of an axis: N and K of the fitted model, SI, and the likely sets of terms."""
-
-    axis: Axis
-    raw: tuple[float, float]
-    model: Model
-    sets: Sequence[Likely]
-
-
 def horizon(
     fit: Fit | DataSheet,
     seconds: float,
@@ -518,144 +459,122 @@ def horizon(
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"probability= (--probability) must be in [0.5, 1), not {probability}")
-    asked = [axes] if isinstance(axes, str) else axes
-    noises = _noises(fit, asked, seed)
-    if not noises:
+    noises = _noises(fit, [axes] if isinstance(axes, str) else axes, seed)
+    found = [_of_axis(*noise, float(seconds), process, probability, rate, record) for noise in noises]
+    if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
-    found = (_of_axis(noise, float(seconds), process, probability, rate, record) for noise in noises)
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
 
 
-def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> list[_Noise]:
-    """Noise of the axes that are asked for, or of all that have a measurement."""
+def _noises(
+    fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int
+) -> Iterator[tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely]]]:
+    """Coefficients, model and likely sets of the axes that are asked for, or of all with a measurement."""
     if isinstance(fit, DataSheet):
-        sensors = cast(Sequence[Sensor], asked or tuple(fit.models))
-        axes = {s: Axis(s, s, SI[s]["rate"]) for s in sensors}
-        return [_Noise(axes[s], _raw(fit.coefficients(s)), fit[s], [exact_model(fit[s])]) for s in sensors]
+        for s in cast(Sequence[Sensor], asked or tuple(fit.models)):
+            yield Axis(s, s, SI[s]["rate"]), fit.coefficients(s), fit[s], [exact_model(fit[s])]
+        return
     results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
     for r in results:
         if not r.measured:
             raise FitError(f"{r.axis.name}: {r.verdict}")
-    likely = (likely_models(fit, r.axis.name, _DRAWS, np.random.default_rng(seed)) for r in results)
-    return [_Noise(r.axis, _raw(r.coefficients), r.model, s) for r, s in zip(results, likely, strict=True)]
+    for r in results:
+        sets = likely_models(fit, r.axis.name, _DRAWS, np.random.default_rng(seed))
+        yield r.axis, r.coefficients, r.model, sets
 
 
 def _of_axis(
-    noise: _Noise, seconds: float, process: Process, probability: float, rate: float, record: float
+    axis: Axis,
+    coefficients: Mapping[str, Estimate],
+    model: Model,
+    sets: Sequence[Likely],
+    seconds: float,
+    process: Process,
+    probability: float,
+    rate: float,
+    record: float,
 ) -> AxisHorizon:
-    axis, (raw_N, raw_K), _, sets = noise
-    raw = Filters.of_walk(
-        np.array([np.clip(raw_N / raw_K if raw_K > 0.0 else record, 2 / rate, record)]), rate
-    )
-    filters, last = _filters(noise, seconds, process, rate, record), max(round(seconds * rate), 1)
+    """Horizon of one axis."""
+    labels = ("angle_random_walk", "rate_random_walk")
+    N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
+    last = max(round(seconds * rate), 1)
     # From a hundredth of the horizon on.
     steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
-    # N of the filter with the fitted coefficients; without N, the walk over its memory.
-    raw_size = raw_N if raw_N > 0.0 else raw_K * float(raw.memory[0])
-    unit, known, draws, each = _variances(sets, filters, steps, record)
-    _, of_raw, _, _ = _variances(sets, raw, steps, record)
+    filters = Filters.of(_pairs(N, K, model, seconds, process, rate, record), steps, rate)
+    memory, time, unit, shared = filters.memory, filters.time, filters.unit, dict[Model, np.ndarray]()
+    each = [(s, variances(s.model, filters, record, shared)) for s in sets]
+    # Undetected terms have limits only; these are in the bound.
+    draws = np.concatenate([np.tensordot(s.power, V, axes=1) for s, V in each])
+    detected = [(s, V, len(V) - s.limited) for s, V in each]
+    known = np.concatenate([np.tensordot(s.power[:, :k], V[:k], axes=1) for s, V, k in detected])
     # The prediction must be right on average over the likely coefficients.
     mean = known.mean(axis=0)
-    good = np.arange(len(mean))
+    # The last filter is that of the raw coefficients; without N, the walk over its memory.
+    good, raw_size = np.arange(len(mean) - 1), N or K * float(memory[-1])
     if process == "markov":
-        good = np.flatnonzero(mean[:, -1] <= _WORSE**2 * mean[:, -1].min())
-    best, N, ratio = equal_pair(mean[good], unit[good])
-    best = int(good[best])
-    drawn = [equal_pair(V[good], unit[good]) for V in known]
-    chosen, N_drawn = np.array([good[k] for k, _, _ in drawn]), np.array([n for _, n, _ in drawn])
-    bounding, bounding_N = bounding_pair(np.quantile(draws, probability, axis=0), unit)
-    time = filters.correlation_time
+        good = np.flatnonzero(mean[:-1, -1] <= _WORSE**2 * mean[:-1, -1].min())
+    place, white, ratio = equal_pairs(np.concatenate([mean[None], known])[:, good], unit[good])
+    chosen = good[place]
+    bounding, bounding_N = bounding_pair(np.quantile(draws[:, :-1], probability, axis=0), unit[:-1])
     return AxisHorizon(
         axis=axis,
         horizon=seconds,
         probability=probability,
-        white=_estimate(axis, "white", N, N_drawn),
-        walk=_estimate(axis, "walk", N / filters.memory[best], N_drawn / filters.memory[chosen]),
-        correlation_time=(_estimate(axis, "time", time[best], time[chosen]) if process == "markov" else None),
-        mismatch=math.sqrt(ratio),
+        white=_estimate(axis, "white", white),
+        walk=_estimate(axis, "walk", white / memory[chosen]),
+        correlation_time=_estimate(axis, "time", time[chosen]) if process == "markov" else None,
+        mismatch=math.sqrt(ratio[0]),
         bounding_white=bounding_N,
-        bounding_walk=bounding_N / float(filters.memory[bounding]),
+        bounding_walk=bounding_N / float(memory[bounding]),
         bounding_time=float(time[bounding]),
-        raw_white=raw_N,
-        raw_walk=raw_K,
+        raw_white=N,
+        raw_walk=K,
         time=steps / rate,
-        error=np.sqrt(mean[best]),
-        raw_error=np.sqrt(of_raw.mean(axis=0)[0]),
-        raw_prediction=raw_size * np.sqrt(predicted(raw, steps)[0]),
+        error=np.sqrt(mean[chosen[0]]),
+        raw_error=np.sqrt(mean[-1]),
+        raw_prediction=raw_size * np.sqrt(unit[-1]),
         bound=bounding_N * np.sqrt(unit[bounding]),
-        shares=_shares(sets, each, best),
+        shares=_shares((s, V[:k, chosen[0], -1]) for s, V, k in detected),
         sets=len(sets),
     )
 
 
-def _filters(noise: _Noise, seconds: float, process: Process, rate: float, record: float) -> Filters:
-    """The filters that are compared; that of the fitted model is one of them."""
-    N, K = noise.raw
-    if process == "walk":
-        return Filters.of_walk(memories(record, rate, [N / K] if K > 0.0 else []), rate)
-    own = [term for term in noise.model.terms if isinstance(term, Markov)]
-    times = [float(term.correlation_time) for term in own]
-    drives = [K, *(float(term.amplitude) for term in own)]
-    memory = memories(record, rate, [N / q for q in drives if q > 0.0], _MEMORIES)
-    # A process that returns sooner is white noise for a filter up to the horizon.
-    grid = [*np.geomspace(max(seconds / 100.0, 2.0 / rate), record, _TIMES), *times]
-    pairs = np.meshgrid(memory, np.unique(np.clip(grid, 2.0 / rate, record)), indexing="ij")
-    return Filters(pairs[0].ravel(), pairs[1].ravel(), rate)
+def _pairs(
+    N: float, K: float, model: Model, seconds: float, process: Process, rate: float, record: float
+) -> Float[np.ndarray, "g 2"]:
+    """Memory and correlation time [s] of filters that are compared, and at last those of N and K."""
+    shortest, own = 2.0 / rate, [term for term in model.terms if isinstance(term, Markov)]
+    count, drives, times = _MEMORIES, [K], np.array([math.inf])
+    if process == "markov":
+        count, drives = _MARKOV_MEMORIES, [K, *(float(term.amplitude) for term in own)]
+        # A process that returns sooner is white noise for a filter up to the horizon.
+        grid = np.geomspace(max(seconds / 100.0, shortest), record, _TIMES)
+        times = np.unique(np.clip([*grid, *(float(t.correlation_time) for t in own)], shortest, record))
+    memories = [*np.geomspace(shortest, record, count), *(N / q for q in drives if q > 0.0)]
+    compared = np.meshgrid(np.unique(np.clip(memories, shortest, record)), times, indexing="ij")
+    raw = np.clip(N / K if K > 0.0 else record, shortest, record)
+    return np.append(np.reshape(compared, (2, -1)).T, [[raw, math.inf]], axis=0)
 
 
-def _variances(
-    sets: Sequence[Likely], filters: Filters, steps: Float[np.ndarray, " t"], record: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Variances that filters predict with N = 1, and draws of the true ones: of detected terms, and of all.
-
-    Undetected terms have limits only. Last comes the true variance of each set, by terms of unit amplitude.
-    """
-    shared: dict[str, np.ndarray] = {}
-    each = [actual(s.model, filters, steps, record, shared) for s in sets]
-    pairs = list(zip(sets, each, strict=True))
-    known = np.concatenate([_draws(s, V, s.limited) for s, V in pairs])
-    draws = np.concatenate([_draws(s, V) for s, V in pairs])
-    return predicted(filters, steps), known, draws, each
+def _shares(parts: Iterable[tuple[Likely, Float[np.ndarray, " detected"]]]) -> dict[str, float]:
+    """Shares of terms in the mean variance, the largest first, given the variances of detected unit terms."""
+    total: Counter[str] = Counter()
+    for likely, variance in parts:
+        count = len(variance)
+        mean = likely.power[:, :count].sum(axis=0) * variance
+        total.update(dict(zip(likely.labels[:count], mean.tolist(), strict=True)))
+    return {label: part / total.total() for label, part in total.most_common()}
 
 
-def _raw(coefficients: Mapping[str, Estimate]) -> tuple[float, float]:
-    """N and K of the fitted model, SI; zero where it has none."""
-    N, K = (coefficients.get(label) for label in ("angle_random_walk", "rate_random_walk"))
-    return 0.0 if N is None else max(N.value, 0.0), 0.0 if K is None else max(K.value, 0.0)
-
-
-def _draws(
-    likely: Likely, variance: Float[np.ndarray, "terms g t"], without: int = 0
-) -> Float[np.ndarray, "draws g t"]:
-    """Variances of the error by draws, without the last so many terms."""
-    count = len(variance) - without
-    return np.tensordot(likely.power[:, :count], variance[:count], axes=1)
-
-
-def _shares(sets: Sequence[Likely], each: Sequence[np.ndarray], best: int) -> dict[str, float]:
-    """Shares of the terms in the mean variance at the horizon, the largest first.
-
-    `each` are the variances of the sets, (terms, filters, times), and `best` is the filter.
-    """
-    total: dict[str, float] = {}
-    for likely, variance in zip(sets, each, strict=True):
-        parts = likely.power.sum(axis=0) * variance[:, best, -1]
-        count = len(variance) - likely.limited
-        for label, part in zip(likely.labels[:count], parts, strict=False):
-            total[label] = total.get(label, 0.0) + float(part)
-    ordered = sorted(total.items(), key=lambda item: -item[1])
-    overall = sum(total.values())
-    return {label: part / overall for label, part in ordered}
-
-
-def _estimate(axis: Axis, name: str, value: float, drawn: Float[np.ndarray, " draws"]) -> Estimate:
-    low, high, low_68, high_68 = (float(x) for x in np.quantile(drawn, _QUANTILES))
+def _estimate(axis: Axis, name: str, values: Float[np.ndarray, " draws+1"]) -> Estimate:
+    """A value, the first one, with intervals from draws."""
+    low, high, low_68, high_68 = (float(x) for x in np.quantile(values[1:], _QUANTILES))
     unit = "s" if name == "time" else default_coefficient_unit(axis.sensor, EXPONENTS[name])
     return Estimate(
         axis=axis,
         label=_LABELS[name],
-        value=float(value),
+        value=float(values[0]),
         std=(high_68 - low_68) / 2.0,
         interval=(low, high),
         interval_68=(low_68, high_68),

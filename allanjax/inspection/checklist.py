@@ -85,7 +85,8 @@ def lines_of(
 
 def _resolution(recording: Recording, inspection: Inspection) -> str:
     """Return the noise of the axes in steps of their output, in words."""
-    rms = np.diff(recording.values, axis=0).std(axis=0) / np.sqrt(2.0)
+    change = np.diff(recording.values, axis=0)
+    rms = np.sqrt(np.einsum("ij,ij->j", change, change) / len(change) / 2.0)
     counts = [
         (float(r / q), k) for k, (r, q) in enumerate(zip(rms, inspection.steps, strict=True)) if q > 0.0
     ]

@@ -73,15 +73,15 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
     size = min(_SEGMENT, 1 << int(np.log2(max(len(values) // _FEWEST, 1))))
     if size < _SHORTEST:
         return None
-    window = np.hanning(size + 1)[:-1, None]
-    level, starts = 0.0, range(0, len(values) - size + 1, size // 2)
-    for start in starts:
-        part = values[start : start + size]
-        level = level + np.abs(rfft((part - part.mean(axis=0)) * window, axis=0)) ** 2
+    window = np.hanning(size + 1)[:-1]
+    segments = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[:: size // 2]
+    level = np.zeros((values.shape[1], size // 2 + 1))
+    for segment in segments:
+        c = rfft((segment - segment.mean(axis=1, keepdims=True)) * window)
+        level += c.real**2 + c.imag**2
     # Segments that overlap by a half are worth 18/19 as many independent ones.
-    return Spectrum(
-        np.fft.rfftfreq(size, 1.0 / rate), np.asarray(level) / len(starts), 18.0 / 19.0 * len(starts)
-    )
+    count = len(segments)
+    return Spectrum(np.fft.rfftfreq(size, 1.0 / rate), level.T / count, 18.0 / 19.0 * count)
 
 
 def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:

@@ -181,35 +181,36 @@ def filtered_block(inner: Block, b: Float[np.ndarray, " q"], a: Float[np.ndarray
 
 
 def settled(
-    transition: Float[np.ndarray, "n n"], noise: Float[np.ndarray, "n n"], level: Bool[np.ndarray, " n"]
-) -> Float[np.ndarray, "n n"]:
+    transition: Float[np.ndarray, "*g n n"], noise: Float[np.ndarray, "*g n n"], level: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "*g n n"]:
     """Covariance of states after a long time, given that random walks are at zero now.
 
     States that follow a walk (e.g. a filter's) do so with a constant gain G; their distance from G·walk is
     stationary.
     """
     rest = ~level
-    own = transition[np.ix_(rest, rest)]
-    follow = np.linalg.solve(np.eye(rest.sum()) - own, transition[np.ix_(rest, level)])
-    enters = np.zeros((rest.sum(), len(level)))
-    enters[:, rest], enters[:, level] = np.eye(rest.sum()), -follow
+    own = transition[..., rest, :][..., rest]
+    follow = np.linalg.solve(np.eye(rest.sum()) - own, transition[..., rest, :][..., level])
+    enters = np.zeros((*follow.shape[:-1], len(level)))
+    enters[..., rest], enters[..., level] = np.eye(rest.sum()), -follow
     covariance = np.zeros_like(transition)
-    covariance[np.ix_(rest, rest)] = _stationary(own, enters @ noise @ enters.T)
+    found = _stationary(own, enters @ noise @ np.swapaxes(enters, -1, -2))
+    covariance[..., rest[:, None] & rest] = found.reshape(*found.shape[:-2], rest.sum() ** 2)
     return covariance
 
 
 def _stationary(
-    transition: Float[np.ndarray, "n n"], noise: Float[np.ndarray, "n n"]
-) -> Float[np.ndarray, "n n"]:
+    transition: Float[np.ndarray, "*g n n"], noise: Float[np.ndarray, "*g n n"]
+) -> Float[np.ndarray, "*g n n"]:
     """Solution of P = A P Aᵀ + Q, by a sum of positive terms that doubles in length."""
     total, power = noise, transition
     for _ in range(_DOUBLINGS):
-        more = power @ total @ power.T
+        more = power @ total @ np.swapaxes(power, -1, -2)
         total = total + more
         if np.all(np.abs(more) <= 1e-17 * np.abs(total)):
             break
         power = power @ power
-    return (total + total.T) / 2.0
+    return (total + np.swapaxes(total, -1, -2)) / 2.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -45,7 +45,7 @@ _INDISTINGUISHABLE = 0.3
 _QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 # Default number of walkers, or four per parameter if that is more.
 _WALKERS = 32
-# Step of an amplitude's coordinate and least number of steps, and number of points between which the density is
+# Step of an amplitude's coordinate, least number of steps, and number of points between which the density is
 # integrated. The range ends where the density is e^-12 of its maximum.
 _STEP, _STEPS, _DENSE = 0.1, 16, 4001
 _NEGLIGIBLE = 12.0
@@ -64,12 +64,14 @@ def absent_amplitude(
     includes the prior densities before and after; moving them to their weighted mean, which is followed from
     one c to the next, keeps the weights even.
     """
-    full, prior = _with_shapes(target, index, y, random), target.priors[index]
-    ends = target.values(np.tile(target.base, (2, 1)))
-    ends[:, index] = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
-    lower, upper = target.coordinates(ends)[:, index]
+    full, prior = target.embedded(y), target.priors[index]
+    for k, p in enumerate(target.likelihood.parameters):
+        if k not in (index, *target.sampled) and p.term == target.likelihood.parameters[index].term:
+            full[:, k] = target.coordinates(target.priors[k].quantile(random.uniform(size=len(y))), k)
+    ends = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
+    lower, upper = target.coordinates(np.array(ends), index)
     grid = np.arange(lower, upper, min(_STEP, (upper - lower) / _STEPS))
-    of_prior, before = _log_prior(target, index, grid), target.log_density(full)
+    of_prior, before = target.log_prior(grid, index), target.log_density(full)
     log_ratio, shifts, moved = np.full(len(grid), -np.inf), [np.zeros(y.shape[1])] * 2, full.copy()
     for g, coordinate in enumerate(grid):
         moved[:, index] = coordinate
@@ -92,48 +94,23 @@ def absent_amplitude(
             break
     known = np.isfinite(log_ratio)
     dense = np.linspace(lower, grid[known][-1], _DENSE)
-    log_density = CubicSpline(grid[known], log_ratio[known])(dense) + _log_prior(target, index, dense)
+    log_density = CubicSpline(grid[known], log_ratio[known])(dense) + target.log_prior(dense, index)
     density = np.exp(log_density - log_density.max())
     steps = (density[1:] + density[:-1]) / 2.0
     probability = np.append(0.0, np.cumsum(steps))
     even = (np.arange(_DENSE) + 0.5) / _DENSE
-    full = np.tile(target.base, (_DENSE, 1))
-    full[:, index] = np.interp(even, probability / probability[-1], dense)
+    amplitudes = target.values(np.interp(even, probability / probability[-1], dense), index)
     total = np.log(probability[-1] * (dense[1] - dense[0])) + log_density.max()
-    return target.values(full)[:, index], float(np.exp(log_ratio[0] - total))
-
-
-def _with_shapes(
-    target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
-) -> Float[np.ndarray, "draws params"]:
-    """Coordinates of all parameters of these draws, the absent term's shapes being drawn from priors."""
-    full = target.embedded(y)
-    values, parameters = target.values(full), target.likelihood.parameters
-    for k, p in enumerate(parameters):
-        if k != index and k not in target.sampled and p.term == parameters[index].term:
-            values[:, k] = target.priors[k].quantile(random.uniform(size=len(full)))
-    return target.coordinates(values)
-
-
-def _log_prior(target: Target, index: int, y: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Logarithm of the prior density of one coordinate."""
-    full = np.tile(target.base, (len(y), 1))
-    full[:, index] = y
-    return target.log_prior(full, index)
+    return amplitudes, float(np.exp(log_ratio[0] - total))
 
 
 def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
     """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
-    scale = target.scale[index]
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    # In ln(1 + c/scale) the default prior is uniform, and others are smooth inside their support.
-    low = np.log1p(target.priors[index].lower / scale)
-    if low >= _INDISTINGUISHABLE:
-        return 0.0
-    y = low + (_INDISTINGUISHABLE - low) * (nodes + 1.0) / 2.0
-    before = float(np.exp(_log_prior(target, index, y)) @ weights) * (_INDISTINGUISHABLE - low) / 2.0
+    threshold = target.values(np.array(_INDISTINGUISHABLE), index)
     # A prior without any mass there excludes zero whatever the data say.
-    return float(np.mean(draws < scale * np.expm1(_INDISTINGUISHABLE)) / before) if before > 1e-9 else 0.0
+    u = np.geomspace(1e-9, 1.0 - 1e-9, _DENSE)
+    before = np.interp(threshold, target.priors[index].quantile(u), np.log(u), left=np.inf)
+    return float(np.mean(draws < threshold) * np.exp(-before))
 
 
 def _marginal(
@@ -253,8 +230,8 @@ class AxisSampler:
         lack = [wanted.min_length * chains.tau / left, excess, chains.change / wanted.max_change]
         worst = int(np.argmax(np.nan_to_num(np.max(lack, axis=0), nan=np.inf)))
         return (
-            f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, with "
-            f"τ = {plain(chains.tau[worst], 3)} steps, {left} of {wanted.min_length * chains.tau[worst]:.0f} "
+            f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, "
+            f"with τ = {plain(chains.tau[worst], 3)} steps, {left} of {wanted.min_length * chains.tau[worst]:.0f} "
             f"steps after the burn-in, a last change of τ of {percent(chains.change[worst])} and "
             f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
             "or give narrower priors"
@@ -315,12 +292,9 @@ class AxisSampler:
         few = y[np.linspace(0, len(y) - 1, self.absent_draws).round().astype(int)]
         found = {}
         for i, p in enumerate(parameters):
-            if i in by_index:
-                of = (by_index[i], detected.get(p.term, True), evidence.get(i))
-                found[p.label] = _marginal(p, axis, *of)
-            elif target.amplitude[i]:
-                amplitudes, factor = absent_amplitude(target, i, few, random)
-                found[p.label] = _marginal(p, axis, amplitudes, factor < _DETECTED, factor, sampled=False)
-            else:
-                found[p.label] = _marginal(p, axis, np.zeros(0), False, sampled=False)
+            x, factor, sampled = by_index.get(i, y[:0, 0]), evidence.get(i), i in by_index
+            if target.amplitude[i] and not sampled:
+                x, factor = absent_amplitude(target, i, few, random)
+            is_detected = detected.get(p.term, sampled) if factor is None or sampled else factor < _DETECTED
+            found[p.label] = _marginal(p, axis, x, is_detected, factor, sampled)
         return found

@@ -8,9 +8,9 @@ are jointly normal with the correlations of the variances.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import i0e
@@ -22,9 +22,9 @@ from allanjax.estimate.design import AllanDesign, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, Line, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.spectral.expected import ExpectedLevels, in_batches
 from allanjax.estimate.spectral.fit import share_with_error
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.posterior.levels import ExpectedLevels, in_batches
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Prior, Uniform
 
 # Largest distance of a resonance's frequency from its fit, in ln.
@@ -168,15 +168,6 @@ def _ranges(
     return lower, upper
 
 
-class _Line(NamedTuple):
-    """A line with the bins of its cosine coefficients, and the places of its amplitude and frequency."""
-
-    line: Line
-    bin: Int[np.ndarray, " k"]
-    amplitude: int
-    frequency: int
-
-
 class WhittleDensity:
     """Whittle's likelihood: independent χ² levels of the cosine spectrum.
 
@@ -203,16 +194,12 @@ class WhittleDensity:
         columns = [k for k, owner in enumerate(spectrum.owners) if owner not in spectrum.lines]
         self._cross = self._share[:, None] * spectrum.cross[:, columns]
         self._gram = self._share[:, None, None] * spectrum.gram[:, columns][:, :, columns]
-        self._ramps = [
-            int(self._amplitude[k]) for k in map(spectrum.owners.__getitem__, columns) if isinstance(k, int)
-        ]
+        owners = [spectrum.owners[k] for k in columns]
+        self._ramps = [self._amplitude[owner] for owner in owners if isinstance(owner, int)]
         ends = np.cumsum(size)
+        #: Each line, the bins of its coefficients, and the place of its amplitude, which its frequency follows.
         self._lines = [
-            _Line(
-                line,
-                np.searchsorted(ends, line.indices - 1, side="right"),
-                *self._amplitude[k] + np.arange(2),
-            )
+            (line, np.searchsorted(ends, line.indices - 1, side="right"), self._amplitude[k])
             for k, line in spectrum.lines.items()
         ]
 
@@ -232,8 +219,8 @@ class WhittleDensity:
             ramp = values[:, place]
             x = abs(ramp * p[:, k])
             total += np.logaddexp(x, -x) - np.log(2.0) - 0.5 * ramp**2 * U[:, k, k]
-        for line in self._lines:
-            total += self._line(line, values, inverse)
+        for line, of, place in self._lines:
+            total += self._line(line, of, values[:, place : place + 2], inverse)
         return total
 
     def scales(self, values: Float[np.ndarray, " all"]) -> dict[int, tuple[float, float]]:
@@ -258,17 +245,18 @@ class WhittleDensity:
         return power @ units[0] if len(units) == 1 else np.einsum("bk,bkm->bm", power, units)
 
     def _line(
-        self, line: _Line, values: Float[np.ndarray, "b all"], inverse: Float[np.ndarray, "b m"]
+        self, line: Line, of: Any, values: Float[np.ndarray, "b 2"], inverse: Float[np.ndarray, "b m"]
     ) -> Float[np.ndarray, " b"]:
-        """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
-        n, rate, index = self._bins.n, self._bins.rate, line.line.indices
-        columns = line_columns(values[:, line.frequency, None], index, n, rate)
-        weighted = columns * (self._share * inverse)[:, line.bin, None]
-        p = np.einsum("bki,k->bi", weighted, line.line.coefficients)
+        """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law).
+
+        `of`: the bins of its coefficients; `values`: its amplitude and frequency.
+        """
+        columns = line_columns(values[:, 1:], line.indices, self._bins.n, self._bins.rate)
+        weighted = columns * (self._share * inverse)[:, of, None]
+        p = np.einsum("bki,k->bi", weighted, line.coefficients)
         u = np.sum(weighted * columns, axis=(1, 2)) / 2.0
-        A = values[:, line.amplitude]
-        x = A * np.hypot(*p.T)
-        return np.log(i0e(x)) + x - 0.5 * A**2 * u
+        x = values[:, 0] * np.hypot(*p.T)
+        return np.log(i0e(x)) + x - 0.5 * values[:, 0] ** 2 * u
 
 
 class AllanDensity:
@@ -285,16 +273,13 @@ class AllanDensity:
         self._shapes = [k for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
         self._lower = np.array([model.parameters[k].parameter.lower for k in self._shapes])
         terms, shape = slice(len(model)), np.log(values[self._shapes] - self._lower)
-        products = np.asarray(
-            jax.jit(lambda u: design.products(u))(shape) if self._shapes else design.constants.products
-        )
-        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
-        self._products = products[terms, terms][:, :, pairs]
-        self._ridge, self._octaves = float(design.ridge), design.octaves[np.ix_(rows, rows)]
-        self._means: Any = np.asarray(design.constants.means)[terms, rows]
+        products, means = design.constants.products, design.constants.means
         if self._shapes:
-            every = in_batches(lambda u: design.means(u))
-            self._means = lambda u: every(u)[:, terms, rows]
+            products = eqx.filter_jit(AllanDesign.products)(design, shape)
+        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
+        self._products = np.asarray(products)[terms, terms][:, :, pairs]
+        self._ridge, self._octaves = float(design.ridge), design.octaves[np.ix_(rows, rows)]
+        self._design, self._rows, self._constant = design, rows, np.asarray(means)[None, terms, rows]
 
     def __call__(self, values: Float[np.ndarray, "b all"]) -> Float[np.ndarray, " b"]:
         _, mean, relative = self._moments(values)
@@ -322,9 +307,10 @@ class AllanDensity:
     ) -> tuple[Float[np.ndarray, "_ terms m"], Float[np.ndarray, "b m"], Float[np.ndarray, "b m m"]]:
         """Variances of unit amplitudes, expected variances, and the covariance of their ratios to these."""
         power = values[:, self._amplitude] ** 2
-        units = (
-            self._means(np.log(values[:, self._shapes] - self._lower)) if self._shapes else self._means[None]
-        )
+        units = self._constant
+        if self._shapes:
+            shape = np.log(values[:, self._shapes] - self._lower)
+            units = in_batches(AllanDesign.means, self._design, shape)[:, : power.shape[1], self._rows]
         mean = np.einsum("bk,bkm->bm", power, np.broadcast_to(units, (len(values), *units.shape[1:])))
         covariance = np.einsum("bk,bl,klij->bij", power, power, self._products, optimize=True)
         return units, mean, covariance / (mean[:, :, None] * mean[:, None])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import emcee
 import numpy as np
@@ -54,27 +55,28 @@ class Target:
         absent = self.amplitude & ~np.isin(np.arange(len(kinds)), sampled)
         self.base = self.coordinates(np.where(absent, 0.0, start))
 
-    def values(self, y: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
-        """Values in SI at these coordinates."""
-        exponent = np.where(self.line, 0.0, y)
-        others = np.where(self.line, y, self.origin + np.exp(exponent))
-        return np.where(self.amplitude, self.scale * np.expm1(exponent), others)
+    def values(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
+        """Values in SI at coordinates [..., params], or at those of the parameter with index `at`."""
+        line = self.line[at]
+        exponent = np.where(line, 0.0, y)
+        others = np.where(line, y, self.origin[at] + np.exp(exponent))
+        return np.where(self.amplitude[at], self.scale[at] * np.expm1(exponent), others)
 
-    def coordinates(self, values: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
-        """Coordinates of values in SI."""
+    def coordinates(self, values: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
+        """Coordinates of values in SI, the inverse of `values`."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            others = np.where(self.line, values, np.log(values - self.origin))
-            return np.where(self.amplitude, np.log1p(values / self.scale), others)
+            others = np.where(self.line[at], values, np.log(values - self.origin[at]))
+            return np.where(self.amplitude[at], np.log1p(values / self.scale[at]), others)
 
-    def log_jacobian(self, y: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
+    def log_jacobian(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
         """Logarithm of the derivative of each value by its coordinate."""
-        return np.where(self.line, 0.0, y + np.log(self.scale))
+        return np.where(self.line[at], 0.0, y + np.log(self.scale[at]))
 
-    def log_prior(self, full: Float[np.ndarray, "k params"], index: int) -> Float[np.ndarray, " k"]:
+    def log_prior(self, y: Float[np.ndarray, ...], index: int) -> Float[np.ndarray, ...]:
         """Logarithm of the prior density of one of the coordinates; −inf outside its support."""
         with np.errstate(over="ignore"):
-            density = self.priors[index].log_density(self.values(full)[:, index])
-        return np.asarray(density) + self.log_jacobian(full)[:, index]
+            density = self.priors[index].log_density(self.values(y, index))
+        return np.asarray(density) + self.log_jacobian(y, index)
 
     def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
         """Coordinates of all parameters, given those that are sampled."""
@@ -84,7 +86,7 @@ class Target:
 
     def log_density(self, full: Float[np.ndarray, "k params"]) -> Float[np.ndarray, " k"]:
         """Log-likelihood plus log prior density of the sampled coordinates; −inf outside the support."""
-        total = np.sum([self.log_prior(full, i) for i in self.sampled], axis=0)
+        total = np.sum([self.log_prior(full[:, i], i) for i in self.sampled], axis=0)
         # Outside the support the likelihood may be undefined.
         allowed = np.isfinite(total)
         if allowed.any():

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.structure import (
@@ -27,10 +27,6 @@ from allanjax.noise.numerics import averaged_lags
 _NARROWEST, _WORTH = 8, 4.0
 # Oscillators an octave that are proposed, and their quality factors; and number of correlation times.
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
-# Steps of a fit of powers, the damping, and the longest step in ln.
-_STEPS, _DAMPING, _LONGEST = 12, 0.01, 2.0
-# Steps of a fit of one power.
-_NEWTON = 8
 
 
 def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
@@ -124,45 +120,11 @@ def promised(
     interior = np.flatnonzero(np.asarray(maximum.interior))
     slope = maximum.model.slope(now.structure.power, FULL)[interior, :m] / mean * moved[interior, None]
     F = np.asarray(maximum.information)[np.ix_(interior, interior)]
-    cross = (relative * k) @ slope.T
+    size = 1.0 / np.sqrt(np.maximum(np.diag(F), 1e-12))
+    cross = (relative * k) @ (slope * size[:, None]).T
     alone = relative**2 @ k
-    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(F + 1e-9 * np.diag(np.diag(F)), cross.T).T)
+    scaled = F * np.outer(size, size) + 1e-9 * np.eye(len(F))
+    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(scaled, cross.T).T)
     left = np.maximum(left, 1e-6 * alone)
     power = np.maximum(g, 0.0) / left
     return 0.5 * np.maximum(g, 0.0) * power, power
-
-
-def power_fits(
-    spectrum: Spectrum,
-    unit: Float[np.ndarray, "models p m"],
-    start: Float[np.ndarray, "models p"],
-    used: Bool[np.ndarray, "models p"],
-) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
-    """Powers of each model with the shapes held, and minus the log-likelihood [nats].
-
-    Fisher scoring with the curvature of the deviances, in ln(p + s), s being one standard deviation in the
-    smooth spectrum.
-    """
-    m = unit.shape[-1]
-    k, y, rough = (np.asarray(x)[:m] for x in (spectrum.levels.shape, spectrum.levels.level, spectrum.rough))
-    scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ k, 1e-300))
-    p, best, least = np.where(used, start, 0.0), np.where(used, start, 0.0), np.full(len(unit), np.inf)
-    for _ in range(_STEPS):
-        mean = np.maximum(np.einsum("cp,cpm->cm", p, unit), 1e-300)
-        value = (np.log(mean) + y / mean) @ k
-        better = value < least
-        best[better], least = p[better], np.minimum(value, least)
-        excess = np.maximum(y / mean, 1e-12) - 1.0
-        apart = np.where(abs(excess) < 1e-4, 1e-4, excess)
-        weight = k * apart**2 / (2.0 * (apart - np.log1p(apart)))
-        slope = unit / mean[:, None] * (p + scale)[..., None]
-        gradient = np.einsum("cpm,cm->cp", slope, k * excess)
-        moves = used & ~((p <= 0.0) & (gradient < 0.0))
-        slope *= moves[..., None]
-        curvature = (slope * weight[:, None]) @ slope.swapaxes(1, 2)
-        size = 1.0 / np.sqrt(np.maximum(np.einsum("cpp->cp", curvature), 1e-12))
-        scaled = curvature * size[:, :, None] * size[:, None]
-        scaled += np.eye(p.shape[1]) * np.where(moves, _DAMPING, 1.0)[:, None]
-        move = size * np.linalg.solve(scaled, (gradient * moves * size)[..., None])[..., 0]
-        p = np.maximum((p + scale) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - scale, 0.0)
-    return best, least

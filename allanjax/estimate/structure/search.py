@@ -12,6 +12,7 @@ eight samples.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -31,7 +32,8 @@ from allanjax.estimate.spectral.components import (
     TWO_POLES,
 )
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.proposals import Units, power_fits, promised, slots_to_try, windows
+from allanjax.estimate.spectral.powers import power_fits
+from allanjax.estimate.structure.proposals import Units, promised, slots_to_try, windows
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
@@ -67,6 +69,10 @@ TIMES = (0.35, 0.55, 0.75, 0.95)
 _TRIED, _ROUNDS = 3, 20
 # Proposals whose powers are fitted.
 _RANKED = 12
+# Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
+_PRICES = np.array([13.0, 9.0, 6.0])
+# Correlation time [samples] below which a Markov process may stand for what a response does.
+_QUICK = 20.0
 # Bins in an octave.
 _PER_OCTAVE = 12
 # Quality factor above which a resonance is narrow, gain [nats] above which a window is certainly accepted,
@@ -78,6 +84,8 @@ _MOVING = 3
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
 WIDE = 4.0
+# Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
+_EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
 # Relative error of a power beyond which the fit is tried without it.
 _DOUBTFUL = 0.2
 # Deviation of a smoothed level from its expectation, in standard deviations, beyond which a search begins.
@@ -117,20 +125,20 @@ class Record(NamedTuple):
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
     spectrum, now = refitted(record, start)
-    before = now.structure
-    if before.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
+    last = now.structure
+    if last.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
         spectrum, now = _opened(record, now)
     while True:
-        begun = now.structure
         for _ in range(_ROUNDS):
             found = _grown(record, spectrum, now)
             if found is None:
                 break
             spectrum, now = found
-        # A start to which only lines were added has had its swaps.
-        if _outline(now.structure, record.n) in (_outline(before, record.n), _outline(begun, record.n)):
+        # A structure to which only lines were added has had its swaps.
+        if _outline(now.structure, record.n) == _outline(last, record.n):
             return spectrum, now
         now = pruned(spectrum, _edited(spectrum, now, _final))
+        last = now.structure
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -158,12 +166,15 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
         if k != WHITE:
             structure = structure.without(int(k))
+    if not structure.active[QUANTIZATION]:
+        # Its limit is that of the rounding of the output.
+        structure = structure.placed(QUANTIZATION, False)
     return spectrum.fit(structure, FINE)
 
 
 def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     """The best of fits with some response, and without any, to all peaks that stand out."""
-    structure, n = plain.structure, record.n
+    n, structure = record.n, plain.structure
     bins = Bins.of(n, record.rate, (), 2 * _PER_OCTAVE)
     level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
     around = [_beside(level, f - g) for g in f]
@@ -200,17 +211,16 @@ def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
         structure = structure.using(OUTSIDE, floor)
     found = []
     for kind in _OPENING:
-        of_kind = [structure.with_response(kind, 2.0 * np.pi * b) for b in _BANDWIDTHS]
-        if len(structure.oscillators):
-            of_kind += [_all_inside(s) for s in of_kind]
-        found.append(of_kind)
+        places = [structure, _all_placed(structure, True)]
+        found.append([s.with_response(kind, 2.0 * np.pi * b) for s in places for b in _BANDWIDTHS])
     return found
 
 
-def _all_inside(structure: Structure) -> Structure:
-    for k in structure.oscillators:
-        structure = structure.placed(FULL.first_oscillator + int(k), True)
-    return structure
+def _all_placed(structure: Structure, inside: bool) -> Structure:
+    """Structure with all resonances and quantization inside the response, or after it."""
+    places = structure.inside.copy()
+    places[FULL.first_oscillator + structure.oscillators] = places[QUANTIZATION] = inside
+    return dataclasses.replace(structure, inside=places)
 
 
 def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
@@ -224,8 +234,11 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     power = np.stack([s.power[components] for s in every])
     used = np.stack([s.active[components] for s in every])
     # The noise before a response is about what it is without.
-    power, loss = power_fits(spectrum, unit, power, used)
+    data = (spectrum.levels.level, spectrum.levels.shape, spectrum.rough)
+    level, shape, rough = (np.asarray(x)[: unit.shape[-1]] for x in data)
+    power, loss = power_fits(level, shape, rough, unit, power, used)
     best, first = [], 0
+    loss = loss + np.array([_price(s) for s in every])
     for group in groups:
         k = first + int(np.argmin(loss[first : first + len(group)]))
         values = every[k].power.copy()
@@ -233,6 +246,14 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
         best.append((loss[k], every[k].with_powers(values)))
         first += len(group)
     return [s for _, s in sorted(best, key=lambda pair: pair[0])]
+
+
+def _price(structure: Structure) -> float:
+    """About what the components of a structure cost in evidence [nats]."""
+    filtered, rounded = structure.kind != NONE, structure.active[QUANTIZATION]
+    shaped = len(structure.markovs) + filtered
+    beside = structure.active[OUTSIDE] + filtered * rounded * (0.5 + structure.inside[QUANTIZATION])
+    return float(_PRICES @ (len(structure.oscillators), shaped, beside))
 
 
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
@@ -334,6 +355,18 @@ def _final(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
     """
     every = [FULL.first_oscillator + int(k) for k in structure.oscillators]
     groups = _kinds(structure, structure.bandwidth[0]) + _moved(structure, [*every, QUANTIZATION])
+    if quick := [FULL.first_markov + int(k) for k in structure.markovs if structure.time(int(k)) < _QUICK]:
+        rest = functools.reduce(Structure.without, quick, structure)
+        groups += [[rest], *_kinds(rest, rest.bandwidth[0], anew=True)]
+    if structure.kind != NONE and structure.power[QUANTIZATION] > 0.0:
+        # Behind a filter it may be the shape of that filter, or of a resonance.
+        rest = structure.without(QUANTIZATION)
+        groups += _kinds(rest, rest.bandwidth[0], anew=True)
+        wide = [rest.with_oscillator(w, Q, 0.0, False) for w in _EDGES for Q in _BROAD]
+        groups += [
+            [s.with_response(kind, min(s.bandwidth[0] * by, _HIGHEST)) for s in wide if s for by in _BESIDE]
+            for kind in _OPENING
+        ]
     for k in structure.oscillators:
         if structure.quality(k) < WIDE:
             w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
@@ -346,13 +379,19 @@ def _final(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
 
 
 def _kinds(structure: Structure, width: float, anew: bool = False) -> list[list[Structure]]:
-    """Structures with another kind of response of about this bandwidth [radians per sample], by its kind."""
+    """Structures with a response of about this bandwidth [radians per sample], by its kind."""
     if structure.kind == NONE and not anew:
         return []
+    moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
+    places = [structure, moved, _all_placed(structure, True), _all_placed(structure, False)]
     return [
-        [structure.with_response(kind, min(width * by, _HIGHEST)) for by in _BESIDE]
+        [
+            s.with_response(kind, min(width * by, _HIGHEST))
+            for s in places
+            for by in _BESIDE
+            if by != 1.0 or kind != structure.kind or anew
+        ]
         for kind in _KINDS
-        if kind != structure.kind
     ]
 
 
@@ -400,8 +439,9 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
         # What is known better than that is there.
         std = np.sqrt(np.diag(now.covariance))[: FULL.components]
         shaped = np.arange(FULL.components) >= FULL.first_markov
-        doubtful = structure.active & (shaped | (np.arange(FULL.components) == OUTSIDE))
-        doubtful &= std > _DOUBTFUL * structure.power
+        loose = [OUTSIDE, QUANTIZATION] if structure.kind != NONE else [OUTSIDE]
+        doubtful = structure.active & (shaped | np.isin(np.arange(FULL.components), loose))
+        doubtful &= (structure.power > 0.0) & (std > _DOUBTFUL * structure.power)
         weakest = sorted(np.flatnonzero(doubtful).tolist(), key=lambda k: -std[k] / structure.power[k])[:2]
         best = now
         for k in weakest:

@@ -45,13 +45,11 @@ LOWEST_BANDWIDTH = 0.005
 _ERROR = 0.005
 # Relative error of the part of the resonances, whose frequency and damping drift: a judgement.
 _UNSTEADY = 0.1
-# Relative errors of what a response has taken away, and of a resonance farther from its peak than so many of
-# its widths: judgements.
-_FILTER, _SKIRT, _BESIDE = 0.05, 0.2, 1.5
+# Relative errors of a response, per factor of e by which it has fallen, in a search beyond so many of these;
+# and of a resonance farther from its peak than so many of its widths: judgements.
+_FILTER, _DEEP, _SKIRT, _BESIDE = 0.05, 3.0, 0.2, 1.5
 # Oscillators nearer to each other than the mean of their widths times this may be one: a judgement.
 _CLOSE = 1.5
-# Numbers of levels to which arrays are padded in a search.
-_CAPACITIES = (384, 1024)
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
 ROUGH, FINE = 1e-2, 1e-7
 # Fields of a structure with a value for each component.
@@ -86,14 +84,13 @@ class Structure:
 
     @classmethod
     def plain(cls, columns: np.ndarray | list[int]) -> Structure:
-        """Structure of some columns only; all that is not resonant passes through a response once there is
-        one."""
+        """Structure of some columns only, of which all but quantization pass through a response, if any."""
         count = FULL.components
         active, inside = np.zeros(count, bool), np.zeros(count, bool)
         active[np.asarray(columns, int)] = True
         inside[: FULL.first_oscillator] = True
-        # A term of its own kind may have no closed form behind a response.
-        inside[[OUTSIDE, FURTHER]] = False
+        # The output is rounded; and a term of its own kind may have no closed form behind a response.
+        inside[[QUANTIZATION, OUTSIDE, FURTHER]] = False
         slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside)
         return cls(np.zeros(count), slots.usual()[count:], active, inside)
 
@@ -289,8 +286,7 @@ class Spectrum:
         """
         terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
         terms += [] if further is None else [further]
-        capacity = next((c for c in _CAPACITIES if c >= len(bins.size)), None)
-        levels = levels_of(bins, columns_of(terms, bins), FULL.columns, capacity)
+        levels = levels_of(bins, columns_of(terms, bins), FULL.columns)
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
@@ -312,19 +308,20 @@ class Spectrum:
         return self.bins.n
 
     def weighing(self, fitted: Fitted, filters: bool = False, skirts: bool = False) -> Spectrum:
-        """Spectrum whose levels count less where a fit has its resonances; and, in the end, beside these.
+        """Spectrum whose levels count less where a fit has its resonances, and deep in a filter's stop band.
 
         Resonances drift, the more so where several stand for one that moves. No sensor's skirts and filters
-        are just like the model's, and such errors are common to an octave; they count once the structure is
-        known, as they hide what kind of filter it is. Models must be compared with the same weights.
+        are just like the model's, and such errors are common to an octave; all of them count once the
+        structure is known, as they hide what kind of filter it is. Models must be compared with the same
+        weights.
         """
         structure, bins = fitted.structure, self.bins
         f, rows, resonant = bins.frequency, len(bins.size), fitted.resonant
         near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
         square, common = (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2, np.zeros(rows)
-        if filters and (response := response_of(structure, bins.rate)) is not None:
-            fallen = 1.0 - np.minimum(np.asarray(response.power(f, bins.rate)), 1.0)
-            common += (_FILTER * fallen) ** 2
+        if (response := response_of(structure, bins.rate)) is not None:
+            fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300))
+            common += (_FILTER * np.maximum(fallen - (0.0 if filters else _DEEP), 0.0)) ** 2
         hertz = bins.rate / (2.0 * np.pi)
         for k in structure.oscillators if skirts else ():
             beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
@@ -394,7 +391,10 @@ class Spectrum:
         F = np.asarray(found.information)[np.ix_(free, free)]
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
         used = structure.active & (np.asarray(found.theta)[: at.components] > 0.0)
-        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :])) + int(structure.kind != NONE)
+        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :]))
+        if structure.kind != NONE:
+            # Quantization beside a filter may be the filter's shape, the more so before it.
+            more += 1 + int(used[QUANTIZATION]) * (1 + int(structure.inside[QUANTIZATION]))
         return -float(found.loss) - 0.5 * float(logdet) - PRICE * more
 
 
