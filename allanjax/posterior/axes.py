@@ -229,12 +229,12 @@ class AxisSampler:
         excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
         lack = [wanted.min_length * chains.tau / left, excess, chains.change / wanted.max_change]
         worst = int(np.argmax(np.nan_to_num(np.max(lack, axis=0), nan=np.inf)))
+        tau, length = chains.tau[worst], wanted.min_length * chains.tau[worst]
         return (
             f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, "
-            f"with τ = {plain(chains.tau[worst], 3)} steps, {left} of {wanted.min_length * chains.tau[worst]:.0f} "
-            f"steps after the burn-in, a last change of τ of {percent(chains.change[worst])} and "
-            f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
-            "or give narrower priors"
+            f"with τ = {plain(tau, 3)} steps, {left} of {length:.0f} steps after the burn-in, a last change "
+            f"of τ of {percent(chains.change[worst])} and R̂ = {chains.r_hat[worst]:.4f}; allow more steps, "
+            f"e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
         )
 
     def _result(

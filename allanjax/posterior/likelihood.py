@@ -197,7 +197,7 @@ class WhittleDensity:
         owners = [spectrum.owners[k] for k in columns]
         self._ramps = [self._amplitude[owner] for owner in owners if isinstance(owner, int)]
         ends = np.cumsum(size)
-        #: Each line, the bins of its coefficients, and the place of its amplitude, which its frequency follows.
+        #: Each line, the bins of its coefficients, and the place of its amplitude before its frequency.
         self._lines = [
             (line, np.searchsorted(ends, line.indices - 1, side="right"), self._amplitude[k])
             for k, line in spectrum.lines.items()

@@ -33,7 +33,7 @@ _ROWS = 16
 def in_batches(
     function: Callable[[Any, Array], Array], data: Any, rows: Float[np.ndarray, "b k"]
 ) -> Float[np.ndarray, "b ..."]:
-    """A function of JAX of these data and of each row, compiled once for any number of rows and other data."""
+    """Function of JAX of data and of each row, compiled once for any number of rows and other such data."""
     whole = np.resize(rows, (-(-len(rows) // _ROWS) * _ROWS, rows.shape[1]))
     parts = [_mapped(function, data, some) for some in np.split(whole, len(whole) // _ROWS)]
     return np.concatenate(parts)[: len(rows)]
@@ -79,7 +79,9 @@ class ExpectedLevels:
         columns = columns_of([model.terms[k] for k in fixed], bins)
         self._columns = dict(zip(fixed, columns, strict=True))
         levels = levels_of(bins, columns, len(columns), len(bins.size))
-        self._angle, self._interval, self._length, self._parity = levels[2:6]
+        self._angle, *of_levels, self._parity = levels[2:6]
+        # Powers of numbers are much faster than those of arrays.
+        self._interval, self._length = (x[:1] if len(set(x)) == 1 else x for x in map(np.ravel, of_levels))
         apart = [(k, p) for k, p in shapes if p.term < len(model) and not _has_slot(model.terms[p.term])]
         terms, lower = sorted({p.term for _, p in apart}), np.array([p.parameter.lower for _, p in apart])
         own = tuple((terms.index(p.term), p.parameter.name, p.parameter.lower) for _, p in apart)
