@@ -18,11 +18,11 @@ import dataclasses
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import Progress, TaskID
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
@@ -45,7 +45,7 @@ _INDISTINGUISHABLE = 0.3
 _QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 # Default number of walkers, or four per parameter if that is more.
 _WALKERS = 32
-# Step of an amplitude's coordinate and least number of steps, and number of points between which the density is
+# Step of an amplitude's coordinate, least number of steps, and number of points between which the density is
 # integrated. The range ends where the density is e^-12 of its maximum.
 _STEP, _STEPS, _DENSE = 0.1, 16, 4001
 _NEGLIGIBLE = 12.0
@@ -64,12 +64,14 @@ def absent_amplitude(
     includes the prior densities before and after; moving them to their weighted mean, which is followed from
     one c to the next, keeps the weights even.
     """
-    full, prior = _with_shapes(target, index, y, random), target.priors[index]
-    ends = target.values(np.tile(target.base, (2, 1)))
-    ends[:, index] = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
-    lower, upper = target.coordinates(ends)[:, index]
+    full, prior = target.embedded(y), target.priors[index]
+    for k, p in enumerate(target.likelihood.parameters):
+        if k not in (index, *target.sampled) and p.term == target.likelihood.parameters[index].term:
+            full[:, k] = target.coordinates(target.priors[k].quantile(random.uniform(size=len(y))), k)
+    ends = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
+    lower, upper = target.coordinates(np.array(ends), index)
     grid = np.arange(lower, upper, min(_STEP, (upper - lower) / _STEPS))
-    of_prior, before = _log_prior(target, index, grid), target.log_density(full)
+    of_prior, before = target.log_prior(grid, index), target.log_density(full)
     log_ratio, shifts, moved = np.full(len(grid), -np.inf), [np.zeros(y.shape[1])] * 2, full.copy()
     for g, coordinate in enumerate(grid):
         moved[:, index] = coordinate
@@ -92,48 +94,23 @@ def absent_amplitude(
             break
     known = np.isfinite(log_ratio)
     dense = np.linspace(lower, grid[known][-1], _DENSE)
-    log_density = CubicSpline(grid[known], log_ratio[known])(dense) + _log_prior(target, index, dense)
+    log_density = CubicSpline(grid[known], log_ratio[known])(dense) + target.log_prior(dense, index)
     density = np.exp(log_density - log_density.max())
     steps = (density[1:] + density[:-1]) / 2.0
     probability = np.append(0.0, np.cumsum(steps))
     even = (np.arange(_DENSE) + 0.5) / _DENSE
-    full = np.tile(target.base, (_DENSE, 1))
-    full[:, index] = np.interp(even, probability / probability[-1], dense)
+    amplitudes = target.values(np.interp(even, probability / probability[-1], dense), index)
     total = np.log(probability[-1] * (dense[1] - dense[0])) + log_density.max()
-    return target.values(full)[:, index], float(np.exp(log_ratio[0] - total))
-
-
-def _with_shapes(
-    target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
-) -> Float[np.ndarray, "draws params"]:
-    """Coordinates of all parameters of these draws, the absent term's shapes being drawn from priors."""
-    full = target.embedded(y)
-    values, parameters = target.values(full), target.likelihood.parameters
-    for k, p in enumerate(parameters):
-        if k != index and k not in target.sampled and p.term == parameters[index].term:
-            values[:, k] = target.priors[k].quantile(random.uniform(size=len(full)))
-    return target.coordinates(values)
-
-
-def _log_prior(target: Target, index: int, y: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Logarithm of the prior density of one coordinate."""
-    full = np.tile(target.base, (len(y), 1))
-    full[:, index] = y
-    return target.log_prior(full, index)
+    return amplitudes, float(np.exp(log_ratio[0] - total))
 
 
 def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
     """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
-    scale = target.scale[index]
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    # In ln(1 + c/scale) the default prior is uniform, and others are smooth inside their support.
-    low = np.log1p(target.priors[index].lower / scale)
-    if low >= _INDISTINGUISHABLE:
-        return 0.0
-    y = low + (_INDISTINGUISHABLE - low) * (nodes + 1.0) / 2.0
-    before = float(np.exp(_log_prior(target, index, y)) @ weights) * (_INDISTINGUISHABLE - low) / 2.0
+    threshold = target.values(np.array(_INDISTINGUISHABLE), index)
     # A prior without any mass there excludes zero whatever the data say.
-    return float(np.mean(draws < scale * np.expm1(_INDISTINGUISHABLE)) / before) if before > 1e-9 else 0.0
+    u = np.geomspace(1e-9, 1.0 - 1e-9, _DENSE)
+    before = np.interp(threshold, target.priors[index].quantile(u), np.log(u), left=np.inf)
+    return float(np.mean(draws < threshold) * np.exp(-before))
 
 
 def _marginal(
@@ -189,14 +166,14 @@ class AxisSampler:
 
     def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
         """Posteriors of the named axes, with a progress bar if wanted."""
+        shown = sys.stderr.isatty() if progress is None else progress
         results = []
-        with _progress_bar(progress) as bar:
+        with Progress(console=Console(stderr=True), disable=not shown) as bar:
             for name in names:
-                task = None if bar is None else bar.add_task(name, total=None)
+                task = bar.add_task(name, total=None)
 
-                def report(steps: int, expected: int, task: Any = task) -> None:
-                    if bar is not None:
-                        bar.update(task, completed=steps, total=expected)
+                def report(steps: int, expected: int, task: TaskID = task) -> None:
+                    bar.update(task, completed=steps, total=expected)
 
                 results.append(dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report))
         return tuple(results)
@@ -204,19 +181,21 @@ class AxisSampler:
     def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
         """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
         likelihood = likelihood_of(self.fit, name)
-        priors, sampled = self._all_priors(likelihood), self._sampled(likelihood, name)
-        target = Target(likelihood, tuple(priors[p.label] for p in likelihood.parameters), sampled)
-        walkers = self._walkers(len(sampled))
+        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
+        if not sampled.size:
+            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
+        target = Target(likelihood, self._all_priors(likelihood), sampled)
         # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
         streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
         random = np.random.RandomState(streams)
         try:
-            start = first_walkers(target, walkers, random)
+            start = first_walkers(target, self._walkers(len(sampled)), random)
         except FitError as error:
             raise FitError(f"{name}: {error}") from None
         chains = run(target, start, random, self.convergence, report)
         if not chains.converged:
-            warnings.warn(self._complaint(name, likelihood, sampled, chains), PosteriorWarning, stacklevel=4)
+            labels = [likelihood.parameters[i].label for i in sampled]
+            warnings.warn(self._complaint(name, labels, chains), PosteriorWarning, stacklevel=4)
         return self._result(name, target, chains, random)
 
     def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
@@ -233,13 +212,6 @@ class AxisSampler:
                 )
         return priors | dict(self.priors)
 
-    def _sampled(self, likelihood: Likelihood, name: str) -> Int[np.ndarray, " sampled"]:
-        """Indices of the parameters to sample."""
-        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
-        if not sampled.size:
-            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
-        return sampled
-
     def _walkers(self, count: int) -> int:
         """Number of walkers for `count` parameters."""
         if self.walkers is None:
@@ -251,23 +223,18 @@ class AxisSampler:
             )
         return self.walkers
 
-    def _complaint(
-        self, name: str, likelihood: Likelihood, sampled: Int[np.ndarray, " sampled"], chains: Chains
-    ) -> str:
+    def _complaint(self, name: str, labels: Sequence[str], chains: Chains) -> str:
         """Warning about chains that have not converged, with the worst parameter and the remedy."""
-        wanted = self.convergence
-        length = wanted.min_length * chains.tau
+        wanted, left = self.convergence, len(chains.y)
         excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
-        lack = np.max([length / len(chains.y), excess, chains.change / wanted.max_change], axis=0)
-        lack = np.nan_to_num(lack, nan=np.inf)
-        worst = int(np.argmax(lack))
-        label = likelihood.parameters[sampled[worst]].label
+        lack = [wanted.min_length * chains.tau / left, excess, chains.change / wanted.max_change]
+        worst = int(np.argmax(np.nan_to_num(np.max(lack, axis=0), nan=np.inf)))
+        tau, length = chains.tau[worst], wanted.min_length * chains.tau[worst]
         return (
-            f"{name}: the posterior has not converged in {chains.steps} steps; {label} is worst, with "
-            f"τ = {plain(chains.tau[worst], 3)} steps, {len(chains.y)} of {length[worst]:.0f} steps after "
-            f"the burn-in, a last change of τ of {percent(chains.change[worst])} and "
-            f"R̂ = {chains.r_hat[worst]:.4f}; allow more steps, e.g. max_steps={4 * wanted.max_steps}, "
-            "or give narrower priors"
+            f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, "
+            f"with τ = {plain(tau, 3)} steps, {left} of {length:.0f} steps after the burn-in, a last change "
+            f"of τ of {percent(chains.change[worst])} and R̂ = {chains.r_hat[worst]:.4f}; allow more steps, "
+            f"e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
         )
 
     def _result(
@@ -325,29 +292,9 @@ class AxisSampler:
         few = y[np.linspace(0, len(y) - 1, self.absent_draws).round().astype(int)]
         found = {}
         for i, p in enumerate(parameters):
-            if i in by_index:
-                of = (by_index[i], detected.get(p.term, True), evidence.get(i))
-                found[p.label] = _marginal(p, axis, *of)
-            elif target.amplitude[i]:
-                amplitudes, factor = absent_amplitude(target, i, few, random)
-                found[p.label] = _marginal(p, axis, amplitudes, factor < _DETECTED, factor, sampled=False)
-            else:
-                found[p.label] = _marginal(p, axis, np.zeros(0), False, sampled=False)
+            x, factor, sampled = by_index.get(i, y[:0, 0]), evidence.get(i), i in by_index
+            if target.amplitude[i] and not sampled:
+                x, factor = absent_amplitude(target, i, few, random)
+            is_detected = detected.get(p.term, sampled) if factor is None or sampled else factor < _DETECTED
+            found[p.label] = _marginal(p, axis, x, is_detected, factor, sampled)
         return found
-
-
-def _progress_bar(wanted: bool | None) -> AbstractContextManager[Any]:
-    """Context of a progress bar on stderr, or of None if no bar is wanted."""
-    if not (sys.stderr.isatty() if wanted is None else wanted):
-        return nullcontext()
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("steps"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True))

@@ -8,9 +8,9 @@ are jointly normal with the correlations of the variances.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
-import jax
+import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import i0e
@@ -37,16 +37,6 @@ _CEILING = 1e2
 _ROWS = 64
 
 
-class Density(Protocol):
-    """Log-likelihood of an axis, given the values of all parameters of its model."""
-
-    def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, " b"]:
-        """Log-likelihood [nats] up to a constant; NaN where the noise has no power."""
-
-    def scales(self, values: Float[np.ndarray, " parameters"]) -> dict[int, tuple[float, float]]:
-        """By the place of each amplitude: that of one standard deviation, and the largest that the data allow."""
-
-
 @dataclasses.dataclass(frozen=True)
 class Likelihood:
     """Log-likelihood of the free parameters of a model, in SI and in the model's order.
@@ -59,7 +49,7 @@ class Likelihood:
         prior_scale: the amplitude whose power would be one standard deviation in these data; NaN for other
             parameters.
         found: which parameters belong to terms that the fit detected.
-        density: the likelihood of a complete record.
+        density: the likelihood of a complete record, from values of all parameters of the model.
         widening: factor by which missing samples widen it.
         held: values of all parameters of the model.
         places: which of these are the free ones.
@@ -72,7 +62,7 @@ class Likelihood:
     upper: Float[np.ndarray, " params"]
     prior_scale: Float[np.ndarray, " params"]
     found: Bool[np.ndarray, " params"]
-    density: Density
+    density: WhittleDensity | AllanDensity
     widening: float
     held: Float[np.ndarray, " all"]
     places: Int[np.ndarray, " params"]
@@ -129,8 +119,7 @@ def likelihood_of(fit: Fit, axis: str) -> Likelihood:
     values = np.array([result[p.label].value if p.free else p.start or 0.0 for p in every], float)
     # Shapes of absent terms have some value in their range.
     held = np.where(np.isfinite(values), values, [p.parameter.lower + 1.0 for p in every])
-    of_axis: Any = WhittleDensity if result.spectrum is not None else AllanDensity
-    density: Density = of_axis(fit, result, held)
+    density = (AllanDensity if result.spectrum is None else WhittleDensity)(fit, result, held)
     parameters, start = tuple(every[k] for k in places), held[places]
     scale, ceiling = np.full((2, len(every)), np.nan)
     for k, (own, largest) in density.scales(held).items():
@@ -179,22 +168,13 @@ def _ranges(
     return lower, upper
 
 
-class _Line(NamedTuple):
-    """A line with the bins of its cosine coefficients, and the places of its amplitude and frequency."""
-
-    line: Line
-    bin: Int[np.ndarray, " k"]
-    amplitude: int
-    frequency: int
-
-
 class WhittleDensity:
     """Whittle's likelihood: independent χ² levels of the cosine spectrum.
 
     The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
     """
 
-    def __init__(self, fit: Fit, result: AxisFit, values: Float[np.ndarray, " all"]) -> None:
+    def __init__(self, fit: Fit, result: AxisFit, _: Float[np.ndarray, " all"]) -> None:
         spectrum, model = result.spectrum, fit.template
         assert spectrum is not None
         self._bins, self._spectrum = spectrum.bins, spectrum
@@ -214,16 +194,12 @@ class WhittleDensity:
         columns = [k for k, owner in enumerate(spectrum.owners) if owner not in spectrum.lines]
         self._cross = self._share[:, None] * spectrum.cross[:, columns]
         self._gram = self._share[:, None, None] * spectrum.gram[:, columns][:, :, columns]
-        self._ramps = [
-            int(self._amplitude[k]) for k in map(spectrum.owners.__getitem__, columns) if isinstance(k, int)
-        ]
+        owners = [spectrum.owners[k] for k in columns]
+        self._ramps = [self._amplitude[owner] for owner in owners if isinstance(owner, int)]
         ends = np.cumsum(size)
+        #: Each line, the bins of its coefficients, and the place of its amplitude before its frequency.
         self._lines = [
-            _Line(
-                line,
-                np.searchsorted(ends, line.indices - 1, side="right"),
-                *self._amplitude[k] + np.arange(2),
-            )
+            (line, np.searchsorted(ends, line.indices - 1, side="right"), self._amplitude[k])
             for k, line in spectrum.lines.items()
         ]
 
@@ -243,11 +219,12 @@ class WhittleDensity:
             ramp = values[:, place]
             x = abs(ramp * p[:, k])
             total += np.logaddexp(x, -x) - np.log(2.0) - 0.5 * ramp**2 * U[:, k, k]
-        for line in self._lines:
-            total += self._line(line, values, inverse)
+        for line, of, place in self._lines:
+            total += self._line(line, of, values[:, place : place + 2], inverse)
         return total
 
     def scales(self, values: Float[np.ndarray, " all"]) -> dict[int, tuple[float, float]]:
+        """By the place of each amplitude: that of one standard deviation, and the largest the data allow."""
         found, level = {}, self._spectrum.squares / self._bins.size
         mean = self._mean(values[None])[0]
         with np.errstate(divide="ignore"):
@@ -268,17 +245,18 @@ class WhittleDensity:
         return power @ units[0] if len(units) == 1 else np.einsum("bk,bkm->bm", power, units)
 
     def _line(
-        self, line: _Line, values: Float[np.ndarray, "b all"], inverse: Float[np.ndarray, "b m"]
+        self, line: Line, of: Any, values: Float[np.ndarray, "b 2"], inverse: Float[np.ndarray, "b m"]
     ) -> Float[np.ndarray, " b"]:
-        """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
-        n, rate, index = self._bins.n, self._bins.rate, line.line.indices
-        columns = line_columns(values[:, line.frequency, None], index, n, rate)
-        weighted = columns * (self._share * inverse)[:, line.bin, None]
-        p = np.einsum("bki,k->bi", weighted, line.line.coefficients)
+        """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law).
+
+        `of`: the bins of its coefficients; `values`: its amplitude and frequency.
+        """
+        columns = line_columns(values[:, 1:], line.indices, self._bins.n, self._bins.rate)
+        weighted = columns * (self._share * inverse)[:, of, None]
+        p = np.einsum("bki,k->bi", weighted, line.coefficients)
         u = np.sum(weighted * columns, axis=(1, 2)) / 2.0
-        A = values[:, line.amplitude]
-        x = A * np.hypot(*p.T)
-        return np.log(i0e(x)) + x - 0.5 * A**2 * u
+        x = values[:, 0] * np.hypot(*p.T)
+        return np.log(i0e(x)) + x - 0.5 * values[:, 0] ** 2 * u
 
 
 class AllanDensity:
@@ -295,16 +273,13 @@ class AllanDensity:
         self._shapes = [k for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
         self._lower = np.array([model.parameters[k].parameter.lower for k in self._shapes])
         terms, shape = slice(len(model)), np.log(values[self._shapes] - self._lower)
-        products = np.asarray(
-            jax.jit(lambda u: design.products(u))(shape) if self._shapes else design.constants.products
-        )
-        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
-        self._products = products[terms, terms][:, :, pairs]
-        self._ridge, self._octaves = float(design.ridge), design.octaves[np.ix_(rows, rows)]
-        self._means: Any = np.asarray(design.constants.means)[terms, rows]
+        products, means = design.constants.products, design.constants.means
         if self._shapes:
-            every = in_batches(lambda u: design.means(u))
-            self._means = lambda u: every(u)[:, terms, rows]
+            products = eqx.filter_jit(AllanDesign.products)(design, shape)
+        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
+        self._products = np.asarray(products)[terms, terms][:, :, pairs]
+        self._ridge, self._octaves = float(design.ridge), design.octaves[np.ix_(rows, rows)]
+        self._design, self._rows, self._constant = design, rows, np.asarray(means)[None, terms, rows]
 
     def __call__(self, values: Float[np.ndarray, "b all"]) -> Float[np.ndarray, " b"]:
         _, mean, relative = self._moments(values)
@@ -332,9 +307,10 @@ class AllanDensity:
     ) -> tuple[Float[np.ndarray, "_ terms m"], Float[np.ndarray, "b m"], Float[np.ndarray, "b m m"]]:
         """Variances of unit amplitudes, expected variances, and the covariance of their ratios to these."""
         power = values[:, self._amplitude] ** 2
-        units = (
-            self._means(np.log(values[:, self._shapes] - self._lower)) if self._shapes else self._means[None]
-        )
+        units = self._constant
+        if self._shapes:
+            shape = np.log(values[:, self._shapes] - self._lower)
+            units = in_batches(AllanDesign.means, self._design, shape)[:, : power.shape[1], self._rows]
         mean = np.einsum("bk,bkm->bm", power, np.broadcast_to(units, (len(values), *units.shape[1:])))
         covariance = np.einsum("bk,bl,klij->bij", power, power, self._products, optimize=True)
         return units, mean, covariance / (mean[:, :, None] * mean[:, None])

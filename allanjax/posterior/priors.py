@@ -74,7 +74,29 @@ class Uniform(Prior):
         return self.lower + np.asarray(u) * (self.upper - self.lower)
 
 
-class LogUniform(Prior):
+class _Logarithmic(Prior):
+    """Prior uniform in ln(x − origin) between `lower` and `upper`, with a field or a property `origin`."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def origin(self) -> float: ...
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        xp = namespace(x)
+        at = xp.asarray(x, float)
+        # Outside the support the logarithm only needs a valid argument.
+        distance = xp.maximum(at, self.lower) - self.origin
+        ratio = (self.upper - self.origin) / (self.lower - self.origin)
+        return self._inside(at, -xp.log(distance) - math.log(math.log(ratio)))
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        nearest, span = self.lower - self.origin, self.upper - self.lower
+        # The lower end itself without rounding.
+        return self.lower + nearest * np.expm1(np.asarray(u) * np.log1p(span / nearest))
+
+
+class LogUniform(_Logarithmic):
     """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
 
     lower: float
@@ -84,18 +106,6 @@ class LogUniform(Prior):
     def __post_init__(self) -> None:
         ordered = self.origin < self.lower < self.upper < math.inf
         self._require(ordered, f"give finite bounds, {self.origin:g} < lower < upper")
-
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        xp = namespace(x)
-        at = xp.asarray(x, float)
-        # Outside the support the logarithm only needs a valid argument.
-        distance = xp.maximum(at, self.lower) - self.origin
-        ratio = (self.upper - self.origin) / (self.lower - self.origin)
-        return self._inside(at, -xp.log(distance) - xp.log(xp.log(ratio)))
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        nearest, farthest = self.lower - self.origin, self.upper - self.origin
-        return self.origin + nearest * (farthest / nearest) ** np.asarray(u)
 
 
 class LogNormal(Prior):
@@ -131,7 +141,7 @@ class LogNormal(Prior):
         return self.median * self.factor ** ndtri(np.asarray(u, float))
 
 
-class ModifiedLogUniform(Prior):
+class ModifiedLogUniform(_Logarithmic):
     """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
 
     It is uniform in ln(x + scale) (Gregory 2005, ApJ 631:1198): uniform below the scale, where an amplitude
@@ -150,11 +160,6 @@ class ModifiedLogUniform(Prior):
     def lower(self) -> float:
         return 0.0
 
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        xp = namespace(x)
-        at = xp.asarray(x, float)
-        density = -xp.log(xp.maximum(at, 0.0) + self.scale) - xp.log(xp.log1p(self.upper / self.scale))
-        return self._inside(at, density)
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return self.scale * np.expm1(np.asarray(u) * np.log1p(self.upper / self.scale))
+    @property
+    def origin(self) -> float:
+        return -self.scale

@@ -174,7 +174,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         tau: integrated autocorrelation time of each parameter [steps].
         r_hat: rank-normalized split R̂ of each parameter over the walkers.
         acceptance: share of accepted proposals.
-        steps: steps of every walker, including the burn-in.
+        steps: steps of every walker after the warm-up, including the burn-in.
         rate: sample rate of the recording [Hz].
         duration: length of the recording [s].
     """

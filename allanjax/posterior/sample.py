@@ -42,7 +42,8 @@ def sample(
         seed: the same seed gives the same draws of an axis, independently of the other axes.
         walkers: an even number, at least twice the number of sampled parameters; by default 32, or four per
             parameter if that is more.
-        max_steps: maximum number of steps of every walker, including the burn-in.
+        max_steps: maximum number of steps of every walker, including the burn-in, after a warm-up of at most
+            100 steps in which the proposals adapt.
         min_length: minimum length of the chain in τ.
         max_change: maximum relative change of τ.
         max_r_hat: maximum of R̂.

@@ -7,12 +7,13 @@ ln(x − lower bound) of a time, frequency or number, and the frequency itself o
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import emcee
 import numpy as np
 from emcee.moves import DEMove, DESnookerMove, RedBlueMove
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.posterior.likelihood import Likelihood
@@ -30,63 +31,52 @@ _ATTEMPTS = 40
 _STUDENT_DOF = 4.0
 
 
-@dataclasses.dataclass(frozen=True)
 class Target:
-    """Log-posterior of the sampled parameters of one axis, the others being kept at the coordinates `base`.
+    """Log-posterior of the parameters `sampled` of one axis, by index, the others being kept at `base`.
 
     Attributes:
         likelihood, priors: of all free parameters.
-        sampled: indices of those that are sampled.
         amplitude, line: which parameters are amplitudes, and frequencies of lines.
         scale, origin: of the coordinates.
         base: coordinates where amplitudes that are not sampled are 0, and shapes at their start.
     """
 
-    likelihood: Likelihood
-    priors: tuple[Prior, ...]
-    sampled: Int[np.ndarray, " sampled"]
-    amplitude: Bool[np.ndarray, " params"] = dataclasses.field(init=False)
-    line: Bool[np.ndarray, " params"] = dataclasses.field(init=False)
-    scale: Float[np.ndarray, " params"] = dataclasses.field(init=False)
-    origin: Float[np.ndarray, " params"] = dataclasses.field(init=False)
-    base: Float[np.ndarray, " params"] = dataclasses.field(init=False)
-
-    def __post_init__(self) -> None:
-        likelihood = self.likelihood
-        kinds = np.array([p.parameter.kind for p in likelihood.parameters])
-        amplitude, here = kinds == "amplitude", np.isin(np.arange(len(kinds)), self.sampled)
-        found = {
-            "amplitude": amplitude,
-            "line": kinds == "line",
-            "scale": np.where(amplitude, likelihood.prior_scale, 1.0),
-            "origin": np.array([p.parameter.lower for p in likelihood.parameters]),
-        }
-        for name, value in found.items():
-            object.__setattr__(self, name, value)
+    def __init__(
+        self, likelihood: Likelihood, priors: Mapping[str, Prior], sampled: Int[np.ndarray, " sampled"]
+    ) -> None:
+        parameters = likelihood.parameters
+        self.likelihood, self.sampled = likelihood, sampled
+        self.priors = tuple(priors[p.label] for p in parameters)
+        kinds = np.array([p.parameter.kind for p in parameters])
+        self.amplitude, self.line = kinds == "amplitude", kinds == "line"
+        self.scale = np.where(self.amplitude, likelihood.prior_scale, 1.0)
+        self.origin = np.array([p.parameter.lower for p in parameters])
         start = np.clip(likelihood.start, *np.array([(p.lower, p.upper) for p in self.priors], float).T)
-        object.__setattr__(self, "base", self.coordinates(np.where(amplitude & ~here, 0.0, start)))
+        absent = self.amplitude & ~np.isin(np.arange(len(kinds)), sampled)
+        self.base = self.coordinates(np.where(absent, 0.0, start))
 
-    def values(self, y: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
-        """Values in SI at these coordinates."""
-        exponent = np.where(self.line, 0.0, y)
-        others = np.where(self.line, y, self.origin + np.exp(exponent))
-        return np.where(self.amplitude, self.scale * np.expm1(exponent), others)
+    def values(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
+        """Values in SI at coordinates [..., params], or at those of the parameter with index `at`."""
+        line = self.line[at]
+        exponent = np.where(line, 0.0, y)
+        others = np.where(line, y, self.origin[at] + np.exp(exponent))
+        return np.where(self.amplitude[at], self.scale[at] * np.expm1(exponent), others)
 
-    def coordinates(self, values: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
-        """Coordinates of values in SI."""
+    def coordinates(self, values: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
+        """Coordinates of values in SI, the inverse of `values`."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            others = np.where(self.line, values, np.log(values - self.origin))
-            return np.where(self.amplitude, np.log1p(values / self.scale), others)
+            others = np.where(self.line[at], values, np.log(values - self.origin[at]))
+            return np.where(self.amplitude[at], np.log1p(values / self.scale[at]), others)
 
-    def log_jacobian(self, y: Float[np.ndarray, "*batch params"]) -> Float[np.ndarray, "*batch params"]:
+    def log_jacobian(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
         """Logarithm of the derivative of each value by its coordinate."""
-        return np.where(self.line, 0.0, y + np.log(self.scale))
+        return np.where(self.line[at], 0.0, y + np.log(self.scale[at]))
 
-    def log_prior(self, full: Float[np.ndarray, "k params"], index: int) -> Float[np.ndarray, " k"]:
+    def log_prior(self, y: Float[np.ndarray, ...], index: int) -> Float[np.ndarray, ...]:
         """Logarithm of the prior density of one of the coordinates; −inf outside its support."""
         with np.errstate(over="ignore"):
-            density = self.priors[index].log_density(self.values(full)[:, index])
-        return np.asarray(density) + self.log_jacobian(full)[:, index]
+            density = self.priors[index].log_density(self.values(y, index))
+        return np.asarray(density) + self.log_jacobian(y, index)
 
     def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
         """Coordinates of all parameters, given those that are sampled."""
@@ -96,7 +86,7 @@ class Target:
 
     def log_density(self, full: Float[np.ndarray, "k params"]) -> Float[np.ndarray, " k"]:
         """Log-likelihood plus log prior density of the sampled coordinates; −inf outside the support."""
-        total = np.sum([self.log_prior(full, i) for i in self.sampled], axis=0)
+        total = np.sum([self.log_prior(full[:, i], i) for i in self.sampled], axis=0)
         # Outside the support the likelihood may be undefined.
         allowed = np.isfinite(total)
         if allowed.any():
@@ -276,20 +266,19 @@ def first_walkers(
     spread = np.where(np.isfinite(spread) & (spread > 0.0), np.minimum(spread, reach), 0.1 * reach)
     priors = [target.priors[i] for i in at]
     lower, upper = np.array([(p.lower, p.upper) for p in priors], float).T
-    cloud = np.empty((walkers, len(at)))
-    missing = np.arange(walkers)
-    for attempt in range(_ATTEMPTS):
-        # The cloud shrinks in case the fit's standard deviations are too large; finally, draws from the
-        # priors.
-        width = _OVERDISPERSION * spread * 0.5 ** min(attempt, 10)
-        y = centre + width * random.standard_normal((len(missing), len(at)))
-        y = np.where(target.amplitude[at], np.abs(y), y)
-        values = target.values(target.embedded(y))
-        drawn = np.stack([p.quantile(random.uniform(size=len(missing))) for p in priors], axis=1)
-        outside = (values[:, at] < lower) | (values[:, at] > upper) | (attempt >= _ATTEMPTS // 2)
-        values[:, at] = np.where(outside, drawn, values[:, at])
-        cloud[missing] = target.coordinates(values)[:, at]
-        missing = missing[~np.isfinite(target(cloud[missing]))]
-        if not missing.size:
-            return cloud
+    # The cloud shrinks in case the fit's standard deviations are too large; finally, draws from the priors.
+    shrinks = np.repeat(0.5 ** np.minimum(np.arange(_ATTEMPTS), 10), walkers)[:, None]
+    y = centre + _OVERDISPERSION * spread * shrinks * random.standard_normal((len(shrinks), len(at)))
+    values = target.values(target.embedded(np.where(target.amplitude[at], abs(y), y)))
+    drawn = np.stack([p.quantile(random.uniform(size=len(y))) for p in priors], axis=1)
+    outside = (values[:, at] < lower) | (values[:, at] > upper)
+    outside[len(y) // 2 :] = True
+    values[:, at] = np.where(outside, drawn, values[:, at])
+    y = target.coordinates(values)[:, at]
+    # As many as needed, mostly one block.
+    cloud = np.empty((0, len(at)))
+    for block in np.split(y, _ATTEMPTS):
+        cloud = np.concatenate([cloud, block[np.isfinite(target(block))]])
+        if len(cloud) >= walkers:
+            return cloud[:walkers]
     raise FitError("the posterior has no density near the fit or within the priors; check the priors")

@@ -172,9 +172,8 @@ def test_the_likelihood_is_the_dense_one(records, posteriors):
         same_density(axis, law(Spectrum(x, RATE, edges), WHITE + WALK), 1e-3)
 
 
-@pytest.mark.study
 def test_the_likelihood_of_filters_and_resonances_is_the_dense_one():
-    """Of the density at two nodes of a bin. Their programs compile for 20 s."""
+    """Of the density at two nodes of a bin."""
     model = aj.LowPass1(1.5) * WHITE + aj.Resonance(0.3, 2.5, 5.0)
     x = drawn(model, N, RATE, 6)[:, 0]
     fit = fit_of(x, model)

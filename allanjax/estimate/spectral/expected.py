@@ -1,10 +1,9 @@
 """Expected levels of a spectrum for many values of a model's parameters at once, in NumPy.
 
-The walkers of a chain move together, so arrays of a batch are evaluated by one call of NumPy, which costs less
-than a compiled program for each of them and needs no compilation. Expectations are those of the joint spectral
-model (`spectral.components`, where their form is explained): exact for Gauss–Markov processes and resonances.
-What a record's ends add to filtered noise is in proportion to what they add under the fitted response. Terms
-whose shapes fit no slot there are JAX's, compiled once for each set of them.
+The walkers of a chain move together: a batch of them is one call of NumPy, which takes less time than a
+compiled program of all kinds of terms, and none to compile. Expectations are those of the joint spectral
+model (`spectral.components`, which explains their form). Other terms with free shapes are JAX's, compiled
+once for each set of them.
 """
 
 from __future__ import annotations
@@ -13,13 +12,15 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.estimate.spectral.components import columns_of, levels_of
+from allanjax.estimate.spectral.components import CAPACITIES, columns_of, levels_of, room_for
 from allanjax.estimate.spectral.model import Others
-from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.numerics import averaged_lags, mean_lags
 from allanjax.noise.response import HALF_POWER, LONGEST, MovingAverage
 from allanjax.noise.terms import Markov, Resonance
@@ -30,23 +31,34 @@ _ROWS = 16
 
 
 def in_batches(
-    function: Callable[[Array], Array],
-) -> Callable[[Float[np.ndarray, "b k"]], Float[np.ndarray, "b ..."]]:
-    """Function of JAX for rows of values, compiled once for any number of them."""
-    compiled = jax.jit(lambda rows: jax.lax.map(function, rows))
+    function: Callable[[Any, Array], Array], data: Any, rows: Float[np.ndarray, "b k"]
+) -> Float[np.ndarray, "b ..."]:
+    """Function of JAX of data and of each row, compiled once for any number of rows and other such data."""
+    whole = np.resize(rows, (-(-len(rows) // _ROWS) * _ROWS, rows.shape[1]))
+    parts = [_mapped(function, data, some) for some in np.split(whole, len(whole) // _ROWS)]
+    return np.concatenate(parts)[: len(rows)]
 
-    def every(rows: Float[np.ndarray, "b k"]) -> Float[np.ndarray, "b ..."]:
-        whole = np.resize(rows, (-(-len(rows) // _ROWS) * _ROWS, rows.shape[1]))
-        return np.concatenate([compiled(some) for some in np.split(whole, len(whole) // _ROWS)])[: len(rows)]
 
-    return every
+@eqx.filter_jit
+def _mapped(function: Callable[[Any, Array], Array], data: Any, rows: ArrayLike) -> Array:
+    return jax.lax.map(lambda row: function(data, row), jnp.asarray(rows))
+
+
+def _squares(others: tuple[Others, int], shapes: Array) -> Array:
+    """Expected squares of terms that no slot serves, in so many levels."""
+    return others[0].expected(shapes, others[1])
+
+
+def _has_slot(term: NoiseTerm) -> bool:
+    """Whether the expectation of a term with free shapes is in closed form here."""
+    return isinstance(term, Markov | Resonance)
 
 
 class ExpectedLevels:
     """Levels of the random terms of a model in these bins, for unit amplitudes.
 
-    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²] of
-    each term, [b, terms, m] or [1, terms, m] if its shapes are those of all. Amplitudes make no difference.
+    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²]
+    of each term, [b, terms, m] or [1, terms, m] if all have the same shapes. Amplitudes make no difference.
     """
 
     def __init__(self, model: Model, bins: Bins) -> None:
@@ -61,13 +73,21 @@ class ExpectedLevels:
         owners: list[Any] = [*model.terms, *filter(None, [model.response])]
         self._held = [{p.name: getattr(owner, p.name) for p in owner.parameters()} for owner in owners]
         self._is_markov = [isinstance(term, Markov) for term in model.terms]
-        self._inside, self._response = model.inside, self._model.response
+        self._inside = model.inside
+        self._response: Any = self._model.response
         fixed = [k for k in range(len(model)) if not self._free[k]]
         columns = columns_of([model.terms[k] for k in fixed], bins)
         self._columns = dict(zip(fixed, columns, strict=True))
         levels = levels_of(bins, columns, len(columns), len(bins.size))
-        self._angle, self._interval, self._length, self._parity = levels[2:6]
-        self._others = self._program([(k, p) for k, p in shapes if self._is_other(p.term)], bins)
+        self._angle, *of_levels, self._parity = levels[2:6]
+        # Powers of numbers are much faster than those of arrays.
+        self._interval, self._length = (x[:1] if len(set(x)) == 1 else x for x in map(np.ravel, of_levels))
+        apart = [(k, p) for k, p in shapes if p.term < len(model) and not _has_slot(model.terms[p.term])]
+        terms, lower = sorted({p.term for _, p in apart}), np.array([p.parameter.lower for _, p in apart])
+        own = tuple((terms.index(p.term), p.parameter.name, p.parameter.lower) for _, p in apart)
+        room = room_for(len(bins.size), CAPACITIES)
+        others = Others.of(tuple(self._model.terms[k] for k in terms), own, bins, room)
+        self._others = terms, [k for k, _ in apart], lower, (others, room)
         self._last: tuple[bytes, Any] = (b"", None)
 
     def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "_ terms m"]:
@@ -85,7 +105,7 @@ class ExpectedLevels:
         return np.stack([d * np.cos(d * a) + np.sin(d * a) / np.sin(a) for d in range(1, LONGEST + 1)])
 
     def _evaluated(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b terms m"]:
-        others = {} if self._others is None else self._others(values)
+        others = self._of_others(values)
         passed = None if self._response is None else self._passed(values)
         rows = []
         for k in range(len(self._is_markov)):
@@ -123,10 +143,6 @@ class ExpectedLevels:
         ends = first * y**2 * (1.0 - self._parity * w ** (M * n)) / (y**2 + 4.0 * last * s) ** 2
         return power - 4.0 / n * (1.0 - s) * np.sum(np.real(ends), axis=0)
 
-    def _is_other(self, k: int) -> bool:
-        """Whether a term is none that is evaluated in closed form."""
-        return k < len(self._model) and not isinstance(self._model.terms[k], Markov | Resonance)
-
     def _slot(self, k: int, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b 2 m"]:
         """Expected squares at the nodes of a Gauss–Markov process or a resonance, see `components`."""
         at, M = self._at(k, values), self._interval
@@ -147,21 +163,10 @@ class ExpectedLevels:
         )
         return np.real(weight * (r_0 + r_1 * (2.0 * (y - 2.0 * s) - ends * inverse) * inverse))
 
-    def _program(
-        self, shapes: list[tuple[int, ModelParameter]], bins: Bins
-    ) -> Callable[..., dict[int, Any]] | None:
-        """Expected squares at the nodes of the other terms, by their indices, from values of all parameters."""
-        if not shapes:
-            return None
-        terms = sorted({p.term for _, p in shapes})
-        places, lower = [k for k, _ in shapes], np.array([p.parameter.lower for _, p in shapes])
-        own = tuple((terms.index(p.term), p.parameter.name, p.parameter.lower) for _, p in shapes)
-        m = len(bins.size)
-        others = Others.of(tuple(self._model.terms[k] for k in terms), own, bins, m)
-        every = in_batches(lambda u: others.expected(u, m))
-
-        def of(values: Float[np.ndarray, "b parameters"]) -> dict[int, Any]:
-            found = every(np.log(values[:, places] - lower))
-            return {k: found[:, i] for i, k in enumerate(terms)}
-
-        return of
+    def _of_others(self, values: Float[np.ndarray, "b parameters"]) -> dict[int, Any]:
+        """Expected squares at the nodes of the terms that have no closed form here, by their indices."""
+        terms, places, lower, others = self._others
+        if not terms:
+            return {}
+        found = in_batches(_squares, others, np.log(values[:, places] - lower))
+        return {k: found[:, i, :, : self._angle.shape[1]] for i, k in enumerate(terms)}
