@@ -426,7 +426,8 @@ def fit_levels(
         error, share = wanted, share_with_error(dof, per_octave, wanted)
         start = np.asarray(fit.solution.power), np.asarray(fit.solution.shape)
         fit = _maximum(arrangement, free, active, *start, noise, share)
-    return fit._replace(solution=fit.solution._replace(power_error=np.asarray(error)))
+    final: Any = np.asarray(error)
+    return fit._replace(solution=fit.solution._replace(power_error=final))
 
 
 def _maximum(
