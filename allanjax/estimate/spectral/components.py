@@ -238,8 +238,8 @@ def _geometric(levels: Levels, pole: Array, is_markov: Array) -> tuple[_Pair, _P
     G = _product((a[0] - of_b[0], a[1] - of_b[1]), inverse)
     inner = _product(_product(a, (a[0] - 2.0 * of_b[0], a[1] - 2.0 * of_b[1])), inverse)
     inner, of_by_b = _product(by_y_, inner), _product(by_b, inverse)
-    slope = [2.0 * by_y_[k] - of_by_b[k] - inner[k] for k in (0, 1)]
-    slope = _product((slope[0], slope[1]), inverse)
+    numerator = [2.0 * by_y_[k] - of_by_b[k] - inner[k] for k in (0, 1)]
+    slope = _product((numerator[0], numerator[1]), inverse)
     value, of_d, of_slope = _product(r1_, G), _product(d1_, G), _product(r1_, slope)
     by_pole = [d0_[k] + of_d[k] + of_slope[k] for k in (0, 1)]
     return (r0_[0] + value[0], r0_[1] + value[1]), (by_pole[0], by_pole[1])
