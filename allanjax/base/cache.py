@@ -4,7 +4,10 @@ import os
 import stat
 import sys
 import tempfile
+import threading
 import warnings
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from allanjax.base.errors import AllanjaxWarning
@@ -87,6 +90,21 @@ def _user_cache() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+_compiled: set[Hashable] = set()
+_compiling: dict[Hashable, threading.Lock] = {}
+
+
+@contextmanager
+def compiled_once(program: Hashable) -> Iterator[None]:
+    """Context of a call that may compile a program, for which other threads wait that need the same one."""
+    if program in _compiled:
+        yield
+        return
+    with _compiling.setdefault(program, threading.Lock()):
+        yield
+    _compiled.add(program)
 
 
 def release_programs(share: float) -> None:

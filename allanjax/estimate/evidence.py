@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.arrays import namespace
+from allanjax.base.cache import compiled_once
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.linalg import inverse, whiten
 from allanjax.estimate.design import correlation_times
@@ -45,7 +46,7 @@ _QUADRATURE = 48
 #: Sets computed together in one compiled program: a quarter of the sets of six basic terms.
 BLOCK = 143
 # Numbers of bins are rounded up to multiples of this.
-_BINS = 64
+_BINS = 192
 
 
 class TermSubset(NamedTuple):
@@ -272,11 +273,12 @@ def evidences(
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)
         block = TermSubset(*(x[rows] for x in subsets))
         # One axis after another: the program is the same for any number of them.
-        each = [
-            _evidences(block, f[rows], SpectralStatistics(*own), fixed, grid, size, s, np.asarray(steps))
-            for f, s, *own in zip(first, share, *statistics, strict=True)
-        ]
-        blocks.append(Evidence(*map(np.stack, zip(*jax.device_get(each), strict=True))))
+        with compiled_once(("evidence", len(fixed), len(grid), block.column.shape, len(size))):
+            each = [
+                jax.device_get(_evidences(block, f[rows], own, fixed, grid, size, s, np.asarray(steps)))
+                for f, s, own in zip(first, share, map(SpectralStatistics, *statistics), strict=True)
+            ]
+        blocks.append(Evidence(*map(np.stack, zip(*each, strict=True))))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))
 
 

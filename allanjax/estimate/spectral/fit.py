@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
+from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.base.linalg import CholeskyWhitened
 from allanjax.estimate.design import Design, free_shapes, of_owners
@@ -452,7 +453,7 @@ def _maximum(
         top = np.log(_upper(int(slots.kind), p, terms, rate) - p.parameter.lower) - _INSIDE + u
         lower[k], upper[k] = max(lower[k], start[k] - reach), min(start[k] + reach, top)
     slots = dataclasses.replace(slots, free=estimated, lower=lower, upper=upper)
-    found = jax.device_get(maximize(start, slots, levels._replace(shape=levels.shape * share), noise))
+    found: Any = maximize(start, slots, levels._replace(shape=levels.shape * share), noise)
     theta, mean = found.theta, found.mean
     values: Any = (
         np.where(active, theta[component] / places.unit_power(theta), 0.0),
@@ -505,7 +506,8 @@ def infer_levels(
     padded = _padded(design, solution)
     V = design.padded_estimates(level[None])
     of_terms = design.padded_terms(free), design.padded_terms(active[None])
-    found = jax.device_get(infer(design, V, *of_terms, padded))
+    with compiled_once(("infer", *np.shape(design.by_shape))):
+        found = jax.device_get(infer(design, V, *of_terms, padded))
     return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
 
 

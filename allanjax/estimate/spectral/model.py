@@ -26,6 +26,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.arrays import namespace
+from allanjax.base.cache import compiled_once
 from allanjax.base.linalg import solve
 from allanjax.estimate.spectral.components import (
     NONE,
@@ -451,15 +452,14 @@ class _Problem(NamedTuple):
         return jnp.where(interior[:, None], slope, 0.0), jnp.where(interior, gradient, 0.0), interior
 
 
-@eqx.filter_jit
 def maximize(
-    theta: Float[ArrayLike, " parameters"],
+    theta: Float[np.ndarray, " parameters"],
     slots: Slots,
     levels: Levels,
-    noise: Float[ArrayLike, " m"],
-    tolerance: ArrayLike = _TOLERANCE,
+    noise: Float[np.ndarray, " m"],
+    tolerance: float = _TOLERANCE,
 ) -> Maximum:
-    """Maximum of the likelihood from a start, compiled once for all records and models.
+    """Maximum of the likelihood from a start, compiled once for all records and models; in NumPy arrays.
 
     Args:
         theta: the start.
@@ -468,6 +468,18 @@ def maximize(
         noise: rough levels [rate²], in which the scales of the powers are one standard deviation.
         tolerance: gain of the next step at which the iteration ends [nats].
     """
+    with compiled_once((slots.layout, len(levels.shape), slots.others is None)):
+        return jax.device_get(_maximize(theta, slots, levels, noise, np.asarray(tolerance)))
+
+
+@eqx.filter_jit
+def _maximize(
+    theta: Float[ArrayLike, " parameters"],
+    slots: Slots,
+    levels: Levels,
+    noise: Float[ArrayLike, " m"],
+    tolerance: Float[ArrayLike, ""],
+) -> Maximum:
     problem = _Problem(slots, levels, noise, tolerance)
 
     def goes_on(state: _State) -> Array:

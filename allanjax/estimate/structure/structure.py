@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -354,7 +353,7 @@ class Spectrum:
         slots = Slots.of(at, _free(structure), structure.inside, structure.kind)
         slots = dataclasses.replace(slots, lower=lower, upper=upper, precision=precision, centre=centre)
         start = np.append(np.where(structure.active, structure.power, 0.0), structure.shape)
-        found = jax.device_get(maximize(start, slots, self.levels, self.rough, np.asarray(tolerance)))
+        found: Any = maximize(start, slots, self.levels, self.rough, tolerance)
         power = np.where(structure.active, found.theta[: at.components], 0.0)
         better = dataclasses.replace(structure, power=power, shape=found.theta[at.components :])
         return Fitted(better, self._evidence(found, structure), found)
