@@ -27,6 +27,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.cache import compiled_once
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.linalg import inverse, whiten
+from allanjax.base.threads import for_each
 from allanjax.estimate.design import correlation_times
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.noise.model import Model
@@ -273,11 +274,17 @@ def evidences(
         rows = np.minimum(np.arange(begin, begin + BLOCK), count - 1)
         block = TermSubset(*(x[rows] for x in subsets))
         # One axis after another: the program is the same for any number of them.
-        with compiled_once(("evidence", len(fixed), len(grid), block.column.shape, len(size))):
-            each = [
-                jax.device_get(_evidences(block, f[rows], own, fixed, grid, size, s, np.asarray(steps)))
-                for f, s, own in zip(first, share, map(SpectralStatistics, *statistics), strict=True)
-            ]
+        program = ("evidence", len(fixed), len(grid), block.column.shape, len(size))
+
+        def of_axis(k: int, block: TermSubset = block, rows: Any = rows, program: Any = program) -> Evidence:
+            own = SpectralStatistics(*(x[k] for x in statistics))
+            with compiled_once(program):
+                at = first[k][rows]
+                return jax.device_get(
+                    _evidences(block, at, own, fixed, grid, size, share[k], np.asarray(steps))
+                )
+
+        each = for_each(of_axis, range(len(share)))
         blocks.append(Evidence(*map(np.stack, zip(*each, strict=True))))
     return Evidence(*(np.concatenate(part, axis=1)[:, :count] for part in zip(*blocks, strict=True)))
 

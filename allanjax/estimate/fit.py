@@ -22,6 +22,7 @@ from allanjax.base.cache import release_programs
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import (
     check_count,
@@ -222,9 +223,10 @@ def _fitted(
         results, notes = _exact(recording, template, active)
     else:
         axes = range(len(recording.axes))
-        results = tuple(fit_whittle(recording, k, template, active[k], given) for k in axes)
+        results = tuple(for_each(lambda k: fit_whittle(recording, k, template, active[k], given), axes))
     if objective in ("allan", "wavelet"):
-        results = tuple(judged(recording, k, template, active[k], r) for k, r in enumerate(results))
+        fits = enumerate(results)
+        results = tuple(for_each(lambda of: judged(recording, of[0], template, active[of[0]], of[1]), fits))
     # Fitted Allan variances have their degrees of freedom already.
     if not (objective == "allan" or octaves) or any(result.spectrum is not None for result in results):
         results, curve = with_curve(curve, template, results)
@@ -262,8 +264,7 @@ def _extended(
         incomplete = not results[k].converged or results[k].discrepancy > 0.0
         return extended(recording.values[:, k], recording.rate, results[k], curve, k) if incomplete else None
 
-    with ThreadPoolExecutor() as pool:
-        found = list(pool.map(of, range(len(results))))
+    found = for_each(of, range(len(results)))
     rankings = [s if e is None else e.selection for s, e in zip(selection.results, found, strict=True)]
     fits = (r if e is None else e.result for r, e in zip(results, found, strict=True))
     return tuple(fits), dataclasses.replace(selection, results=tuple(rankings))

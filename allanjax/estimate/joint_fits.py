@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.threads import for_each
 from allanjax.estimate.axis_fits import fit_spectrum, result_of
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.deterministic import AxisSpectrum, needs_record
@@ -86,8 +87,8 @@ def fit_statistics(
 ) -> tuple[AxisFit, ...]:
     """Fit every axis to the statistics [axes, m] of a spectrum, as `fit_stream` does."""
     ramps = [k for k, term in enumerate(template.terms) if term.deterministic]
-    results = []
-    for k, axis in enumerate(axes):
+
+    def of(k: int) -> AxisFit:
         squares, cross, gram = (np.asarray(x[k]) for x in statistics)
         columns = (len(squares), len(ramps))
         spectrum = AxisSpectrum(
@@ -99,9 +100,10 @@ def fit_statistics(
             tuple(ramps),
             {},
         )
-        found = fit_spectrum(template, axis, spectrum, active[k])
-        results.append(result_of(found, template, axis, active[k]))
-    return tuple(results)
+        found = fit_spectrum(template, axes[k], spectrum, active[k])
+        return result_of(found, template, axes[k], active[k])
+
+    return tuple(for_each(of, range(len(axes))))
 
 
 def _check_axes(spectra: SegmentSpectra, axes: Sequence[Axis]) -> None:
