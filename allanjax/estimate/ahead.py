@@ -9,19 +9,23 @@ from typing import Any
 
 import numpy as np
 
+Programs = Iterator[Callable[[], object]]
+# What has been compiled ahead in this process.
+_done: set[object] = set()
+
 
 @contextmanager
-def compiling_ahead(wanted: bool = True) -> Iterator[None]:
-    """Context in which a second thread gets the programs ready that a fit without a given model needs.
+def compiling_ahead(programs: Callable[[], Programs], wanted: bool = True) -> Iterator[None]:
+    """Context in which a second thread gets programs ready, once in a process.
 
-    They are few, and the same for all recordings (see `spectral.model`). At the end of the context the thread
-    finishes the program that it is compiling, but begins no other one.
+    At the end of the context it finishes the program that it is compiling, but begins no other one.
     """
-    if not wanted:
+    if not wanted or programs in _done:
         yield
         return
+    _done.add(programs)
     ended = threading.Event()
-    thread = threading.Thread(target=_compile, args=(ended,))
+    thread = threading.Thread(target=_compile, args=(programs, ended))
     thread.start()
     try:
         yield
@@ -30,15 +34,31 @@ def compiling_ahead(wanted: bool = True) -> Iterator[None]:
         thread.join()
 
 
-def _compile(ended: threading.Event) -> None:
-    """Run each program once with data of no meaning, in the order in which fits need them."""
-    for program in _programs():
+def _compile(programs: Callable[[], Programs], ended: threading.Event) -> None:
+    for program in programs():
         if ended.is_set():
             return
         program()
 
 
-def _programs() -> Iterator[Callable[[], object]]:
+def of_variances() -> Programs:
+    """The inference from Allan variances, which is compiled while terms are chosen."""
+    from allanjax.estimate.axis_fits import ALLAN_CAPACITY, infer_variances
+    from allanjax.estimate.design import AllanDesign
+    from allanjax.estimate.gls import Solution
+    from allanjax.noise.terms import basic_terms
+
+    design = AllanDesign.of(basic_terms(), 64, 1.0, np.array([1, 2, 4, 8, 16]), None, ALLAN_CAPACITY)
+    yes = np.ones(ALLAN_CAPACITY[1], bool)
+    at: Any = (np.ones((1, len(yes))), np.zeros((1, 0)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
+    yield lambda: infer_variances(design, np.ones((1, ALLAN_CAPACITY[0])), yes, yes[None], Solution(*at))
+
+
+def of_spectra() -> Programs:
+    """Programs of a fit without a given model, which are the same for all recordings.
+
+    They run with data of no meaning, in the order in which fits need them.
+    """
     from allanjax.estimate.axis_fits import fit_whittle
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import ranked
@@ -60,9 +80,5 @@ def _programs() -> Iterator[Callable[[], object]]:
     yield lambda: maximize(slots.usual(), slots, levels, np.ones(m))
     ones, here = np.ones((terms, m)), np.ones(terms, bool)
     design = LevelDesign.of(ones, np.zeros((terms, m, 1)), np.zeros(1), [0], np.ones(m), np.ones(m))
-    values: Any = (np.ones(terms), np.zeros(1), *(np.asarray(x) for x in (0.0, 0.0, True, 0.0)))
-    yield lambda: infer_levels(design, np.ones(m), here, here, _of_one_axis(Solution(*values)))
-
-
-def _of_one_axis(solution: Any) -> Any:
-    return type(solution)(*(np.asarray(x)[None] for x in solution))
+    at: Any = (np.ones((1, terms)), np.zeros((1, 1)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
+    yield lambda: infer_levels(design, np.ones(m), here, here, Solution(*at))

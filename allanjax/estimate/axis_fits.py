@@ -19,6 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
@@ -437,10 +438,22 @@ def solve_and_infer(
         solution = _choose(doubtful & better, other, solution)
     misfits = _misfits(design, variance, solution)
     solution = widened(solution, misfits)
-    inference = jax.device_get(infer(design, V, *of_terms, solution))
+    inference = infer_variances(design, V, *of_terms, solution)
     terms, shapes = active.shape[1], starts.shape.shape[-1]
     inference = without_padding(inference, variance.shape[1], terms, shapes)
     return solution._replace(power=solution.power[:, :terms]), inference, misfits
+
+
+def infer_variances(
+    design: AllanDesign,
+    V: Float[np.ndarray, "axes capacity"],
+    free: Bool[np.ndarray, " slots"],
+    active: Bool[np.ndarray, "axes slots"],
+    solution: Solution,
+) -> Inference:
+    """Inference of padded axes around their solutions, see `infer`."""
+    with compiled_once(("variances", V.shape, len(free), design.shapes, len(design.others))):
+        return jax.device_get(infer(design, V, free, active, solution))
 
 
 def _misfits(

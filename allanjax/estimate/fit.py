@@ -24,6 +24,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
+from allanjax.estimate.ahead import compiling_ahead, of_variances
 from allanjax.estimate.axis_fits import (
     check_count,
     estimated,
@@ -164,7 +165,8 @@ def fit_inspected(
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
-        found = _fitted(whole, model, objective, regressors, plain, wavelet)
+        with compiling_ahead(of_variances, model is None and objective == "allan" and not whole.others):
+            found = _fitted(whole, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None and not exact:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)
