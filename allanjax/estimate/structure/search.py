@@ -211,7 +211,8 @@ def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
         structure = structure.using(OUTSIDE, floor)
     found = []
     for kind in _OPENING:
-        places = [structure, _all_placed(structure, True)]
+        every = (structure, _all_placed(structure, True))
+        places = {s.inside[s.active].tobytes(): s for s in every}.values()
         found.append([s.with_response(kind, 2.0 * np.pi * b) for s in places for b in _BANDWIDTHS])
     return found
 
@@ -383,7 +384,8 @@ def _kinds(structure: Structure, width: float, anew: bool = False) -> list[list[
     if structure.kind == NONE and not anew:
         return []
     moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
-    places = [structure, moved, _all_placed(structure, True), _all_placed(structure, False)]
+    every = (structure, moved, _all_placed(structure, True), _all_placed(structure, False))
+    places = {s.inside[s.active].tobytes(): s for s in every}.values()
     return [
         [
             s.with_response(kind, min(width * by, _HIGHEST))
