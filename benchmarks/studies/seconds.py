@@ -12,7 +12,6 @@ these the values of five terms. They tell neither uncertainty nor which terms th
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -106,16 +105,13 @@ def run(*, samples: int = 1_000_000, critiques: bool = True) -> Iterator[str]:
 def around(cache: Path) -> dict[str, str]:
     """Environment of a process that keeps its compiled programs in a folder."""
     cache.mkdir(exist_ok=True)
-    return dict.fromkeys(("ALLANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR"), str(cache)) | {
-        "TERM": os.environ.get("TERM", "")
-    }
+    return dict.fromkeys(("ALLANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR"), str(cache))
 
 
 def command(code: str, cache: Path, *arguments: object) -> list[str]:
     """Cells of a process: seconds, processor seconds, memory and new programs."""
-    environment = around(cache)
     before = programs(cache)
-    _, seconds, used, peak = process(code, *arguments, **environment)
+    _, seconds, used, peak = process(code, *arguments, **around(cache))
     return [f"{seconds:.1f}", f"{used:.1f}", f"{peak:,.0f}", str(programs(cache) - before)]
 
 

@@ -4,19 +4,16 @@ Sensors are drawn by seed and simulated by NumPy and SciPy alone: 2^16.5 to 2^19
 of white noise N, flicker noise (a sum of first-order processes) and in half of them a random walk, before a
 filter of 6 to 35 % of the sample rate or none; up to four damped oscillators, read at the samples, before or
 after the filter, of quality 4 to 80 and peaks of 3 to 30 times the white level; a line in half of them; white
-noise after the filter in 60 % of those with one. Resonances and line are a factor of 1.4 apart or more.
+noise after the filter in 60 % of those with one. Resonances and line are a factor of 1.4 apart.
 
 *Structure*: a filter where there is one and none elsewhere, and as many resonances and lines, each within 5 %
-of its frequency. *N*: within 5 %, or two of its standard deviations. *Allan deviation*: that of the model
-within 5 % of the true one at all octaves up to a hundredth of the record, or within two standard deviations
-of an estimate from a record of this length, by its degrees of freedom. The true one is from the analytic
-spectrum by quadrature, at 2^19 frequencies. *Slow*: a Markov process or a random walk is detected that is not
-there. Processor seconds contain compilations, their medians hardly.
+of its frequency. *N*: within 5 %, or two of its standard deviations. *Allan deviation*: at all octaves up to
+a hundredth of the record within 5 % of the true one (of the analytic spectrum, by quadrature) or two standard
+deviations of an estimate from such a record. *Slow*: a Markov process or random walk that is not there.
 
-Known filters: the same without resonances and line, one filter, and in half of the records the integral is
-rounded to 0.5 to 2 standard deviations of its steps. *Told*: of those not rounded, quantization is detected;
-*found*: of those rounded, it is detected, Q within 10 % or two of its standard deviations. A record without
-a result has nothing right.
+Known filters: no resonance, no line; in half of the records the integral is rounded to 0.5 to 2 standard
+deviations of its steps. *Told*: of those not rounded, quantization is detected; *found*: of those rounded, it
+is, and Q is within 10 % or two standard deviations. A record without a result has nothing right.
 """
 
 from __future__ import annotations
@@ -67,7 +64,7 @@ class Sensor(NamedTuple):
     response: Section
     inside: list[Part]
     outside: list[Part]
-    resonances: list[float]
+    resonances: np.ndarray
     line: tuple[float, float]
 
     def samples(self, rng: np.random.Generator) -> np.ndarray:
@@ -120,7 +117,8 @@ def filter_of(kind: str, w: float, quality: float) -> Section:
         b, a = damped(w, np.sqrt(0.5))
         return b * a.sum() / b.sum(), a
     if kind == "moving average":
-        m = max(2, round(0.443 * 2.0 * np.pi / w))
+        # Of two samples it is a Butterworth filter, and with quantization a shorter mean.
+        m = max(3, round(0.443 * 2.0 * np.pi / w))
         return np.full(m, 1.0 / m), np.ones(1)
     if kind == "biquad":
         return biquad(w, quality, 2.0 * np.pi)
@@ -130,7 +128,7 @@ def filter_of(kind: str, w: float, quality: float) -> Section:
 def basic_parts(rng: np.random.Generator, N: float, K: float, n: int, rate: float) -> list[Part]:
     """White noise, flicker noise B²/(2πf) of 0.015 to 0.15 N·√Hz, and a random walk."""
     parts = [Part(N * N * rate), Part(K * K / rate, (np.ones(1), np.array([1.0, -1.0])))]
-    B, step = N * log_uniform(rng, 0.015, 0.15), 0.5 * np.log(10.0)
+    B, step = N * log_uniform(rng, 0.015, 0.15), 1.15
     for a in np.exp(-np.exp(-np.arange(step, np.log(n) + step, step))):
         # ∫ 2T/(1 + (2πfT)²) d ln T = 1/(2f): of so many processes of variance 1 it consists.
         section, rest = (np.ones(1), np.array([1.0, -a])), 1.0 - a * a
@@ -144,13 +142,12 @@ def drawn_sensor(rng: np.random.Generator, known: str = "") -> tuple[Sensor, np.
     N, kind = log_uniform(rng, 3e-5, 1e-3), known or str(rng.choice(KINDS))
     K = N * log_uniform(rng, 1e-3, 1e-2) * (rng.random() < 0.5)
     response = filter_of(kind, 2.0 * np.pi * rng.uniform(0.06, 0.35), log_uniform(rng, 0.55, 2.0))
-    parts, places = (basic_parts(rng, N, K, n, rate), []), []
+    parts, f = (basic_parts(rng, N, K, n, rate), []), np.zeros(2)
     count, lines = (0, 0) if known else rng.integers([5, 2])
-    while len(places) < count + lines:
-        f = log_uniform(rng, 0.0126, 0.42)
-        if all(abs(np.log(f / other)) > APART for other in places):
-            places.append(f)
-    for w in 2.0 * np.pi * np.array(places[:count]):
+    while (np.diff(np.sort(f)) < APART).any():
+        f = rng.uniform(np.log(0.0126), np.log(0.42), count + lines)
+    f = rate * np.exp(f)
+    for w in 2.0 * np.pi / rate * f[:count]:
         section = damped(w, log_uniform(rng, 4.0, 80.0))
         power = N * N * rate * log_uniform(rng, 3.0, 30.0) / power_of(section, np.array([w]))[0]
         parts[rng.integers(2)].append(Part(power, section))
@@ -158,8 +155,8 @@ def drawn_sensor(rng: np.random.Generator, known: str = "") -> tuple[Sensor, np.
     parts[1].append(Part(after**2 * rate))
     # A line's gain in likelihood [nats] is n·amplitude²/4 over the variance of white noise.
     amplitude = 2.0 * N * np.sqrt(rate * log_uniform(rng, 300.0, 3000.0) / n) * lines
-    line, resonances = ([0.25, *places][-1] * rate, amplitude), [f * rate for f in places[:count]]
-    sensor = Sensor(kind, rate, n, np.hypot(N, after), K, response, *parts, resonances, line)
+    line = f[-1] if lines else rate / 4.0, amplitude
+    sensor = Sensor(kind, rate, n, np.hypot(N, after), K, response, *parts, f[:count], line)
     return sensor, sensor.samples(rng)
 
 
@@ -188,20 +185,17 @@ def outcome(seed: int) -> tuple[str, list[float]]:
     if axis is None:
         return sensor.kind, [0.0, 0.0, 0.0, 0.0, *cost]
     model = axis.model
-    truth = [sensor.resonances, [sensor.line[0]] if sensor.line[1] else []]
-    places = [t for t in model if hasattr(t, "frequency")]
-    found = [[float(t.frequency) for t in places if t.deterministic == is_line] for is_line in (False, True)]
-    right = (model.response is None) == (sensor.kind == "none") and all(
-        len(f) == len(t) and np.allclose(sorted(f), sorted(t), rtol=NEAR)
-        for f, t in zip(found, truth, strict=True)
-    )
+    found = sorted((t.deterministic, float(t.frequency)) for t in model if hasattr(t, "frequency"))
+    truth = [(False, f) for f in np.sort(sensor.resonances)] + [(True, sensor.line[0])] * bool(sensor.line[1])
+    right = (model.response is None) == (sensor.kind == "none")
+    right = right and len(found) == len(truth) and np.allclose(found, truth, rtol=NEAR)
     sizes, true, degrees = sensor.allan()
     deviation = np.sqrt(np.asarray(model.sampled(sensor.rate).allan_variance(sizes / sensor.rate)))
     off = np.abs(deviation / true - 1.0) < np.maximum(NEAR, np.sqrt(2.0 / degrees))
     absent = ("markov", "rate_random_walk")[: 1 if sensor.K else 2]
     slow = any(c.detected and c.label.startswith(absent) for c in axis.coefficients.values())
-    N = is_near(axis["angle_random_walk"], sensor.N, NEAR)
-    return sensor.kind, [*map(float, (right, N, off.all(), slow)), *cost]
+    shares = right, is_near(axis["angle_random_walk"], sensor.N, NEAR), off.all(), slow
+    return sensor.kind, [*map(float, shares), *cost]
 
 
 def rounded_outcome(kind: str, rounded: bool, seed: int) -> bool:
@@ -223,12 +217,10 @@ def run(*, axes: int = 64, known: int = 8, seed: int = 5000) -> Iterator[str]:
     rows = [["wanted", "", *WANTED, "", ""]]
     for name in ("all", *KINDS):
         if len(of := np.array([numbers for kind, numbers in outcomes if name in ("all", kind)])):
-            medians = [f"{x:.3g}" for x in np.median(of[:, 4:], axis=0)]
-            rows.append([name, str(len(of)), *map(share, of[:, :4].T), *medians])
+            rows.append([name, len(of), *map(share, of[:, :4].T), *np.median(of[:, 4:], axis=0).round(1)])
     head = ["filter", "axes", "structure", "N", "Allan deviation", "slow", "processor s", "joint fits"]
     yield f"## Drawn sensors, seeds from {seed} on\n\n{table(head, rows)}"
-    kinds = [(kind, r, seed + 100 * k) for k, kind in enumerate(KNOWN) for r in (False, True)]
-    tasks = [(kind, r, first + j) for kind, r, first in kinds for j in range(known)]
+    tasks = [(kind, r, seed + k) for kind in KNOWN for r in (False, True) for k in range(known)]
     hits = list(zip(tasks, run_tasks(rounded_outcome, tasks), strict=True))
     rows = []
     for name in ("all", *KNOWN):
