@@ -25,8 +25,7 @@ from scipy.fft import dct, idct
 from scipy.optimize import brentq
 from scipy.signal import bessel, butter, lfilter, sosfilt, sosfreqz, tf2sos
 
-from benchmarks.common.hidden_sensors import log_uniform, term_noise
-from benchmarks.common.truth import Case, simulate
+from benchmarks.common.hidden_sensors import log_uniform, term_noise, term_variances
 
 OVERSAMPLING = 8
 #: Filters of the electronics, at the internal rate; others are of the processor, at that of the samples.
@@ -188,29 +187,6 @@ def exponential_spectrum(frequency: np.ndarray, rate: float, interval: float) ->
     return -np.expm1(-2.0 * interval) / (np.expm1(-interval) ** 2 + s)
 
 
-def walk_spectrum(frequency: np.ndarray, rate: float) -> np.ndarray:
-    return 1.0 / (rate * 4.0 * np.sin(np.pi * np.maximum(frequency, 1e-12) / rate) ** 2)
-
-
-def flicker_theory(frequency: np.ndarray, rate: float) -> np.ndarray:
-    """Spectrum of the means over the sample intervals of noise with the two-sided density 1/|f|, f in Hz."""
-    m = np.arange(-30, 31)
-    f = np.asarray(frequency)[:, None] + m * rate
-    return rate * np.sum(np.sinc(f / rate) ** 2 / np.abs(f), axis=1)
-
-
-def flicker(rng: np.random.Generator, n: int, rate: float) -> np.ndarray:
-    """Noise with the spectrum of `flicker_theory`, which is the same at any rate."""
-    return simulate(Case("flicker", {"B": np.sqrt(2.0 * np.pi)}), n, 1, rng)[:, 0]
-
-
-def flicker_spectrum(frequency: np.ndarray, rate: float) -> np.ndarray:
-    """`flicker_theory` at the frequencies of a cosine transform, by interpolation; not at zero."""
-    f = np.geomspace(max(frequency[1], 1e-9), rate / 2.0, 4000)
-    y = np.interp(np.log(np.maximum(frequency, f[0])), np.log(f), np.log(f * flicker_theory(f, rate)))
-    return np.exp(y) / np.maximum(frequency, f[0])
-
-
 ASKED = 25.0
 NAMES = tuple(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 #: Ranges of the strength on the axis that shows most [nats].
@@ -257,6 +233,12 @@ class AxisTruth:
     T_c: float = 0.0
     flicker_corner: float = 0.0
     one_level: bool = True
+
+    @property
+    def slow(self) -> dict[str, float]:
+        """Coefficients of the slow terms that are there, by the letters of `hidden_sensors`."""
+        B = self.N * np.sqrt(2.0 * np.pi * self.flicker_corner)
+        return {letter: c for letter, c in {"K": self.K, "B": B, "M": self.q_c}.items() if c}
 
 
 @dataclass
@@ -373,12 +355,8 @@ def spectrum(scene: Scene, k: int, filtered: bool = True, without: int | None = 
     a, f, rate = scene.truth[k], scene.f, scene.rate
     f_of = scene.filter_of(k) if filtered else None
     slow = np.zeros_like(f)
-    if a.K:
-        slow += a.K**2 * walk_spectrum(f, rate)
-    if a.flicker_corner:
-        slow += a.N**2 * a.flicker_corner * flicker_spectrum(f, rate)
-    if a.T_c:
-        slow += a.q_c**2 * a.T_c / 2.0 * exponential_spectrum(f, rate, 1.0 / (rate * a.T_c))
+    for letter, c in a.slow.items():
+        slow[1:] += c**2 * term_variances(letter, scene.n, rate, a.T_c)
     if f_of:
         grid = np.linspace(0.0, rate / 2.0, 4096)
         slow *= np.interp(f, grid, f_of.power(grid))
@@ -395,12 +373,8 @@ def noise(scene: Scene, k: int, envelope: np.ndarray | None) -> np.ndarray:
     f_of = scene.filter_of(k)
     white = a.N * (f_of.white(rng, n) if f_of else np.sqrt(rate) * rng.standard_normal(n))
     slow = np.zeros(n)
-    if a.K:
-        slow += a.K * term_noise("K", n, rate, rng)
-    if a.flicker_corner:
-        slow += a.N * np.sqrt(a.flicker_corner) * flicker(rng, n, rate)
-    if a.T_c:
-        slow += a.q_c * np.sqrt(a.T_c / 2.0) * exponential(rng, n, 1.0 / (rate * a.T_c))
-    if f_of and (a.K or a.flicker_corner or a.T_c):
+    for letter, c in a.slow.items():
+        slow += c * term_noise(letter, n, rate, rng, a.T_c)
+    if f_of and a.slow:
         slow = f_of.slow(slow)
     return slow + (white if envelope is None else white * envelope)

@@ -343,9 +343,7 @@ def drawn_kinds(rng: np.random.Generator) -> list[str]:
     return kinds
 
 
-def composite(
-    seed: int, clean: bool = False, samples: int | None = None, kinds: list[str] | None = None
-) -> Composite:
+def composite(seed: int, clean: bool = False, samples: int | None = None) -> Composite:
     """The recording of a seed: of a grade, a rate and a length of its own, with 0 to 6 effects or none."""
     rng = np.random.default_rng([seed, int(clean), 20260])
     grade = str(rng.choice(list(GRADES)))
@@ -356,8 +354,7 @@ def composite(
     units = np.repeat(
         [np.pi / 180.0 if gyro_unit == "deg/s" else 1.0, 9.80665 if accel_unit == "g" else 1.0], 3
     )
-    found = drawn_kinds(rng)
-    kinds = [] if clean else found if kinds is None else kinds
+    kinds = [] if clean else drawn_kinds(rng)
     scene = Scene(rng, n, rate, drawn_truth(rng, grade, n / rate))
     add_filters_and_resonances(scene, kinds.count("filter"), kinds.count("resonance"))
     add_noise(scene, "variance" in kinds)

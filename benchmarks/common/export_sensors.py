@@ -30,15 +30,6 @@ def walk(rng, n, scale, axis):
     return np.cumsum(5e-5 * scale / math.sqrt(RATE) * rng.normal(size=n))
 
 
-def markov(rng, n, scale, axis):
-    """First-order Gauss-Markov noise with a correlation time of 5 s."""
-    from scipy.signal import lfilter
-
-    T, q = 5.0, 3e-4 * scale
-    phi = math.exp(-1.0 / RATE / T)
-    return lfilter([math.sqrt(q**2 * T / 2.0 * (1.0 - phi**2))], [1.0, -phi], rng.normal(size=n))
-
-
 def model_of(fit, q="rate_random_walk", T=None):
     """(N, q, T) of each axis: estimates, and limits where there is none."""
     found = {"gyro": {}, "accel": {}}

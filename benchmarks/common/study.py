@@ -198,16 +198,6 @@ def _kept(function: Callable[..., Any], task: tuple) -> Path | None:
     return settings.keep / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.pickle"
 
 
-def seconds_of(call: Callable[[], Any], repeats: int = 3) -> float:
-    """The least time of several runs, after one that compiles."""
-    taken = []
-    for _ in range(repeats + 1):
-        begun = time.perf_counter()
-        call()
-        taken.append(time.perf_counter() - begun)
-    return min(taken[1:])
-
-
 def process(code: str, *arguments: object, **environment: str) -> tuple[str, float, float, float]:
     """What Python code prints in a process of its own; its seconds, processor seconds, peak memory [MB]."""
     begun = time.perf_counter()

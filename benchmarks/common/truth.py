@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.fft import dct
-from scipy.linalg import cho_factor, cho_solve, toeplitz
+from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import lfilter
 
 RATE = 100.0
@@ -135,11 +135,6 @@ def simulate(case: Case, n: int, records: int, rng: np.random.Generator) -> np.n
 # --- The Cramér-Rao bound ----------------------------------------------------------------------------------
 
 
-def derivatives(case: Case, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """H [n] of the record, and its derivatives [params, n] by the coefficients."""
-    return _combined(case, lambda symbol, T: covariance_shape(symbol, n, T))
-
-
 def _combined(case: Case, shape: Callable[[str, float], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Anything linear in H: of the whole record, and its derivatives by the covariance's coefficients."""
     Tc = case.truth.get("T", 1.0)
@@ -172,26 +167,14 @@ def mean_derivatives(case: Case, n: int) -> np.ndarray:
     return np.array(rows).reshape(-1, n)
 
 
-def exact_bound(case: Case, n: int) -> np.ndarray:
-    """Cramér-Rao standard deviations from ½ tr(C⁻¹C_i C⁻¹C_j) + m_i'C⁻¹m_j of the n - 1 differenced rates."""
-
-    def differenced(H: np.ndarray) -> np.ndarray:
-        H = np.concatenate([H[1:2], H])
-        return toeplitz(2.0 * H[1:-1] - H[2:] - H[:-2])
-
-    H, by = derivatives(case, n)
-    factor, m = cho_factor(differenced(H)), np.diff(mean_derivatives(case, n), axis=1)
-    information = _information([cho_solve(factor, differenced(d)) for d in by])
-    return _in_order(case, information, m @ cho_solve(factor, m.T))
-
-
 def bound(case: Case, n: int, block: int = FULL_BLOCK) -> np.ndarray:
-    """The same for long records, in the basis of cosines (DCT-II without its constant).
+    """Cramér-Rao standard deviations from ½ tr(C⁻¹C_i C⁻¹C_j) + m_i'C⁻¹m_j of the record without its mean.
 
+    In the basis of cosines (DCT-II without its constant), where long records are simple.
     Cosines have no response to a constant rate, so the unknown bias is profiled out, and unlike the Fourier
     basis of the differenced record they leak little: random walk plus white noise is diagonal in them but for
     the averaging. The lowest `block` coefficients are taken with their full covariance, the others as if
-    independent, with their exact variances.
+    independent, with their exact variances: of n it is the exact bound.
     """
     block = min(block, n - 1)
     S, S_by = _combined(case, lambda symbol, T: _variances_of(symbol, n, T))

@@ -8,9 +8,7 @@ Effects in parts of the record that the first look leaves out are not asked for.
 models are compared with those of the samples without what the critique found in time, at all cluster times
 with 1,000 clusters or more. Intervals are those of `critique.refit()`: of N where the axis has one level (no
 stretch of another variance, no rounding), of K where it is there or detected, of T_c where the sensor has a
-Gauss–Markov process. A recording that failed has no axis right and names nothing. "`fit` alone" is what `fit`
-makes, before the critique, of recordings with nothing but filters, resonances and steady lines; "its plain
-terms" is the same without what it corrects for, which is what other tools have.
+Gauss–Markov process. A recording that failed has no axis right and names nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +37,6 @@ def run(*, records: int = 60, clean: int = 100, samples: int = 0, seed: int = 10
     yield f"## {records} recordings with effects and {clean} without, seeds from {seed} on"
     yield target_table(done[:records], done[records:])
     yield kinds_table(done[:records])
-    yield alone_table([each for o in done[:records] for each in o.alone])
     yield "\n".join(f"- {o.seed} failed: {o.error}" for o in done if o.error)
 
 
@@ -77,18 +74,6 @@ def kinds_table(found: list[Outcome]) -> str:
     return table(["kind", "named on all axes", "effects", "axes", "right names"], rows)
 
 
-def alone_table(found: list[Alone]) -> str:
-    """What the fit says of axes with nothing but what it corrects for."""
-    rows = []
-    for way in dict.fromkeys(way for way, _, _ in found):
-        off = np.array([e for name, e, _ in found if name == way])
-        pairs = [pair for name, _, covered in found if name == way for pair in covered]
-        hits = [[hit for symbol, hit in pairs if symbol == each] for each in LABELS]
-        rows.append([way, len(off), share(off <= 0.05), *(f"{share(h)} ({len(h)})" for h in hits)])
-    head = ["recordings of filters, resonances, lines", "axes", "Allan deviation within 5 %"]
-    return table([*head, *(f"95 % intervals hold {symbol}" for symbol in LABELS)], rows) if rows else ""
-
-
 #: Clusters from which on an Allan deviation is compared.
 CLUSTERS = 1000
 #: Names of causes that are right for each kind of effect.
@@ -110,10 +95,6 @@ NAMED: dict[str, set[str]] = {
 }
 #: Of those that several axes have in common, a finding of a waveform that they share is right, too.
 SHARED, SHARING = {"knock", "event", "resonance"}, "common_mode"
-#: What `fit` corrects for.
-CORRECTED = {"filter", "resonance", "line"}
-#: By which fit, the error of an axis's Allan deviation, and what its intervals hold.
-Alone = tuple[str, float, list[tuple[str, bool]]]
 #: Labels of the coefficients that the truth has.
 LABELS = {"N": "angle_random_walk", "K": "rate_random_walk", "T_c": "markov_correlation_time"}
 
@@ -139,7 +120,6 @@ class Outcome:
     covered: list[tuple[str, bool]] = field(default_factory=list)
     named: list[tuple[str, int, int]] = field(default_factory=list)
     cut: int = 0
-    alone: list[Alone] = field(default_factory=list)
 
 
 # --- What the critic's API gives ---------------------------------------------------------------------------
@@ -244,8 +224,6 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
         critique = aj.critique(recording)
         outcome.seconds = time.perf_counter() - begun
         judge(outcome, critique, recording, made)
-        if {effect.kind for effect in made.effects} <= CORRECTED:
-            outcome.alone = fits_alone(recording, made)
     except Exception as error:
         outcome.seconds = outcome.seconds or time.perf_counter() - begun
         where = traceback.extract_tb(error.__traceback__)[-1]
@@ -255,17 +233,6 @@ def judged(seed: int, clean: bool, samples: int) -> Outcome:
         return outcome
     outcome.told = len(critique.findings)
     return outcome
-
-
-def fits_alone(recording: aj.Recording, made: Composite) -> list[Alone]:
-    """What `fit`, and its plain terms, make of each axis."""
-    found = []
-    for x, own in zip(recording.values.T, aj.fit(recording, as_is=True).results, strict=True):
-        for way, of in (("`fit` alone", own), ("its plain terms", own.plain or own)):
-            if of.converged:
-                off = off_by(of.model.sampled(recording.rate), x, recording.rate)
-                found.append((way, off, coverage(of.coefficients, made.axes[of.axis.name])))
-    return found
 
 
 def judge(outcome: Outcome, critique: Any, recording: aj.Recording, made: Composite) -> None:

@@ -82,7 +82,7 @@ def run(
 
 
 def drawn(seed: int, count: int) -> list[Mutant]:
-    """So many bugs, each room's share by its lines, one at least; no two on one line."""
+    """About so many bugs, each room's share by its lines, one at least; no two on one line."""
     rng, files, lines = random.Random(seed), defaultdict(list), Counter()
     for path in sorted((ROOT / "allanjax").rglob("*.py")):
         room = path.relative_to(ROOT / "allanjax").parts[0]
@@ -91,13 +91,7 @@ def drawn(seed: int, count: int) -> list[Mutant]:
             lines[room] += path.read_text(encoding="utf-8").count("\n")
     if not count:
         return []
-    shares = {room: count * lines[room] / lines.total() for room in files}
-    counts = {room: max(1, int(share)) for room, share in shares.items()}
-    for room in sorted(shares, key=lambda room: int(shares[room]) - shares[room]):
-        if sum(counts.values()) < count:
-            counts[room] += 1
-    while sum(counts.values()) > max(count, len(counts)):
-        counts[max(counts, key=counts.__getitem__)] -= 1
+    counts = {room: max(1, round(count * lines[room] / lines.total())) for room in files}
     found = []
     for room, paths in files.items():
         weights = [path.stat().st_size for path in paths]

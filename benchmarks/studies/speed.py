@@ -1,9 +1,9 @@
-"""How fast are Allan deviations, fits and posteriors, beside other packages?
+"""How fast are Allan deviations and fits in bulk, beside other packages?
 
 White noise at octaves of the cluster time, all in one process in turn, round after round: medians over the
 rounds, and ratios as medians of each round's ratio, so that a busy machine slows both sides. Exact estimates
-are overlapping Allan variances. Programs are compiled before; what that and another length cost is the
-question of `from_file`.
+are overlapping Allan variances. Programs are compiled before. What a recording costs from its file to its
+numbers is the question of `seconds`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import allanjax as aj
-from benchmarks.common.study import seconds_of, table
+from benchmarks.common.study import table
 
 PACKAGES = ("allantools", "allan-variance", "avar")
-QUICK: dict[str, Any] = {"lengths": (10_000,), "repeats": 1, "likelihood": (2048,)}
+QUICK: dict[str, Any] = {"lengths": (10_000,), "repeats": 1}
 QUICK |= {"units": 20, "unit_samples": 2048}
 REFERENCE, ONE_PASS = "allantools oadev", "np.sum"
 MODEL = aj.AngleRandomWalk() + aj.BiasInstability() + aj.RateRandomWalk()
@@ -33,19 +33,16 @@ def run(
     *,
     lengths: tuple[int, ...] = (100_000, 1_000_000, 10_000_000),
     repeats: int = 7,
-    likelihood: tuple[int, ...] = (16384, 1_000_000, 10_000_000),
     units: int = 1000,
     unit_samples: int = 16384,
 ) -> Iterator[str]:
     yield "## Allan deviations [ms], one axis"
     yield allan_table(lengths, repeats)
-    yield "## Fits and posteriors of N + B + K [ms], one axis"
-    head = ["samples", "np.sum", "Whittle fit", "Allan fit", "posterior", "the posterior converged"]
-    yield table(head, [posterior_row(n) for n in likelihood])
     model = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5) + aj.Markov(1e-4, 100.0)
-    record = np.random.default_rng(1).standard_normal(max(lengths[0], likelihood[0]))[:, None]
+    record = np.random.default_rng(1).standard_normal(lengths[0])[:, None]
     states = aj.Recording.from_array(record, 100.0, gyro_unit="rad/s", names=["gyro"])
-    times = [seconds_of(lambda s=s: aj.kalman_filter(states, model, smooth=s), 2) for s in (False, True)]
+    runs = {str(s): lambda s=s: aj.kalman_filter(states, model, smooth=s) for s in (False, True)}
+    times = [taken.min() for taken in in_turn(runs, 2).values()]
     yield (
         f"A Kalman filter of {len(record):,} samples under N + K + Markov, all states told: "
         f"{times[0]:.2f} s; with the smoother {times[1]:.2f} s."
@@ -107,20 +104,6 @@ def allan_table(lengths: tuple[int, ...], repeats: int) -> str:
             told = [f"{1e3 * seconds:.3g}" for seconds in (np.median(taken), taken.min())]
             rows.append([f"{n:,}", name, *told, *(f"{r:.1f}" for r in ratios)])
     return table(["samples", "", "median", "least", f"faster than {REFERENCE} by", "passes of np.sum"], rows)
-
-
-def posterior_row(n: int) -> list[str]:
-    x = np.asarray(aj.simulate(TRUTH, n, 100.0, 1))
-    recording = aj.Recording.from_array(x[:, None], 100.0, gyro_unit="rad/s", names=["gyro_x"])
-    fit = aj.fit(recording, MODEL, "whittle", as_is=True)
-    times = [
-        seconds_of(lambda: np.sum(x)),
-        seconds_of(lambda: aj.fit(recording, MODEL, "whittle", as_is=True), 2),
-        seconds_of(lambda: aj.fit(recording, MODEL, "allan", as_is=True), 2),
-        seconds_of(lambda: aj.sample(fit, progress=False), 2),
-    ]
-    settled = aj.sample(fit, progress=False)["gyro_x"].converged
-    return [f"{n:,}", *(f"{1e3 * t:.3g}" for t in times), "yes" if settled else "no"]
 
 
 def bulk_rows(n: int, units: int, repeats: int) -> list[list[str]]:

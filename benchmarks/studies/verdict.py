@@ -20,13 +20,8 @@ from benchmarks.common.ours import columns_of, fit_all, model_of, recording_of
 from benchmarks.common.study import run_tasks, share, table
 from benchmarks.common.truth import Case, bound, simulate
 
-QUICK: dict[str, Any] = {
-    "records": 6,
-    "drift": 6,
-    "samples": (4096,),
-    "lengths": (1024,),
-    "objectives": ("allan",),
-}
+QUICK: dict[str, Any] = {"records": 6, "drift": 6, "samples": (4096,), "lengths": (1024,)}
+QUICK |= {"objectives": ("allan",)}
 KINDS = ("N", "NK", "NB", "QNK")
 LITTLE = {"Q": 1e-5, "K": 1e-4, "B": 1e-4}
 RANGE = (0.3, 3.0)
@@ -121,13 +116,7 @@ def summary(found: dict[str, Found]) -> str:
         cells += [f"{np.median(np.abs(done[:, 3])):.2f}", share(others[:, 4]), share(others[:, 5])]
         cells += [f"{np.mean(p < tail):.4f}" for tail in TAILS]
         rows.append([*cells, f"{kstest(p, 'uniform').pvalue:.2g}"])
-    head = [
-        "records of",
-        "records",
-        "no result",
-        "incomplete",
-        "N's 95 % interval holds",
-        "its median |error| [σ]",
-    ]
+    head = ["records of", "records", "no result", "incomplete"]
+    head += ["N's 95 % interval holds", "its median |error| [σ]"]
     head += ["other terms' intervals hold", "other terms detected", *(f"p < {tail:g}" for tail in TAILS)]
     return table([*head, "p of uniformity"], rows)
