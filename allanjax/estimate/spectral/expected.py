@@ -79,9 +79,10 @@ class ExpectedLevels:
         columns = columns_of([model.terms[k] for k in fixed], bins)
         self._columns = dict(zip(fixed, columns, strict=True))
         levels = levels_of(bins, columns, len(columns), len(bins.size))
-        self._angle, *of_levels, self._parity = levels[2:6]
+        self._angle, self._parity = levels.angle, levels.parity
         # Powers of numbers are much faster than those of arrays.
-        self._interval, self._length = (x[:1] if len(set(x)) == 1 else x for x in map(np.ravel, of_levels))
+        of_levels = (x[levels.part] for x in (levels.interval, levels.length))
+        self._interval, self._length = (x[:1] if len(set(x)) == 1 else x for x in of_levels)
         apart = [(k, p) for k, p in shapes if p.term < len(model) and not _has_slot(model.terms[p.term])]
         terms, lower = sorted({p.term for _, p in apart}), np.array([p.parameter.lower for _, p in apart])
         own = tuple((terms.index(p.term), p.parameter.name, p.parameter.lower) for _, p in apart)
