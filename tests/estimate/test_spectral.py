@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from dense_fits import Spectrum, mover
+from dense_fits import Spectrum, mover, slopes
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
@@ -46,15 +46,6 @@ class Dense(Spectrum):
         return sum(super(Dense, self).squares(term) * (passed if within else 1.0) for term, within in terms)
 
 
-def slopes(of, model, labels):
-    """Derivatives of logarithms by those of the parameters, to 10⁻⁹: by five points."""
-    move, h, rows = mover(model, labels), 1e-3, []
-    for unit in np.eye(len(labels)):
-        a, b, c, d = (np.log(of(move(move.start + k * h * unit))) for k in (-2.0, -1.0, 1.0, 2.0))
-        rows.append((a - 8.0 * b + 8.0 * c - d) / (12.0 * h))
-    return np.array(rows)
-
-
 def prepared(model, dense, free):
     """Slots, levels and parameters of a model with values; `free`: whether all are estimated."""
     model = aj.Model(()) + model
@@ -87,7 +78,7 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
     assert_allclose(power @ rows[0], mean, rtol=1e-10)
     base, by_shape = arrangement.places.levels(SimpleNamespace(theta=theta, model=found.model))
     amplitudes, shapes = iter(2.0 * power[:, None] * base), iter(np.einsum("t,tms->sm", power, by_shape))
-    expected = slopes(dense.means, model, labels)
+    expected = slopes(lambda m: np.log(dense.means(m)), model, labels)
     for p, exact in zip(model.parameters, expected, strict=True):
         own = next(amplitudes if p.parameter.is_amplitude else shapes)[: N - 1] / mean
         assert_allclose(own, exact, rtol=0.0, atol=1e-6 if p.term == len(model) else 1e-7, err_msg=p.label)
@@ -105,13 +96,8 @@ def test_the_maximum_is_that_of_a_general_minimizer():
     arrangement, slots, theta = prepared(start, dense, True)
     found = maximize(theta, slots, arrangement.levels, arrangement.levels.level)
     move = mover(truth, labels)
-
-    def information(model):
-        D = slopes(dense.means, model, labels)
-        return 25.0 * D @ D.T
-
     # In units of the expected errors.
-    root = np.linalg.inv(np.linalg.cholesky(information(truth))).T
+    root = np.linalg.inv(np.linalg.cholesky(dense.information(truth, labels))).T
     best = minimize(lambda z: dense.value(move(move.start + root @ z)), np.zeros(len(labels)), method="BFGS")
     assert found.converged
     assert float(found.loss) == pytest.approx(best.fun, abs=1e-6)
@@ -120,7 +106,7 @@ def test_the_maximum_is_that_of_a_general_minimizer():
     # Of powers in ln(p + scale), as errors of amplitudes in ln.
     by_amplitude = np.ones(len(inside))
     by_amplitude[:count] = 2.0 * found.theta[:count] / (found.theta[:count] + found.scale)
-    exact = np.linalg.inv(information(move(move.start + root @ best.x)))
+    exact = np.linalg.inv(dense.information(move(move.start + root @ best.x), labels))
     own = 1.0 / errors / by_amplitude[inside]
     assert_allclose(sorted(own), sorted(np.sqrt(np.diag(exact))), rtol=1e-3)
 
