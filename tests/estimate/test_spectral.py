@@ -1,20 +1,21 @@
 """The joint spectral model: expected levels and derivatives by dense covariances, maxima by scipy."""
 
 import dataclasses
+import functools
 from types import SimpleNamespace
 
+import equinox as eqx
 import numpy as np
 import pytest
-from dense_fits import Spectrum, mover, slopes
+from dense_fits import Spectrum, mover, recording, slopes
+from jax.extend.core import ClosedJaxpr, Jaxpr
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
 import allanjax as aj
-from allanjax.estimate.spectral.expected import ExpectedLevels
 from allanjax.estimate.spectral.fit import Arrangement
 from allanjax.estimate.spectral.model import maximize
 from allanjax.estimate.spectral.powers import power_fits
-from allanjax.spectrum.cosine import Bins
 
 # Of so many samples every level is one coefficient, of which expectations are exact.
 RATE, N = 10.0, 65
@@ -46,10 +47,16 @@ class Dense(Spectrum):
         return sum(super(Dense, self).squares(term) * (passed if within else 1.0) for term, within in terms)
 
 
+@functools.cache
+def bins():
+    x = np.random.default_rng(0).standard_normal(N)
+    return aj.fit(recording(x, RATE), "N", "whittle", as_is=True).results[0].spectrum.bins
+
+
 def prepared(model, dense, free):
     """Slots, levels and parameters of a model with values; `free`: whether all are estimated."""
     model = aj.Model(()) + model
-    arrangement = Arrangement.of(model, Bins.of(N, RATE)).with_data(dense.level, np.full(N - 1, dense.count))
+    arrangement = Arrangement.of(model, bins()).with_data(dense.level, np.full(N - 1, dense.count))
     places, theta = arrangement.places, np.array(arrangement.held)
     theta[places.component] = squared_amplitudes(model) * places.unit_power(theta)
     estimated = np.zeros(len(theta), bool)
@@ -73,9 +80,6 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
     mean, (arrangement, slots, theta) = dense.means(model), prepared(model, dense, False)
     found = maximize(theta, slots, arrangement.levels, arrangement.levels.level)
     assert_allclose(found.mean[: N - 1], mean, rtol=1e-10)
-    # The posterior's own evaluation of the same.
-    rows = ExpectedLevels(model, Bins.of(N, RATE))(np.array([list(model.values.values())]))
-    assert_allclose(power @ rows[0], mean, rtol=1e-10)
     base, by_shape = arrangement.places.levels(SimpleNamespace(theta=theta, model=found.model))
     amplitudes, shapes = iter(2.0 * power[:, None] * base), iter(np.einsum("t,tms->sm", power, by_shape))
     expected = slopes(lambda m: np.log(dense.means(m)), model, labels)
@@ -141,3 +145,35 @@ def test_powers_are_those_of_a_bounded_minimizer():
             assert (p[~own] == 0.0).all()
             at_zero += np.sum(found.x == 0.0)
     assert at_zero == 3
+
+
+def equations(jaxpr):
+    """Number of equations, with those of loops, branches and functions within."""
+    if isinstance(jaxpr, ClosedJaxpr):
+        return equations(jaxpr.jaxpr)
+    if isinstance(jaxpr, tuple | list):
+        return sum(map(equations, jaxpr))
+    if not isinstance(jaxpr, Jaxpr):
+        return 0
+    return sum(1 + equations(list(e.params.values())) for e in jaxpr.eqns)
+
+
+def test_the_main_program_is_small():
+    """Compilation takes a second for some hundred equations; 20,861 they were, and are 1,600."""
+    arrangement, slots, theta = prepared(WHITE, Dense(aj.Model(()) + WHITE, 1, 0), True)
+    made, *_ = eqx.filter_make_jaxpr(maximize)(theta, slots, arrangement.levels, arrangement.levels.level)
+    assert 500 < equations(made) <= 1700
+
+
+def test_a_search_takes_few_joint_fits(monkeypatch):
+    """Of a filter and two resonances: some 23, about three for each component and a third of them swaps."""
+    inside = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
+    after = aj.Resonance(3e-3, 9.0, 15.0) + aj.Resonance(2e-3, 33.0, 20.0)
+    x, calls = aj.simulate(aj.LowPass1(20.0) * inside + after, 2**16, 100.0, 1), []
+    place = "allanjax.estimate.structure.structure.maximize"
+    monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
+    (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
+    assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= set(
+        result.coefficients
+    )
+    assert 5 < len(calls) <= 35

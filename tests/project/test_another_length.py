@@ -3,18 +3,13 @@
 import tracemalloc
 
 import bench
-import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from compilations import compilations
 from dense_fits import recording
-from jax.extend.core import ClosedJaxpr, Jaxpr
 
 import allanjax as aj
-from allanjax.estimate.spectral import model as spectral
-from allanjax.estimate.spectral.components import levels_of
-from allanjax.spectrum.cosine import Bins
 
 RATE = 100.0
 NOISE = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
@@ -46,37 +41,6 @@ def simulated(model, n, seed):
 def drawn_from(fit):
     with pytest.warns(aj.PosteriorWarning):
         aj.sample(fit, max_steps=20, progress=False)
-
-
-def equations(jaxpr):
-    """Number of equations, with those of loops, branches and functions within."""
-    if isinstance(jaxpr, ClosedJaxpr):
-        return equations(jaxpr.jaxpr)
-    if isinstance(jaxpr, tuple | list):
-        return sum(map(equations, jaxpr))
-    if not isinstance(jaxpr, Jaxpr):
-        return 0
-    return sum(1 + equations(list(e.params.values())) for e in jaxpr.eqns)
-
-
-def test_the_main_program_is_small():
-    """Compilation takes a second for some hundred equations; 20,861 they were, and are 1,600."""
-    at = spectral.FULL
-    slots = spectral.Slots.of(at, np.ones(at.parameters, bool), np.zeros(at.components, bool))
-    levels = levels_of(Bins.of(1000, RATE), np.zeros((0, 2, 0)), at.columns)
-    made, *_ = eqx.filter_make_jaxpr(spectral.maximize)(slots.usual(), slots, levels, levels.level)
-    assert 500 < equations(made) <= 1700
-
-
-def test_a_search_takes_few_joint_fits(monkeypatch):
-    """Of a filter and two resonances: some 23, about three for each component and a third of them swaps."""
-    calls, run = [], spectral._maximize
-    monkeypatch.setattr(spectral, "_maximize", lambda *args: calls.append(1) or run(*args))
-    (result,) = aj.fit(simulated(FILTERED, 2**16, 1), as_is=True, vibrating=True).results
-    assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= set(
-        result.coefficients
-    )
-    assert 5 < len(calls) <= 35
 
 
 def test_memory_of_a_fit_is_some_records():
