@@ -1,4 +1,4 @@
-"""What is compiled is of use to the next recording, and a fit is few programs, few runs, little memory."""
+"""What is compiled is of use to the next recording, and a fit takes few programs and little memory."""
 
 import tracemalloc
 
