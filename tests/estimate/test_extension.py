@@ -110,3 +110,36 @@ def test_a_butterworth_filter_stays_below_half_the_sample_rate():
     model = aj.Butterworth(45.0) * (aj.AngleRandomWalk() + aj.RateRandomWalk())
     (result,) = aj.fit(recording(x, RATE), model, "whittle", as_is=True).results
     assert 40.0 < result["butterworth_bandwidth"].value < RATE / 2.0
+
+
+NOISE = aj.AngleRandomWalk(1e-3) + aj.BiasInstability(2e-5)
+ROUNDED = aj.Butterworth(23.0) * NOISE + aj.Quantization(1.7e-5)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [aj.MovingAverage(37.0) * NOISE, aj.LowPass2(45.0, 0.57) * NOISE, ROUNDED],
+    ids=["mean", "two poles", "rounded"],
+)
+def test_quantization_is_told_from_the_shape_of_a_filter(truth):
+    """Three sensors each: quantization is detected where there is some, within three of its deviations.
+
+    At half the sample rate two poles and a mean have nearly the same response: the whole density holds to
+    4 %, three deviations of a sixth of an octave of 65,536 samples and of N. Bandwidths hold to four.
+    """
+    f, label = np.geomspace(2.0, 48.0, 12), "_".join(truth.response.name().split())
+    x = np.stack([aj.simulate(truth, 2**16, RATE, seed) for seed in (1, 2, 3)], axis=1)
+    for result in aj.fit(recording(x, RATE), as_is=True, vibrating=True).results:
+        assert abs(result["N"].value - 1e-3) < 3.0 * result["N"].std
+        rounding = result["quantization"]
+        assert rounding.detected == (truth is ROUNDED)
+        if truth is ROUNDED:
+            assert abs(rounding.value - 1.7e-5) < 3.0 * rounding.std
+            assert result.model.response.order == 2
+        else:
+            assert rounding.value == 0.0
+        if label != "low_pass2":
+            bandwidth = result[f"{label}_bandwidth"]
+            assert abs(bandwidth.value - truth.response.bandwidth) < 4.0 * bandwidth.std
+        found, exact = (model.sampled(RATE).sampled_psd(f, RATE) for model in (result.model, truth))
+        np.testing.assert_allclose(found, exact, rtol=0.04)

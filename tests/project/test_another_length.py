@@ -1,11 +1,19 @@
-"""What is compiled is of use to the next recording: programs do not depend on numbers of samples."""
+"""What is compiled is of use to the next recording, and a fit takes few programs and little memory."""
+
+import tracemalloc
 
 import bench
+import jax
 import numpy as np
 import pytest
 from compilations import compilations
+from dense_fits import recording
 
 import allanjax as aj
+
+RATE = 100.0
+NOISE = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
+FILTERED = aj.LowPass1(20.0) * NOISE + aj.Resonance(3e-3, 9.0, 15.0) + aj.Resonance(2e-3, 33.0, 20.0)
 
 
 def in_sevenths(recording):
@@ -18,12 +26,33 @@ CURVES = (aj.allan_deviation, aj.power_spectrum, aj.autocorrelation, aj.wavelet_
 
 
 def test_a_second_length_compiles_nothing():
-    recording = bench.recording("small")
+    whole = bench.recording("small")
     for call in (*CURVES, aj.inspect, in_sevenths):
-        call(recording)
+        call(whole)
         with compilations() as compiled:
-            call(recording.between(0.0, 94.77))
+            call(whole.between(0.0, 94.77))
         assert compiled == [], call
+
+
+def simulated(model, n, seed):
+    return recording(aj.simulate(model, n, RATE, seed), RATE)
+
+
+def drawn_from(fit):
+    with pytest.warns(aj.PosteriorWarning):
+        aj.sample(fit, max_steps=20, progress=False)
+
+
+def test_memory_of_a_fit_is_some_records():
+    """NumPy's arrays at the peak: 6.3 records, of which the transform, its squares and phases are four."""
+    n = 10**6
+    white, walk = np.random.default_rng(5).normal(size=(2, n))
+    whole = recording(1e-2 * white + 1e-6 * np.cumsum(walk), RATE)
+    tracemalloc.start()
+    aj.fit(whole)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 7.5 * whole.values.nbytes
 
 
 @pytest.mark.usefixtures("no_windows")
@@ -40,3 +69,23 @@ def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
         fit["accel_z"].model.state_space(100.0)
     assert compiled == []
     assert "gyro_y" in told
+
+
+def test_a_first_fit_compiles_few_programs_and_a_second_one_none():
+    """Of other terms and another length, and its posterior: they are data of the same programs.
+
+    Seven for choice of terms, Allan variances, their moments and a fit by them, and six of spectra. Samples
+    of up to the same power of two share one of Allan variances. This is the last test, as it forgets all.
+    """
+    resonant = NOISE + aj.Resonance(3e-3, 25.0, 15.0)
+    first, second = simulated(FILTERED, 60_000, 1), simulated(resonant, 41_234, 2)
+    jax.clear_caches()
+    with compilations() as compiled:
+        drawn_from(aj.fit(first, as_is=True, vibrating=True))
+        aj.fit(first, "N + K + markov", "whittle", as_is=True)
+    assert 5 < len(compiled) <= 14, compiled
+    with compilations() as compiled:
+        drawn_from(fit := aj.fit(second, as_is=True, vibrating=True))
+        aj.fit(second, "Q + N + B + markov", "whittle", as_is=True)
+    assert compiled == []
+    assert "resonance_frequency" in fit.results[0].coefficients

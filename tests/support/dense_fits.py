@@ -94,10 +94,12 @@ def mover(model: aj.Model, labels: list[str]) -> Callable[[np.ndarray], aj.Model
 
 
 def slopes(of: Callable[[aj.Model], np.ndarray], model: aj.Model, labels: list[str]) -> np.ndarray:
-    """Derivatives of what a model gives by the logarithms of its parameters, [params, ...]."""
-    move = mover(model, labels)
-    steps = _STEP * np.eye(len(labels))
-    return np.array([(of(move(move.start + s)) - of(move(move.start - s))) / (2.0 * _STEP) for s in steps])
+    """Derivatives of what a model gives by logarithms of its parameters, by five points, [params, ...]."""
+    move, found = mover(model, labels), []
+    for unit in _STEP * np.eye(len(labels)):
+        a, b, c, d = (of(move(move.start + k * unit)) for k in (-2.0, -1.0, 1.0, 2.0))
+        found.append((a - 8.0 * b + 8.0 * c - d) / (12.0 * _STEP))
+    return np.array(found)
 
 
 class Spectrum(Objective):

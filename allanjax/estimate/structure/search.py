@@ -445,6 +445,9 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
         doubtful = structure.active & (shaped | np.isin(np.arange(FULL.components), loose))
         doubtful &= (structure.power > 0.0) & (std > _DOUBTFUL * structure.power)
         weakest = sorted(np.flatnonzero(doubtful).tolist(), key=lambda k: -std[k] / structure.power[k])[:2]
+        if structure.kind == MOVING_AVERAGE and structure.power[QUANTIZATION] > 0.0:
+            # After a mean over less than two samples it is that of another duration.
+            weakest.append(QUANTIZATION)
         best = now
         for k in weakest:
             best = _better(best, spectrum.fit(structure.without(k)))
