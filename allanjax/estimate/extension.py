@@ -382,13 +382,17 @@ def extended(
         if tidied is None:
             break
         content, last = tidied, (template, result)
-    if not result.converged or (plain.converged and result.discrepancy > _LESS * plain.discrepancy):
+    if not result.converged:
         return None
     inactive = [s for s, here in zip(template.model.term_labels, template.active, strict=True) if not here]
     model = extended_model(template.model, result.coefficients, inactive)
     deviation = np.sqrt(np.asarray(model.sampled(rate).allan_variance(curve.cluster_time)))
     misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / deviation, curve.edf[:, k], "s")
-    if result.misfit is not None and misfit.excessive:
+    # Deep in a stop band levels may be far off that no Allan deviation notices.
+    left = min(result.discrepancy, misfit.rms)
+    if (plain.converged and left > _LESS * plain.discrepancy) or (
+        result.misfit is not None and misfit.excessive
+    ):
         return None
     result = dataclasses.replace(result, own_template=template.model, plain=plain, _model=model)
     result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
