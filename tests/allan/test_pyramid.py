@@ -20,10 +20,8 @@ def noise(n: int, axes: int = 2) -> np.ndarray:
 
 
 def by_definition(x: np.ndarray, start: int = 0) -> tuple[list[int], list[int], np.ndarray]:
-    """Sizes, counts and variances: clusters begin at every multiple of m/8 of the stream's sample numbers.
-
-    From running sums of 64 binary digits.
-    """
+    """Sizes, counts and variances: clusters begin at every multiple of m/8 of the stream's sample numbers."""
+    # From running sums of 64 binary digits.
     sums = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x.astype(np.longdouble), axis=0)])
     sizes, counts, variances = [], [], []
     for m in 2 ** np.arange(len(x).bit_length() - 1):
@@ -81,20 +79,16 @@ def test_any_split_merges_to_the_whole(seed):
 
 
 def test_a_bias_costs_no_digits():
-    """9.81 m/s² under noise of 10⁻⁴ m/s², to the digits that the samples still hold.
-
-    A block mean is rounded to 10⁻¹⁵ m/s², which is 2·10⁻⁹ of what cluster averages scatter by at m = 2¹⁶.
-    """
+    """9.81 m/s² under noise of 10⁻⁴ m/s², to the digits that the samples still hold."""
+    # A block mean is rounded to 10⁻¹⁵ m/s², which is 2·10⁻⁹ of what cluster averages scatter by at m = 2¹⁶.
     x = 9.81 + 1e-4 * np.random.default_rng(1).normal(size=(140_000, 2))
     found = aj.allan_deviation(x, RATE, estimator="pyramid")
     assert_allclose(found.variance, by_definition(x)[2], rtol=1e-8)
 
 
 def test_degrees_of_freedom_are_those_of_every_so_manieth_start():
-    """(tr C)²/tr C² of white noise, by the products of the differences' weights; 1 to 2 % fewer than of all.
-
-    The sum over lags is by quadrature, to 10⁻⁶.
-    """
+    """(tr C)²/tr C² of white noise, by products of the differences' weights; 1 to 2 % fewer than of all."""
+    # The sum over lags is by quadrature, to 10⁻⁶.
     x = noise(1000)
     found = aj.allan_deviation(x, RATE, estimator="pyramid")
     forms = Variances.of_allan(x[:, 0], RATE, found.cluster_size, found.strides).forms

@@ -108,10 +108,8 @@ def test_all_causes_are_looked_for_here():
 
 
 def worth(hidden, axis):
-    """Log-likelihood that the truth gains over the terms before it on a record that these were not fitted to.
-
-    A fit to the record itself is a nat better for each of its parameters (Akaike 1973).
-    """
+    """Log-likelihood that the truth gains over the terms before it on a record they were not fitted to."""
+    # A fit to the record itself is a nat better for each of its parameters (Akaike 1973).
     left, before = hidden.x if hidden.path is None else hidden.x - hidden.path, axis.stages[0]
     fitted = log_likelihood(coefficients(before.x), before.variance) - len(before.powers)
     return log_likelihood(coefficients(left), hidden.levels) - fitted

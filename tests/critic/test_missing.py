@@ -97,12 +97,10 @@ BEHIND = [("rounded", "gyro_x", 0.06), ("more", "gyro_2", 0.025), ("rounded", "g
 
 @pytest.mark.parametrize(("name", "axis", "tolerance"), BEHIND)
 def test_noise_behind_rounding_repeats_and_a_range_has_its_level(name, axis, tolerance):
-    """What was rounded, repeated or clipped is drawn within what is known of it, with its noise.
-
-    Steps of 1.8 deviations, a twelfth of the samples repeated, a fifth of them clipped: without their noise N
-    would be 13 % too large, 4 % and 20 % too small. Draws between limits are about a local mean of 200
-    samples, which costs some per cent.
-    """
+    """What was rounded, repeated or clipped is drawn within what is known of it, with its noise."""
+    # Steps of 1.8 deviations, a twelfth of the samples repeated, a fifth of them clipped: without their noise
+    # N would be 13 % too large, 4 % and 20 % too small. Draws between limits are about a local mean of 200
+    # samples, which costs some per cent.
     found = ct.critique(name)
     (true,) = (h.own["angle_random_walk"] for h in ct.hidden_in(name) if h.axis == axis)
     level = np.std(np.diff(found[axis].stages[-1].x)) / np.sqrt(2.0 * found.rate)

@@ -109,11 +109,9 @@ def test_a_stretch_is_used_without_what_happened_in_it(every, touched):
 
 @pytest.mark.parametrize("objective", ["allan", "whittle"])
 def test_missing_samples_widen_what_is_said_of_a_complete_record(objective):
-    """With a share f missing, by √(1/(1 − f) + f): intervals in proportion to the value.
-
-    Of white noise that is exact: n(1 − f) samples determine its level, and the draws, which are made at that
-    level, add the scatter of n·f samples.
-    """
+    """With a share f missing, by √(1/(1 − f) + f): intervals in proportion to the value."""
+    # Of white noise that is exact: n(1 − f) samples determine its level, and the draws, which are made at
+    # that level, add the scatter of n·f samples.
     x = record(43)[: LENGTHS[0]]
     x[np.random.default_rng(7).random(len(x)) < 0.2, 0] = NAN
     holey = made(x, "fill")

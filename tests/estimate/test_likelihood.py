@@ -62,11 +62,9 @@ def dear(names, *rare):
 
 @pytest.mark.parametrize("name", dear(SPECTRA, "N + A"))
 def test_whittles_estimate_is_the_maximum_and_its_error_the_inverse_information(name):
-    """Independent χ² levels about the diagonal of the dense covariance of the cosine coefficients.
-
-    The first 64 have their exact expectation; of higher ones that are not white, and of flicker, the density
-    at two nodes of a bin stands for it: 2 % of a standard deviation, 1 % of it.
-    """
+    """Independent χ² levels about the diagonal of the dense covariance of the cosine coefficients."""
+    # The first 64 have their exact expectation; of higher ones that are not white, and of flicker, the
+    # density at two nodes of a bin stands for it: 2 % of a standard deviation, 1 % of it.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0]
     result, found, _labels = fitted(model, x, "whittle", RATE)
@@ -95,11 +93,9 @@ def test_whittles_estimate_is_near_that_of_the_samples_themselves(name, of_std):
 
 @pytest.mark.parametrize("name", dear(["N + K", "N + B", "Q + N", "N + markov", "stream"], "N + markov"))
 def test_allan_variances_are_fitted_by_generalized_least_squares(name):
-    """D'C⁻¹(V − μ) = 0 with all of it by quadratic forms: a further step is 5 % of a standard deviation.
-
-    A thousandth is where the solver stops; the rest is the quadrature of its covariance over lags (half a
-    per cent), multiplied by 16 estimates that know much the same.
-    """
+    """D'C⁻¹(V − μ) = 0 with all of it by quadratic forms: a further step is 5 % of a standard deviation."""
+    # A thousandth is where the solver stops; the rest is the quadrature of its covariance over lags (half a
+    # per cent), multiplied by 16 estimates that know much the same.
     model, seed = SPECTRA["N + K" if name == "stream" else name]
     # Of half the samples most seeds leave no more than a limit of a correlation time.
     x = drawn(model, 128, RATE, 12 if name == "N + markov" else seed)
@@ -154,10 +150,9 @@ def test_wavelet_variances_are_fitted_by_generalized_least_squares(wavelet, of_s
 
 @pytest.mark.parametrize("name", ["N + K", "N + markov"])
 def test_the_exact_likelihood_is_that_of_the_samples_themselves(name):
-    """Maximum to the step at which the climb ends: a gain of 10⁻⁵ nats is 0.5 % of a standard deviation.
-
-    The information is that of the innovations found, which scatters about the expected one of the dense law.
-    """
+    """Maximum to the step at which the climb ends: a gain of 10⁻⁵ nats is 0.5 % of a standard deviation."""
+    # The information is that of the innovations found, which scatters about the expected one of the dense
+    # law.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0] + 3.0
     result, found, _ = fitted(model, x, "exact", RATE)

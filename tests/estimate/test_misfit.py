@@ -22,10 +22,8 @@ def noise(seed):
 
 @pytest.fixture(scope="module")
 def records():
-    """Handled for two seconds; under a line of thrice the noise; at rest; a small line; a hump of 35 %.
-
-    The hump raises the root of the spectrum by a raised cosine about 20 Hz, an octave wide at half.
-    """
+    """Handled for two seconds; under a line of thrice the noise; at rest; a small line; a hump of 35 %."""
+    # The hump raises the root of the spectrum by a raised cosine about 20 Hz, an octave wide at half.
     x = np.stack([noise(seed) for seed in (5, 6, 7, 7, 7)], axis=1)
     x[:200, 0] += np.cumsum(np.random.default_rng(8).normal(size=200)) * 0.02
     for k, size, f in ((1, 3.0, 3.0), (3, 0.4, 5.0)):
@@ -83,10 +81,8 @@ def test_the_misfit_of_an_allan_deviation_is_that_of_a_search_through_all_places
 
 @pytest.mark.parametrize("axis", ["gyro_1", "gyro_4"])
 def test_the_misfit_of_a_spectrum_is_that_of_thirds_of_octaves(records, fits, axis):
-    """Of the cosine spectrum's squares, averaged over thirds of octaves from its first coefficient on.
-
-    The model's density at each coefficient instead of two in each bin: 2 % of a deviation.
-    """
+    """Of the cosine spectrum's squares, averaged over thirds of octaves from its first coefficient on."""
+    # The model's density at each coefficient instead of two in each bin: 2 % of a deviation.
     fit = fits["whittle"]
     result, k = fit[axis], fit.axes.index(axis)
     ratio = dct(records[:, k], norm="ortho")[1:] ** 2 / squares_of(result)

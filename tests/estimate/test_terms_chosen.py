@@ -92,10 +92,8 @@ def test_evidence_is_the_integral_over_the_prior(ranked):
 
 
 def test_a_grid_of_times_is_one_set():
-    """White noise: the evidence of a Markov process besides is the mean over 16 times, by quadrature.
-
-    To 0.8 nats, as above; the sum would be ln 16 = 2.8 nats more.
-    """
+    """White noise: the evidence of a Markov process besides is the mean over 16 times, by quadrature."""
+    # To 0.8 nats, as above; the sum would be ln 16 = 2.8 nats more.
     x = drawn(WHITE, SHORT, RATE, 24)[:, 0]
     selection, ours = aj.select_terms(recording(x, RATE), "N + markov"), Integrals(x)
     found = {s.terms: s.log_evidence for s in selection["gyro_0"].ranking}
@@ -224,10 +222,8 @@ def test_a_fit_without_a_model_uses_the_chosen_sets():
 
 
 def test_a_slow_term_that_may_be_another_is_not_called_detected():
-    """Of flicker that is just seen: a term is detected where the sets that have it have 95 %, and no other.
-
-    Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
-    """
+    """Of flicker that is just seen: a term is detected where the sets with it have 95 %, and no other."""
+    # Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
     rng = np.random.default_rng(500)
     x = np.stack([golden.sensor(rng, 2048, RATE, **golden.crossing(0.1, B=16.0)) for _ in range(12)], axis=1)
     found, told = aj.fit(recording(x, RATE), as_is=True, vibrating=True), 0

@@ -196,10 +196,8 @@ def test_regressors_and_ramps_of_either_sign_are_integrated_out():
 
 
 def test_a_line_is_averaged_over_its_phase():
-    """White noise: the average of exp over phases is a Bessel function of the line's own amplitude.
-
-    Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
-    """
+    """White noise: the average of exp over phases is a Bessel function of the line's own amplitude."""
+    # Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
     x = drawn(WHITE, N, RATE, 6)[:, 0] + 0.25 * np.cos(2.0 * np.pi * 2.345 * T + 1.0)
     z = x - x.mean()
 
@@ -251,11 +249,9 @@ def test_a_record_with_missing_samples_has_a_wider_posterior():
 
 @pytest.mark.parametrize("objective", ["whittle", "allan"])
 def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(objective):
-    """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth.
-
-    The one is of a skew law and the other its curvature; of a model taken for the truth it would be less
-    than half as wide.
-    """
+    """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth."""
+    # The one is of a skew law and the other its curvature; of a model taken for the truth it would be less
+    # than half as wide.
     x = np.random.default_rng(9).normal(size=512) + 0.7 * np.sin(np.pi * np.arange(512) / 10.0)
     fit = fit_of(x, "N", objective)
     assert fit["gyro_0"].discrepancy > 0.05

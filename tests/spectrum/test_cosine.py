@@ -52,11 +52,9 @@ def test_expected_squares_are_those_of_the_dense_covariance(name):
 
 
 def test_expected_squares_of_what_has_an_edge_or_a_line():
-    """Flicker noise with a cutoff: exact at the lowest frequencies, up to the cutoff but for what leaks.
-
-    Resonances around their line: what the record's ends cut off is 1/(its lifetimes in the record), 4 to 9 %;
-    all their power is there.
-    """
+    """Flicker noise with a cutoff: exact at the lowest frequencies, up to the cutoff but for what leaks."""
+    # Resonances around their line: what the record's ends cut off is 1/(its lifetimes in the record), 4 to 9
+    # %; all their power is there.
     n = 1000
     for f0 in (0.4, 3.0):
         term, bins = aj.BiasInstability(1.0, f0), Bins.of(n, RATE)
@@ -101,11 +99,10 @@ LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
 
 
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
-    """Of every coefficient used: count, squares, products with a ramp's, its square, and expected squares.
-
-    Level k has means of 8^k samples, whose blocks and segments begin at multiples of their length in the
-    stream's numbers. The expected squares of white noise and of a random walk, of coefficients 1, are exact.
-    """
+    """Of every coefficient used: count, squares, products with a ramp's, its square, and expected squares."""
+    # Level k has means of 8^k samples, whose blocks and segments begin at multiples of their length in the
+    # stream's numbers. The expected squares of white noise and of a random walk, of coefficients 1, are
+    # exact.
     found = []
     for k in (2, 1, 0):
         block = FACTOR**k
@@ -128,10 +125,8 @@ def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
 
 
 def by_definition(x: np.ndarray, start: int, guess: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients that maximize Whittle's likelihood, and their standard errors.
-
-    It is of every coefficient by itself, restricted: the ramp takes a degree of freedom.
-    """
+    """Coefficients that maximize Whittle's likelihood, and their standard errors."""
+    # It is of every coefficient by itself, restricted: the ramp takes a degree of freedom.
     count, squares, cross, gram, white, walk = levels(x, start)
 
     def minus_log(p: np.ndarray) -> float:
@@ -149,10 +144,8 @@ def by_definition(x: np.ndarray, start: int, guess: tuple[float, ...]) -> tuple[
 
 
 def pieces_merged(x: np.ndarray, start: int) -> aj.AllanAccumulator:
-    """In pieces of all sizes, of a few samples from the beginning of a block too.
-
-    They are merged in random order; often the last two, so that a short piece meets a long one after it.
-    """
+    """In pieces of all sizes, of a few samples from the beginning of a block too."""
+    # They are merged in random order; often the last two, so that a short piece meets a long one after it.
     rng = np.random.default_rng(3)
     cuts = rng.integers(0, N, 9)
     blocks = FACTOR**2 * rng.integers(start // FACTOR**2 + 1, (start + N) // FACTOR**2, 9) - start

@@ -23,10 +23,8 @@ def recording(values: np.ndarray) -> aj.Recording:
 
 
 def groups(m: int) -> np.ndarray:
-    """Ordinates averaged in each point, 16 points an octave above the first 32 (table 3.4).
-
-    The rest of a broken octave joins the last group if it is less than half of one.
-    """
+    """Ordinates averaged in each point, 16 points an octave above the first 32 (table 3.4)."""
+    # The rest of a broken octave joins the last group if it is less than half of one.
     found = []
     while (done := sum(found)) < m:
         size = 1 if done < 32 else 2 ** int(np.log2(done / 16.0))
@@ -125,10 +123,8 @@ def test_errors_and_intervals_are_those_of_the_chi_squared_law(of, value, degree
 
 
 def shapes(f: np.ndarray) -> np.ndarray:
-    """Densities of white noise, flicker, random walk and quantization of coefficients 1, (4.28) to (4.52).
-
-    Those of the second and third are without aliases.
-    """
+    """Densities of white noise, flicker, random walk and quantization of coefficients 1, (4.28) to (4.52)."""
+    # Those of the second and third are without aliases.
     sine = np.sin(np.pi * f / RATE)
     return np.stack([0.0 * f + 2.0, 1.0 / (np.pi * f), 0.5 / (np.pi * f) ** 2, 8.0 * RATE * sine**2], 1)
 

@@ -78,11 +78,9 @@ def test_whittles_estimate_is_the_maximum_for_terms_of_their_own(name):
 
 
 def test_the_drift_is_known_where_its_cause_is_not():
-    """A walk too weak to be told from flicker noise in most of sixty records: the drift's intervals hold.
-
-    Where the walk is often not seen at all, 95 % intervals hold the truth in nine of ten records (0.88 to
-    0.97 of 180 others). Of sixty such fewer than 46 would once in a thousand times.
-    """
+    """A walk too weak to be told from flicker noise in most of sixty records: the drift's intervals hold."""
+    # Where the walk is often not seen at all, 95 % intervals hold the truth in nine of ten records (0.88 to
+    # 0.97 of 180 others). Of sixty such fewer than 46 would once in a thousand times.
     n, white, slow, rate, count = 8_000, 1e-3, 3e-5, 10.0, 60
     rng, held, certain = np.random.default_rng(2), np.zeros(2), 0
     x = white * np.sqrt(rate) * rng.standard_normal((n, count))
@@ -110,10 +108,8 @@ def test_a_fit_that_was_led_far_off_at_first_needs_no_error_of_the_model_at_last
 
 
 def test_walks_do_not_seem_to_follow_a_temperature_that_walks():
-    """Two walks have a large correlation nearly always: of 100 axes one is expected to be said to follow it.
-
-    More than five has a chance of 0.1 %.
-    """
+    """Two walks have a large correlation nearly always: of 100 axes one is expected to be named."""
+    # More than five has a chance of 0.1 %.
     rng, said = np.random.default_rng(2), 0
     for _ in range(10):
         x, z = np.cumsum(rng.standard_normal((2048, 10)), axis=0), np.cumsum(rng.standard_normal(2048))

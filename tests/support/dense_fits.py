@@ -26,10 +26,8 @@ def recording(columns: np.ndarray, rate: float, unit: str = "rad/s", **auxiliary
 
 
 def drawn(model: aj.Model, n: int, rate: float, seed: int, axes: int = 1) -> np.ndarray:
-    """Records of a model [n, axes], by the root of the dense covariance of their deviations from the mean.
-
-    The root is symmetric: it does not depend on which eigenvectors stand for equal eigenvalues.
-    """
+    """Records of a model [n, axes], by the root of the dense covariance of their deviations from the mean."""
+    # The root is symmetric: it does not depend on which eigenvectors stand for equal eigenvalues.
     centre = np.eye(n) - 1.0 / n
     power, vectors = np.linalg.eigh(centre @ covariance(model, n, rate) @ centre)
     root = (vectors * np.sqrt(np.maximum(power, 0.0))) @ vectors.T
@@ -198,10 +196,8 @@ class Variances:
         return self.factor * np.array([np.mean(np.sum(A * (A @ C), axis=1)) for A in self.forms])
 
     def step(self, model: aj.Model, labels: list[str]) -> tuple[np.ndarray, np.ndarray, float]:
-        """The step of generalized least squares from a model, its standard deviations in ln, and χ² there.
-
-        Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
-        """
+        """The step of generalized least squares from a model, its standard deviations in ln, and χ² there."""
+        # Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
         mean, C = self.moments(model)
         P = np.linalg.inv(C + 1e-4 * np.diag(np.diag(C)))
         D, left = slopes(self.mean, model, labels), self.found - mean
