@@ -238,9 +238,8 @@ def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
     vertical = EARTH_RATE_DEG_H * np.sin(np.radians(51.0))
     up, down = [4.0, 6.0, 3.0 + 1.012 * vertical], [4.5, 6.5, 3.2 - 1.013 * vertical]
     records = {f"z {way}{heading}": at_rest(m, 64, 0.1, "deg/h") for way, m in (("up", up), ("down", down))}
-    sharp, blunt = (
-        aj.calibrate(records, latitude=51.0, model=f"N={n} deg/√h", as_is=True) for n in (1e-3, 0.1)
-    )
+    options = {"latitude": 51.0, "as_is": True}
+    sharp, blunt = (aj.calibrate(records, model=f"N={n} deg/√h", **options) for n in (1e-3, 0.1))
     bias, scale = sharp["gyro_z"]["bias"], sharp["gyro_z"]["scale_factor"]
     assert bias.in_unit("deg/h").value == pytest.approx((up[2] + down[2]) / 2.0, rel=1e-9)
     assert scale.value == pytest.approx((up[2] - down[2]) / (2.0 * vertical) - 1.0, abs=1e-7)
@@ -332,9 +331,8 @@ def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height):
     found = aj.calibrate(six, latitude=latitude, height=height, model=WHITE, as_is=True)
     assert found.gravity == pytest.approx(expected, abs=within)
     assert found.gravity_std == 3.5e-4
-    own, exact = (
-        np.array([c.std for c in of["accel_x"].coefficients.values()]) for of in (found, calibration)
-    )
+    axes = found["accel_x"], calibration["accel_x"]
+    own, exact = (np.array([c.std for c in axis.coefficients.values()]) for axis in axes)
     # Those of inputs are in proportion to 1/g.
     exact[1:] *= G / expected
     exact[1] = np.hypot(exact[1], 3.5e-4 / expected)

@@ -52,12 +52,9 @@ def six_axes():
 @functools.cache
 def moved():
     """Their critique."""
-    options = {
-        "causes": only("sinusoid", "bias_step"),
-        "false_alarms": 0.06,
-        "names": golden.GYROS + golden.ACCELS,
-    }
-    return aj.critique(six_axes(), rate=RATE, gyro_unit="deg/s", accel_unit="g", **options)
+    options = {"causes": only("sinusoid", "bias_step"), "false_alarms": 0.06}
+    names = golden.GYROS + golden.ACCELS
+    return aj.critique(six_axes(), rate=RATE, gyro_unit="deg/s", accel_unit="g", names=names, **options)
 
 
 def together(*axes):
@@ -179,9 +176,8 @@ def test_what_is_left_of_an_event_is_reported_with_it_and_another_event_within_a
     assert event.gain == pytest.approx(sum(f.gain for axis in event.axes for f in found[axis].findings))
     for f, start, end in ((knock, 12_000, 12_100), (half, N // 2, N)):
         assert f.span == pytest.approx((start / RATE, end / RATE), abs=1.0)
-    table = found.to_dataframe().query(
-        "cause == 'variance_change' and axes == 'gyro_z' and parameter == 'end'"
-    )
+    ends = "cause == 'variance_change' and axes == 'gyro_z' and parameter == 'end'"
+    table = found.to_dataframe().query(ends)
     assert dict(zip(table.value > 300.0, table.limit, strict=True)) == {True: "above", False: ""}
     assert "allanjax critique" not in "".join((found.details(), *found.to_dict()["warnings"]))
     assert not any(word in str(found.refit()) for word in ("as requested", "all samples are used"))

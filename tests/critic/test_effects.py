@@ -1,7 +1,4 @@
-"""Every cause: named, alone, measured as well as anybody could, and worth what other data say.
-
-`critic_truth` has the truth and the bounds, which are computed without allanjax.
-"""
+"""Every cause: named, alone, measured as well as anybody could, and worth what other data say."""
 
 import numpy as np
 import pytest
@@ -13,10 +10,8 @@ import allanjax as aj
 from allanjax.critic import CAUSES
 
 #: Coefficients in time have dimensions, parameters of shape these.
-SHAPES = dict.fromkeys(
-    ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time"), "s"
-)
-SHAPES |= dict.fromkeys(("frequency", "bandwidth"), "Hz") | {"longest": "samples"}
+TIMES = ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time")
+SHAPES = dict.fromkeys(TIMES, "s") | dict.fromkeys(("frequency", "bandwidth"), "Hz") | {"longest": "samples"}
 SHAPES |= dict.fromkeys(("quality_factor", "ratio", "exponent", "order", "count", "jumps", "fraction"), "1")
 PER = {"temperature": "/[temperature]", "power_law": "/√Hz"}
 #: Units of coefficients of basic terms of a gyro, and of a ramp of an accelerometer.

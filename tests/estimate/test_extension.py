@@ -26,10 +26,8 @@ def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
         assert not plain.measured or plain["N"].std > 1.2 * c.std
         assert (plain.own_template, plain.widening) == (None, 1.0)
         # The model is what was measured, up to a hundredth and four standard errors.
-        ratio, edf = (
-            fit.curve.deviation[:, k] / fit.model_deviation(axis, fit.curve.cluster_time),
-            fit.curve.edf[:, k],
-        )
+        ratio = fit.curve.deviation[:, k] / fit.model_deviation(axis, fit.curve.cluster_time)
+        edf = fit.curve.edf[:, k]
         assert (abs(ratio - 1.0) < 4.0 / np.sqrt(2.0 * edf) + 0.01)[edf > 50.0].all()
         # Filter, resonances and lines are told apart from the terms of the sensor.
         assert set(result.further) == {c.term for c in result.coefficients.values()} - set(plain.coefficients)
@@ -93,8 +91,7 @@ def test_a_resonance_inside_a_filter_is_told_from_one_after_it(inside):
 
 def test_a_mean_over_many_samples_is_found():
     """White noise, twenty times as fast as the samples: each zero of the response is a trap."""
-    # The record tells the duration of 28 samples to a thousandth; 0.05 is a tenth of the way to a next
-    # maximum.
+    # The record tells 28 samples' duration to a thousandth; 0.05 is a tenth of the way to a next maximum.
     fine, width, rng = 20, 560, np.random.default_rng(5)
     total = np.cumsum(rng.standard_normal((N + 28) * fine))
     x = (total[width:] - total[:-width])[::fine][:N] / width

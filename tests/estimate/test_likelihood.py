@@ -1,8 +1,4 @@
-"""Estimates, standard deviations and χ² of every objective, against dense matrices and scipy's optimum.
-
-Of terms that are none of the joint model's own components each compiles programs of 15 s: these are for the
-studies.
-"""
+"""Estimates, standard deviations and χ² of every objective, against dense matrices and scipy's optimum."""
 
 import dataclasses
 
@@ -56,7 +52,7 @@ def check_verdict(result, x, model, found):
 
 
 def dear(names, *rare):
-    """All names; those whose programs compile for 15 s are for the studies."""
+    """All names; of terms beyond the joint model's own, each compiles for 15 s: these are for the studies."""
     return [pytest.param(name, marks=[pytest.mark.study] * (name in rare)) for name in names]
 
 
@@ -82,9 +78,8 @@ def test_whittles_estimate_is_the_maximum_and_its_error_the_inverse_information(
 
 @pytest.mark.parametrize(("name", "of_std"), [("N + K", 0.02), ("N + B", 0.1), ("Q + N", 0.25)])
 def test_whittles_estimate_is_near_that_of_the_samples_themselves(name, of_std):
-    """The dense Gaussian likelihood without bins. Coefficients correlate a little under flicker, and under
-    quantization, whose two end readings all share.
-    """
+    """The dense Gaussian likelihood without bins."""
+    # Coefficients correlate a little under flicker, and under quantization, whose end readings all share.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0]
     result, found, _ = fitted(model, x, "whittle", RATE)
@@ -151,8 +146,7 @@ def test_wavelet_variances_are_fitted_by_generalized_least_squares(wavelet, of_s
 @pytest.mark.parametrize("name", ["N + K", "N + markov"])
 def test_the_exact_likelihood_is_that_of_the_samples_themselves(name):
     """Maximum to the step at which the climb ends: a gain of 10⁻⁵ nats is 0.5 % of a standard deviation."""
-    # The information is that of the innovations found, which scatters about the expected one of the dense
-    # law.
+    # The information is that of the innovations found, which scatters about the dense law's expected one.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0] + 3.0
     result, found, _ = fitted(model, x, "exact", RATE)

@@ -14,9 +14,8 @@ import allanjax as aj
 
 WHITE, STEP = aj.AngleRandomWalk(), aj.BiasStep(time=3.0)
 SOME = records(1e-3, 3e-3, 2, seed=5)
-WITH_CHANNELS = dataclasses.replace(
-    SOME, auxiliary={"temperature": np.arange(2048.0), "constant": np.full(2048, 3.0)}
-)
+CHANNELS = {"temperature": np.arange(2048.0), "constant": np.full(2048, 3.0)}
+WITH_CHANNELS = dataclasses.replace(SOME, auxiliary=CHANNELS)
 CURVE, HADAMARD = (aj.allan_deviation(SOME, kind=kind) for kind in ("allan", "hadamard"))
 
 

@@ -26,11 +26,9 @@ RESPONSES += [aj.Butterworth(1.7, order) for order in (1, 2, 3, 4)]
 
 
 class Dense(Spectrum):
-    """Mean squares of so many coefficients of simulated records, under R · Σ terms inside + Σ terms after.
+    """Mean squares of so many coefficients of simulated records, under R · Σ terms inside + Σ terms after."""
 
-    R is what becomes of white noise, the record's ends included.
-    """
-
+    # R is what becomes of white noise, the record's ends included.
     def __init__(self, model, count, seed):
         super().__init__(np.zeros(N), RATE, np.arange(1, N + 1))
         self.count = count
@@ -129,10 +127,8 @@ def test_powers_are_those_of_a_bounded_minimizer():
                 mean = np.maximum(x @ unit, 1e-12)
                 return shape @ (np.log(mean) + level / mean), unit @ (shape / mean * (1.0 - level / mean))
 
-            bounds, options = [(0.0, None)] * len(scale), {"ftol": 1e-15, "gtol": 1e-8}
-            found = minimize(
-                minus_log, [30.0] * len(scale), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-            )
+            how = {"jac": True, "method": "L-BFGS-B", "options": {"ftol": 1e-15, "gtol": 1e-8}}
+            found = minimize(minus_log, [30.0] * len(scale), bounds=[(0.0, None)] * len(scale), **how)
             assert value == pytest.approx(found.fun, abs=1e-3)
             # An error of 10⁻³ nats is one of √0.002 standard deviations.
             assert_allclose(p[own] / scale, found.x, rtol=0.0, atol=0.05)
@@ -167,7 +163,6 @@ def test_a_search_takes_few_joint_fits(monkeypatch):
     place = "allanjax.estimate.structure.structure.maximize"
     monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
     (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
-    assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= set(
-        result.coefficients
-    )
+    labels = {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"}
+    assert labels <= {*result.coefficients}
     assert 5 < len(calls) <= 35

@@ -44,16 +44,13 @@ def absent(records):
 
 
 class Grid:
-    """The posterior of N and another term on a grid, by independent levels about the dense covariance.
+    """The posterior of N and another term on a grid, by independent levels about the dense covariance."""
 
-    The other's amplitudes are quantiles of its prior, each of the same prior probability.
-    """
-
+    # The other's amplitudes are quantiles of its prior, each of the same prior probability.
     def __init__(self, x, axis, other=None, label="rate_random_walk"):
         dense = Spectrum(x, RATE, fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges)
-        white, own = (
-            dense.means(term) for term in (aj.AngleRandomWalk(1.0), other or aj.RateRandomWalk(1.0))
-        )
+        terms = aj.AngleRandomWalk(1.0), other or aj.RateRandomWalk(1.0)
+        white, own = map(dense.means, terms)
         size = np.sqrt(np.sum(dense.level * dense.count / white) / dense.count.sum())
         n, c = np.linspace(0.3, 2.0, 400) * size, axis.priors[label].quantile(np.linspace(0.0, 1.0, 1601))
         means = (value**2 * white + c[:, None] ** 2 * own for value in n)
@@ -250,8 +247,7 @@ def test_a_record_with_missing_samples_has_a_wider_posterior():
 @pytest.mark.parametrize("objective", ["whittle", "allan"])
 def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(objective):
     """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth."""
-    # The one is of a skew law and the other its curvature; of a model taken for the truth it would be less
-    # than half as wide.
+    # The one is of a skew law, the other its curvature; of a model taken for true it is less than half of it.
     x = np.random.default_rng(9).normal(size=512) + 0.7 * np.sin(np.pi * np.arange(512) / 10.0)
     fit = fit_of(x, "N", objective)
     assert fit["gyro_0"].discrepancy > 0.05

@@ -242,8 +242,7 @@ KINDS += [{"estimator": "pyramid"}, {"cluster_times": [0.03, 0.5, 1.15]}]
 @pytest.mark.parametrize("options", KINDS)
 def test_differences_whose_clusters_are_complete_are_averaged(options):
     """By brute force: every difference of the phase within a stretch, of all stretches together."""
-    # The degrees of freedom for white noise are (tr A)²/tr A² of the quadratic form x'Ax that the estimate
-    # is.
+    # Degrees of freedom for white noise are (tr A)²/tr A² of the quadratic form x'Ax that the estimate is.
     x = np.random.default_rng(31).standard_normal((638, 2)) + 0.2
     recording = filled(in_stretches(x, (110, 230, 64, 63, 171)), gaps="segments")
     found = aj.allan_deviation(recording, **options)

@@ -1,7 +1,4 @@
-"""Expected squares of the cosine coefficients of noise terms against dense covariance matrices, once.
-
-Fits by Whittle's likelihood rest on them; no public number is the expectation of one term alone.
-"""
+"""Expected squares of the cosine coefficients of noise terms against dense covariance matrices, once."""
 
 import itertools
 
@@ -37,6 +34,7 @@ def squares(term, n: int) -> np.ndarray:
 
 def expected(bins: Bins, term) -> np.ndarray:
     """Mean expected square of the coefficients in each bin, of a term with its amplitude."""
+    # Fits by Whittle's likelihood rest on it; no public number is the expectation of one term alone.
     amplitude = getattr(term, term.amplitude_parameter().name)
     return amplitude**2 * columns_of([term], bins)[0].mean(axis=0)
 
@@ -101,8 +99,7 @@ LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
     """Of every coefficient used: count, squares, products with a ramp's, its square, and expected squares."""
     # Level k has means of 8^k samples, whose blocks and segments begin at multiples of their length in the
-    # stream's numbers. The expected squares of white noise and of a random walk, of coefficients 1, are
-    # exact.
+    # stream's numbers. Expected squares of white noise and of a random walk, of coefficients 1, are exact.
     found = []
     for k in (2, 1, 0):
         block = FACTOR**k

@@ -46,11 +46,9 @@ def fitted(
 
 
 class Objective:
-    """Minus the logarithm of a likelihood as a function of a model, with its optimum and information.
+    """Minus the logarithm of a likelihood as a function of a model, with its optimum and information."""
 
-    Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
-    """
-
+    # Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
     #: Minus the log-likelihood [nats], but for a constant.
     value: Callable[[aj.Model], float]
     #: Fisher's information about the parameters of a model with these labels.
@@ -140,10 +138,7 @@ class Spectrum(Objective):
 
 
 class Gaussian(Objective):
-    """The Gaussian law of the samples' differences, on which an unknown mean has no influence.
-
-    Its value has no constant left out.
-    """
+    """The Gaussian law of the samples' differences, which no mean influences; no constant is left out."""
 
     def __init__(self, x: np.ndarray, rate: float, missing: np.ndarray | None = None) -> None:
         self.n, self.rate = len(x), rate
@@ -166,11 +161,9 @@ class Gaussian(Objective):
 
 
 class Variances:
-    """Means of squares of linear forms, such as Allan variances: their moments by quadratic forms.
+    """Means of squares of linear forms, such as Allan variances: their moments by quadratic forms."""
 
-    `forms` are matrices [coefficients, samples] whose rows' squares are averaged.
-    """
-
+    # Forms are matrices [coefficients, samples] whose rows' squares are averaged.
     def __init__(self, x: np.ndarray, rate: float, forms: list[np.ndarray], factor: float = 1.0) -> None:
         self.n, self.rate, self.forms, self.factor = len(x), rate, forms, factor
         self.found = factor * np.array([np.mean((A @ x) ** 2) for A in forms])
