@@ -151,16 +151,3 @@ def test_dead_axes_are_named_and_the_others_are_fitted():
         assert fit[name]["N"] == alone[name]["N"]
     dead = {axis["name"]: axis["dead"] for axis in aj.to_dict(fit)["axes"]}
     assert dead == {name: name in DEAD for name in options["names"]}
-
-
-def test_streams_tell_dead_axes_too(tmp_path):
-    stream = aj.AllanAccumulator(RATE, ["gyro_x", "gyro_y"])
-    stream.update(np.random.default_rng(3).standard_normal((2048, 2)) * [1e-3, 0.0])
-    stream.snapshot(tmp_path / "state.npz")
-    fit = aj.AllanAccumulator.restore(tmp_path / "state.npz").fit("N")
-    assert list(fit.without_result) == ["gyro_y"]
-    assert fit["gyro_x"]["N"].value == pytest.approx(1e-4, abs=4.0 * fit["gyro_x"]["N"].std)
-    still = aj.AllanAccumulator(RATE, ["gyro_x"])
-    still.update(np.zeros(100))
-    with pytest.raises(aj.FitError, match="gyro_x"):
-        still.fit()

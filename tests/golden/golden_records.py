@@ -129,13 +129,8 @@ def line(amplitude, frequency, phase):
     return amplitude * np.sin(2.0 * np.pi * frequency * np.arange(MIDDLE) / RATE + phase)
 
 
-LABELS = {
-    "Q": "quantization",
-    "N": "angle_random_walk",
-    "B": "bias_instability",
-    "K": "rate_random_walk",
-    "R": "drift_ramp",
-}
+_BASIC = "quantization angle_random_walk bias_instability rate_random_walk drift_ramp"
+LABELS = dict(zip("QNBKR", _BASIC.split(), strict=True))
 MAKERS = {"Q": quantization, "N": white, "B": flicker, "K": walk}
 
 
