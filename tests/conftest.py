@@ -22,10 +22,8 @@ PROGRAMS = 420
 
 
 def _faster() -> str:
-    """Flags with which XLA compiles faster: its fusion emitters take half as long again and gain nothing.
-
-    A jaxlib that does not know the option aborts, hence a process of its own tries it, once per version.
-    """
+    """Flags with which XLA compiles faster: its fusion emitters take half as long again and gain nothing."""
+    # A jaxlib that does not know the option aborts, hence a process of its own tries it, once per version.
     flags = "--xla_cpu_use_fusion_emitters=false"
     tried = ROOT / ".pytest_cache" / f"jaxlib-{version('jaxlib')}"
     if not tried.exists():

@@ -103,11 +103,9 @@ STABLE32 = {
 
 @each_kind
 def test_counts_deviations_and_intervals_are_those_of_stable32(name):
-    """Its degrees of freedom are of phases averaged over a sample, by Greenhall & Riley's approximation.
-
-    So the half widths of its intervals differ at few samples a cluster, by 9 % at m = 1 and less as 1/m;
-    between m = 4 and 32 the approximation for overlapping clusters costs up to 6 %, and nothing beyond.
-    """
+    """Its degrees of freedom are of phases averaged over a sample, by Greenhall & Riley's approximation."""
+    # So the half widths of its intervals differ at few samples a cluster, by 9 % at m = 1 and less as 1/m;
+    # between m = 4 and 32 the approximation for overlapping clusters costs up to 6 %, and nothing beyond.
     rows = STABLE32[name].replace(";", " ").split()
     count, lower, deviation, upper = np.array(rows, float).reshape(-1, 4).T
     m = 2 ** np.arange(8)

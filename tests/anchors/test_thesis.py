@@ -1,7 +1,4 @@
-"""Numbers printed in H. Hou, "Modeling Inertial Sensors Errors Using Allan Variance", Calgary 2004.
-
-What needs the thesis's recordings cannot be had; these rows follow from what is printed beside them.
-"""
+"""Numbers printed in H. Hou, "Modeling Inertial Sensors Errors Using Allan Variance", Calgary 2004."""
 
 import numpy as np
 import pytest
@@ -11,6 +8,7 @@ import allanjax as aj
 HOUR = 3600.0
 GYRO = aj.Axis("gyro_x", "gyro", "rad/s")
 
+# What needs the thesis's recordings cannot be had; all here follows from what is printed beside it.
 # Samples, rate, cluster size, and the error [%] printed.
 ERRORS = [
     (20_000, 100.0, 5000, "41"),  # "approximately 40 %", section 4.5

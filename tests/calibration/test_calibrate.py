@@ -44,10 +44,8 @@ def check_estimates(coefficients, values, std, rtol=1e-6):
 
 
 def flicker_covariance():
-    """∫ S(f) H_k(f)* H_l(f) df of S = B²/(2πf), B = 2e-4, where H are the transforms of the contrasts.
-
-    A thousand frequencies a decade from 1e-7 Hz to 30 Hz, beyond which 1e-6 of the power is left.
-    """
+    """∫ S(f) H_k(f)* H_l(f) df of S = B²/(2πf), B = 2e-4, where H are the transforms of the contrasts."""
+    # A thousand frequencies a decade from 1e-7 Hz to 30 Hz, beyond which 1e-6 of the power is left.
     f = np.geomspace(1e-7, 30.0, 8500)
     of = lambda a, d: np.sinc(f * d) * np.exp(-2j * np.pi * f * (a + d / 2.0))  # noqa: E731
     H = np.stack([of(a, d) - of(0.0, 1200.0) for a, d in zip(START, LENGTH, strict=True)])
@@ -134,10 +132,8 @@ def of_eighteen(errors, scatter, orientations=None, **options):
 
 @pytest.mark.parametrize(("second_order", "orientation_error"), [(False, 0.0), (True, 2e-4), (False, 2e-4)])
 def test_errors_of_three_axes_are_those_of_dense_least_squares(second_order, orientation_error):
-    """The design is the Jacobian of (2.23) by differences.
-
-    An orientation that is off by a small rotation ρ moves the input by ρ × f, in all axes at once.
-    """
+    """The design is the Jacobian of (2.23) by differences."""
+    # An orientation that is off by a small rotation ρ moves the input by ρ × f, in all axes at once.
     errors, f = Errors(SN, BIAS, np.array([2e-5, -1e-5, 3e-5]) * second_order), G * EIGHTEEN
     options = {"second_order": second_order, "orientation_error": orientation_error}
     means, found = of_eighteen(errors, 1e-4, list(EIGHTEEN), **options)
@@ -197,10 +193,8 @@ def test_free_orientations_are_least_squares_of_the_norm(second_order):
 
 @pytest.mark.study
 def test_free_orientations_hold_the_truth():
-    """100 calibrations of positions of ten minutes, 20 s apart, by their means; `calibration` has six known.
-
-    600 intervals, of which six a calibration are not quite independent: 0.95 ± 0.013.
-    """
+    """100 calibrations of positions of ten minutes, 20 s apart, by means; `calibration` has six known."""
+    # 600 intervals, of which six a calibration are not quite independent: 0.95 ± 0.013.
     rng, errors, hits, p = np.random.default_rng(6), Errors(np.tril(SN), BIAS, np.zeros(3)), [], []
     n, model = 620 * COUNT, aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
     for _ in range(100):
@@ -238,17 +232,14 @@ def test_gyros_with_headings_tell_misalignments():
 
 @pytest.mark.parametrize("heading", ["", ", x north"])
 def test_two_positions_of_a_gyro_tell_bias_and_scale_as_if_aligned(heading):
-    """(2.36), (2.37): half the sum of the means, and half the difference over the vertical rate less one.
-
-    With the same heading in both, a misalignment would be told from the bias by no means. The Earth's rate
-    of the tests has seven digits. What is known to no better than 1 % is not applied.
-    """
+    """(2.36), (2.37): half the sum of the means, and half the difference over the vertical rate less one."""
+    # With the same heading in both, a misalignment would be told from the bias by no means. The Earth's rate
+    # of the tests has seven digits. What is known to no better than 1 % is not applied.
     vertical = EARTH_RATE_DEG_H * np.sin(np.radians(51.0))
     up, down = [4.0, 6.0, 3.0 + 1.012 * vertical], [4.5, 6.5, 3.2 - 1.013 * vertical]
     records = {f"z {way}{heading}": at_rest(m, 64, 0.1, "deg/h") for way, m in (("up", up), ("down", down))}
-    sharp, blunt = (
-        aj.calibrate(records, latitude=51.0, model=f"N={n} deg/√h", as_is=True) for n in (1e-3, 0.1)
-    )
+    options = {"latitude": 51.0, "as_is": True}
+    sharp, blunt = (aj.calibrate(records, model=f"N={n} deg/√h", **options) for n in (1e-3, 0.1))
     bias, scale = sharp["gyro_z"]["bias"], sharp["gyro_z"]["scale_factor"]
     assert bias.in_unit("deg/h").value == pytest.approx((up[2] + down[2]) / 2.0, rel=1e-9)
     assert scale.value == pytest.approx((up[2] - down[2]) / (2.0 * vertical) - 1.0, abs=1e-7)
@@ -340,9 +331,8 @@ def test_normal_gravity_is_that_of_wgs_84(calibration, six, latitude, height):
     found = aj.calibrate(six, latitude=latitude, height=height, model=WHITE, as_is=True)
     assert found.gravity == pytest.approx(expected, abs=within)
     assert found.gravity_std == 3.5e-4
-    own, exact = (
-        np.array([c.std for c in of["accel_x"].coefficients.values()]) for of in (found, calibration)
-    )
+    axes = found["accel_x"], calibration["accel_x"]
+    own, exact = (np.array([c.std for c in axis.coefficients.values()]) for axis in axes)
     # Those of inputs are in proportion to 1/g.
     exact[1:] *= G / expected
     exact[1] = np.hypot(exact[1], 3.5e-4 / expected)

@@ -319,17 +319,6 @@ def test_simulate_terms_and_sensors():
     assert aj.read("m_100Hz.npz").n == 100
 
 
-CONVERTED = {"3600 deg/h --to deg/s": 1.0, "0.01 deg/s/√Hz --to deg/√h --sided two": 0.6}
-CONVERTED["150 µg/√Hz --to m/s/√h"] = 150e-6 * 9.80665 * 60.0 / math.sqrt(2.0)
-
-
-@pytest.mark.parametrize("words", CONVERTED)
-def test_convert(words):
-    source, target, *_ = ran("convert", *words.split()).replace("√", "").split(" = ")
-    assert source.split()[0].replace(",", "") == words.split()[0]
-    assert float(target.split()[0]) == pytest.approx(CONVERTED[words], rel=1e-5)
-
-
 def test_documents_of_data_sheets_and_schemas():
     name = aj.datasheets()[0]
     assert name in ran("convert", "--list")

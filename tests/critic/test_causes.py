@@ -102,9 +102,8 @@ class Broken(Claim):
 def test_a_fault_in_one_axis_is_reported_for_it_and_the_others_are_given():
     def critique_of(name):
         x = np.stack([white(1), white(2)], axis=1)
-        return aj.critique(
-            x, rate=RATE, gyro_unit="deg/s", names=["gyro_x", "gyro_y"], causes=[Broken(name, 0.0)]
-        )
+        options = {"names": ["gyro_x", "gyro_y"], "causes": [Broken(name, 0.0)]}
+        return aj.critique(x, rate=RATE, gyro_unit="deg/s", **options)
 
     found = critique_of("gyro_y")
     assert found["gyro_x"].after[0] == critique_of("none")["gyro_x"].after[0]

@@ -1,23 +1,20 @@
-"""What a simulation gets wrong: each statistic and its p-value by brute force on the record.
-
-Everything is computed anew from the samples, and from the expected squares of their cosine coefficients that
-a critique states for the model (`stages`).
-"""
+"""What a simulation gets wrong: statistics and p-values by brute force, and their laws without effects."""
 
 import critic_truth as ct
+import golden_records as golden
 import numpy as np
 import pytest
-from bench import critique, recording
-from golden_records import UNITS
-from scipy.stats import binom, kurtosistest, norm
+from bench import critique, recording, truth
+from scipy.stats import binom, kstest, kurtosistest, norm
 from scipy.stats import chi2 as chi_squared
 
 
 def stage_of(found, axis, which):
     """Samples less the model's ramp, the whitened ones, both in SI and in time; the levels; the unit."""
+    # The levels are expected squares of cosine coefficients, which a critique states; all else is anew.
     stage, rate = found[axis].stages[which], found.rate
     x = stage.x - (stage.ramp or 0.0) * (np.arange(len(stage.x)) - (len(stage.x) - 1) / 2.0) / rate
-    return x, ct.whitened(x, stage.variance), stage.variance, UNITS[axis.split("_")[0]][1]
+    return x, ct.whitened(x, stage.variance), stage.variance, golden.UNITS[axis.split("_")[0]][1]
 
 
 def any_of(p, count):
@@ -129,13 +126,9 @@ BRUTE += (largest_residual, window_mean, window_variance)
 #: Statistics whose p-values are of some thousand draws.
 DRAWN = ("window_mean", "window_variance")
 # With effects, without, and of different units, before a finding and after it.
-AXES = [
-    ("clean_1", "gyro_y", "before"),
-    ("clean_2", "accel_x", "before"),
-    ("two_effects", "accel_z", "before"),
-    ("two_effects", "gyro_x", "after"),
-    ("temperature", "gyro_x", "before"),
-]
+AXES = [("clean_1", "gyro_y", "before"), ("clean_2", "accel_x", "before")]
+AXES += [("two_effects", axis, when) for axis, when in (("accel_z", "before"), ("gyro_x", "after"))]
+AXES += [("temperature", "gyro_x", "before")]
 
 
 @pytest.mark.parametrize(("name", "axis", "when"), AXES)
@@ -207,3 +200,37 @@ def test_what_explains_it_is_better_after_a_finding():
     assert before.p_value < 1e-20
     assert after.p_value > 1e-3
     assert after.measured < 0.5 * before.measured
+
+
+CLEAN = [*golden.CLEAN, "lossy"]
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_a_clean_record_has_no_finding(name):
+    found = critique(name)
+    assert found.findings == found.shared_findings == ()
+    assert found.gain == 0.0
+    for axis in found.results:
+        assert axis.findings == axis.left_out == ()
+        assert axis.before == axis.after
+        assert len(axis.stages) == 1
+        # Fourteen statistics of five axes or fewer.
+        assert min(d.p_value for d in axis.before) > 1e-5
+        assert set(axis.model.term_labels) <= set(golden.LABELS.values()) | {"markov"}
+
+
+def test_p_values_of_axes_without_an_effect_are_uniform():
+    """Of discrepancies that take any value, and of the causes' tests, in fifteen axes or more."""
+    axes = []
+    for name in {*CLEAN, *golden.EFFECTS} - {"common"}:
+        hidden = {axis for effect in truth(name).effects for axis in effect.axes}
+        axes += [axis for axis in critique(name).results if axis.axis.name not in hidden]
+    p = [d.p_value for axis in axes for d in axis.before if d.statistic not in ("lattice", "repeated_values")]
+    assert len(p) > 180
+    tests = [value for axis in axes for name, value in axis.tests.items() if name != "temperature"]
+    assert len(tests) == 6 * len(axes)
+    for values in (p, tests):
+        assert kstest(values, "uniform").pvalue > 1e-3
+        assert min(values) > 1e-3 / len(values)
+    # The mean of so many, which are not all independent.
+    assert np.mean(p) == pytest.approx(0.5, abs=4.0 * 2.0 / np.sqrt(12.0 * len(p)))

@@ -1,7 +1,4 @@
-"""Every cause: named, alone, measured as well as anybody could, and worth what other data say.
-
-`critic_truth` has the truth and the bounds, which are computed without allanjax.
-"""
+"""Every cause: named, alone, measured as well as anybody could, and worth what other data say."""
 
 import numpy as np
 import pytest
@@ -13,10 +10,8 @@ import allanjax as aj
 from allanjax.critic import CAUSES
 
 #: Coefficients in time have dimensions, parameters of shape these.
-SHAPES = dict.fromkeys(
-    ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time"), "s"
-)
-SHAPES |= dict.fromkeys(("frequency", "bandwidth"), "Hz") | {"longest": "samples"}
+TIMES = ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time")
+SHAPES = dict.fromkeys(TIMES, "s") | dict.fromkeys(("frequency", "bandwidth"), "Hz") | {"longest": "samples"}
 SHAPES |= dict.fromkeys(("quality_factor", "ratio", "exponent", "order", "count", "jumps", "fraction"), "1")
 PER = {"temperature": "/[temperature]", "power_law": "/√Hz"}
 #: Units of coefficients of basic terms of a gyro, and of a ramp of an accelerometer.
@@ -108,10 +103,8 @@ def test_all_causes_are_looked_for_here():
 
 
 def worth(hidden, axis):
-    """Log-likelihood that the truth gains over the terms before it on a record that these were not fitted to.
-
-    A fit to the record itself is a nat better for each of its parameters (Akaike 1973).
-    """
+    """Log-likelihood that the truth gains over the terms before it on a record they were not fitted to."""
+    # A fit to the record itself is a nat better for each of its parameters (Akaike 1973).
     left, before = hidden.x if hidden.path is None else hidden.x - hidden.path, axis.stages[0]
     fitted = log_likelihood(coefficients(before.x), before.variance) - len(before.powers)
     return log_likelihood(coefficients(left), hidden.levels) - fitted

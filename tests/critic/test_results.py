@@ -67,9 +67,8 @@ def test_drift_is_measured_on_both_halves_and_predicted_by_the_models():
 def test_the_effect_is_the_largest_of_the_relative_changes():
     for _, _, _, finding in single():
         sizes = {"": 0.0}
-        pairs = {
-            c.label: c for c in finding.coefficients if c.label in ("angle_random_walk", "rate_random_walk")
-        }
+        walks = ("angle_random_walk", "rate_random_walk")
+        pairs = {c.label: c for c in finding.coefficients if c.label in walks}
         for label, change in (pairs | {"drift": finding.drift}).items():
             there = [x for x in (change.before, change.after) if x > 0.0]
             sizes[label] = max(there) / min(there) - 1.0 if len(there) == 2 else float(len(there))

@@ -101,10 +101,8 @@ def test_without_time_stamps_rate_and_gaps_cannot_be_checked():
 
 
 def test_the_rate_is_compared_with_the_bandwidth():
-    """Of one pole at 18 Hz a rate of 100 Hz is 5.6 times: more than it takes. Of 40 Hz it is too little.
-
-    By bands of a quarter of an octave and their scatter.
-    """
+    """Of one pole at 18 Hz a rate of 100 Hz is 5.6 times: more than it takes. Of 40 Hz it is too little."""
+    # By bands of a quarter of an octave and their scatter.
     line = aj.check(bench.recording("one_pole"))["bandwidth"]
     assert line.verdict == "fine"
     width, _, rest = line.reason.partition(" Hz (gyro_x); the rate is ")
@@ -116,10 +114,8 @@ def test_the_rate_is_compared_with_the_bandwidth():
 
 
 def test_lengths_are_those_of_the_cramer_rao_bound():
-    """Where Fisher's information about white noise and a walk gives 20 %, from whence.
-
-    Where the fit is worse than the bound at its own length, it stays so.
-    """
+    """Where Fisher's information about white noise and a walk gives 20 %, from whence."""
+    # Where the fit is worse than the bound at its own length, it stays so.
     rng, n, rate, N = np.random.default_rng(12), 2048, 10.0, 1e-5
     white, steps = (rng.standard_normal((n, 6)) for _ in range(2))
     whole = recording(N * (np.sqrt(rate) * white + 0.16 / np.sqrt(rate) * np.cumsum(steps, axis=0)), rate)

@@ -118,9 +118,8 @@ def test_five_terms_have_finite_limits_that_cover(K):
     fit = aj.fit(records(1.0, K, 60, seed=31), "Q + N + B + K + R", as_is=True, vibrating=True)
     truth = {"angle_random_walk": 1.0, "rate_random_walk": K}
     for label in fit.template.term_labels:
-        ends = np.array(
-            [[r[label].upper_limit, *r[label].interval, *r[label].interval_68] for r in fit.results]
-        )
+        found = [r[label] for r in fit.results]
+        ends = np.array([[c.upper_limit, *c.interval, *c.interval_68] for c in found])
         assert np.isfinite(ends).all()
         assert np.sum(ends[:, 0] >= truth.get(label, 0.0)) >= 57.0 - 4.0 * np.sqrt(57.0 * 0.05), label
     # The record's own slope is known to N·√(12/T³) beside white noise; with three more terms that look

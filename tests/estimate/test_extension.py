@@ -26,10 +26,8 @@ def test_an_axis_that_the_plain_terms_do_not_follow_is_corrected(name):
         assert not plain.measured or plain["N"].std > 1.2 * c.std
         assert (plain.own_template, plain.widening) == (None, 1.0)
         # The model is what was measured, up to a hundredth and four standard errors.
-        ratio, edf = (
-            fit.curve.deviation[:, k] / fit.model_deviation(axis, fit.curve.cluster_time),
-            fit.curve.edf[:, k],
-        )
+        ratio = fit.curve.deviation[:, k] / fit.model_deviation(axis, fit.curve.cluster_time)
+        edf = fit.curve.edf[:, k]
         assert (abs(ratio - 1.0) < 4.0 / np.sqrt(2.0 * edf) + 0.01)[edf > 50.0].all()
         # Filter, resonances and lines are told apart from the terms of the sensor.
         assert set(result.further) == {c.term for c in result.coefficients.values()} - set(plain.coefficients)
@@ -92,10 +90,8 @@ def test_a_resonance_inside_a_filter_is_told_from_one_after_it(inside):
 
 
 def test_a_mean_over_many_samples_is_found():
-    """White noise, twenty times as fast as the samples: each zero of the response is a trap.
-
-    The record tells the duration of 28 samples to a thousandth; 0.05 is a tenth of the way to a next maximum.
-    """
+    """White noise, twenty times as fast as the samples: each zero of the response is a trap."""
+    # The record tells 28 samples' duration to a thousandth; 0.05 is a tenth of the way to a next maximum.
     fine, width, rng = 20, 560, np.random.default_rng(5)
     total = np.cumsum(rng.standard_normal((N + 28) * fine))
     x = (total[width:] - total[:-width])[::fine][:N] / width
@@ -122,11 +118,9 @@ ROUNDED = aj.Butterworth(23.0) * NOISE + aj.Quantization(1.7e-5)
     ids=["mean", "two poles", "rounded"],
 )
 def test_quantization_is_told_from_the_shape_of_a_filter(truth):
-    """Three sensors each: quantization is detected where there is some, within three of its deviations.
-
-    At half the sample rate two poles and a mean have nearly the same response: the whole density holds to
-    4 %, three deviations of a sixth of an octave of 65,536 samples and of N. Bandwidths hold to four.
-    """
+    """Three sensors each: quantization is detected where there is some, within three of its deviations."""
+    # At half the sample rate two poles and a mean have nearly the same response: the whole density holds to 4
+    # %, three deviations of a sixth of an octave of 65,536 samples and of N. Bandwidths hold to four.
     f, label = np.geomspace(2.0, 48.0, 12), "_".join(truth.response.name().split())
     x = np.stack([aj.simulate(truth, 2**16, RATE, seed) for seed in (1, 2, 3)], axis=1)
     for result in aj.fit(recording(x, RATE), as_is=True, vibrating=True).results:

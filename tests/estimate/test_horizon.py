@@ -1,7 +1,4 @@
-"""Numbers for a filter of two parameters: what it predicts and what is true, by other computations.
-
-Models whose parameters are all held are known exactly, so that nothing scatters.
-"""
+"""Numbers for a filter of two parameters: what it predicts and what is true, by other computations."""
 
 import functools
 
@@ -20,7 +17,7 @@ WHITE, WALK = aj.AngleRandomWalk(1e-3).hold("coefficient"), aj.RateRandomWalk(4e
 
 
 def held(term):
-    """The term or response with all its parameters held."""
+    """The term or response with all its parameters held: known exactly, so that nothing scatters."""
     return term.hold(*(p.name for p in term.parameters()))
 
 

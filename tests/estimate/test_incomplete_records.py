@@ -109,11 +109,9 @@ def test_a_stretch_is_used_without_what_happened_in_it(every, touched):
 
 @pytest.mark.parametrize("objective", ["allan", "whittle"])
 def test_missing_samples_widen_what_is_said_of_a_complete_record(objective):
-    """With a share f missing, by √(1/(1 − f) + f): intervals in proportion to the value.
-
-    Of white noise that is exact: n(1 − f) samples determine its level, and the draws, which are made at that
-    level, add the scatter of n·f samples.
-    """
+    """With a share f missing, by √(1/(1 − f) + f): intervals in proportion to the value."""
+    # Of white noise that is exact: n(1 − f) samples determine its level, and the draws, which are made at
+    # that level, add the scatter of n·f samples.
     x = record(43)[: LENGTHS[0]]
     x[np.random.default_rng(7).random(len(x)) < 0.2, 0] = NAN
     holey = made(x, "fill")
@@ -153,16 +151,3 @@ def test_dead_axes_are_named_and_the_others_are_fitted():
         assert fit[name]["N"] == alone[name]["N"]
     dead = {axis["name"]: axis["dead"] for axis in aj.to_dict(fit)["axes"]}
     assert dead == {name: name in DEAD for name in options["names"]}
-
-
-def test_streams_tell_dead_axes_too(tmp_path):
-    stream = aj.AllanAccumulator(RATE, ["gyro_x", "gyro_y"])
-    stream.update(np.random.default_rng(3).standard_normal((2048, 2)) * [1e-3, 0.0])
-    stream.snapshot(tmp_path / "state.npz")
-    fit = aj.AllanAccumulator.restore(tmp_path / "state.npz").fit("N")
-    assert list(fit.without_result) == ["gyro_y"]
-    assert fit["gyro_x"]["N"].value == pytest.approx(1e-4, abs=4.0 * fit["gyro_x"]["N"].std)
-    still = aj.AllanAccumulator(RATE, ["gyro_x"])
-    still.update(np.zeros(100))
-    with pytest.raises(aj.FitError, match="gyro_x"):
-        still.fit()

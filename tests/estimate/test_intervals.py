@@ -20,10 +20,8 @@ def ends_of(c):
 
 @pytest.mark.parametrize("n", [65, 200])
 def test_white_noise_has_the_intervals_of_its_chi_square_law(n):
-    """All squares together are χ² with n − 1 degrees of freedom.
-
-    Between hypotheses half a standard deviation apart the score is interpolated: a tenth of one.
-    """
+    """All squares together are χ² with n − 1 degrees of freedom."""
+    # Between hypotheses half a standard deviation apart the score is interpolated: a tenth of one.
     x = drawn(WHITE, n, RATE, 3)[:, 0]
     result = aj.fit(recording(x, RATE), "N", "whittle", as_is=True)["gyro_0"]
     c = result["N"]
@@ -52,11 +50,9 @@ def test_amplitudes_have_the_limits_of_the_likelihoods_profile():
 
 
 def test_a_term_that_is_absent_has_the_limit_of_its_score():
-    """By the law of the score under the limit itself, of weighted Gamma variates, drawn 40,000 times.
-
-    What the data want less than nothing counts as nothing: the score at zero is taken off, so that limits
-    are never too low, and the fewer levels tell of a walk the higher.
-    """
+    """By the law of the score under the limit itself, of weighted Gamma variates, drawn 40,000 times."""
+    # What the data want less than nothing counts as nothing: the score at zero is taken off, so that limits
+    # are never too low, and the fewer levels tell of a walk the higher.
     n, told = 65, 0
     x = drawn(WHITE, n, RATE, 6, 8)
     gammas = np.random.default_rng(1).chisquare(1.0, (40_000, n - 1))
@@ -99,11 +95,9 @@ COLUMNS = {
 
 @pytest.mark.parametrize("name", COLUMNS)
 def test_ramps_steps_and_lines_have_the_noncentral_chi_square_law(name):
-    """Of the square of their estimate by regression, from nothing to 40 standard deviations of amplitude.
-
-    Upper ends never rest on less than the median of pure noise; far from zero a normal law stands for the
-    noncentral one, to 2·10⁻⁴ of probability. A line is known by the coefficients about it: 6 % of that.
-    """
+    """Of the square of their estimate by regression, from nothing to 40 standard deviations of amplitude."""
+    # Upper ends never rest on less than the median of pure noise; far from zero a normal law stands for the
+    # noncentral one, to 2·10⁻⁴ of probability. A line is known by the coefficients about it: 6 % of that.
     columns, term = COLUMNS[name]
     degrees, within = columns.shape[1], 0.06 if name == "line" else 4e-3
     centred = columns - columns.mean(axis=0)
@@ -131,11 +125,9 @@ def test_ramps_steps_and_lines_have_the_noncentral_chi_square_law(name):
 
 
 def test_a_line_that_was_searched_for_competes_with_all_that_noise_has():
-    """The strongest line of white noise is none, though at a frequency named beforehand it would be one.
-
-    The highest of some 256 peaks of 512 samples has a half square of ln 256 = 5.5 and more. Searched for, one
-    axis in 740 has a line: two of 24 would be once in 2,000 times.
-    """
+    """The strongest line of white noise is none, though at a frequency named beforehand it would be one."""
+    # The highest of some 256 peaks of 512 samples has a half square of ln 256 = 5.5 and more. Searched for,
+    # one axis in 740 has a line: two of 24 would be once in 2,000 times.
     n, f, A, model = 512, 2.345, 9.0 * np.sqrt(2.0 / 512), aj.AngleRandomWalk() + aj.Sinusoid()
     x = np.random.default_rng(8).normal(size=(n, 24))
     searched = aj.fit(recording(x, RATE), model, "whittle", as_is=True)

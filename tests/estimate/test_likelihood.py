@@ -1,8 +1,4 @@
-"""Estimates, standard deviations and χ² of every objective, against dense matrices and scipy's optimum.
-
-Of terms that are none of the joint model's own components each compiles programs of 15 s: these are for the
-studies.
-"""
+"""Estimates, standard deviations and χ² of every objective, against dense matrices and scipy's optimum."""
 
 import dataclasses
 
@@ -56,17 +52,15 @@ def check_verdict(result, x, model, found):
 
 
 def dear(names, *rare):
-    """All names; those whose programs compile for 15 s are for the studies."""
+    """All names; of terms beyond the joint model's own, each compiles for 15 s: these are for the studies."""
     return [pytest.param(name, marks=[pytest.mark.study] * (name in rare)) for name in names]
 
 
 @pytest.mark.parametrize("name", dear(SPECTRA, "N + A"))
 def test_whittles_estimate_is_the_maximum_and_its_error_the_inverse_information(name):
-    """Independent χ² levels about the diagonal of the dense covariance of the cosine coefficients.
-
-    The first 64 have their exact expectation; of higher ones that are not white, and of flicker, the density
-    at two nodes of a bin stands for it: 2 % of a standard deviation, 1 % of it.
-    """
+    """Independent χ² levels about the diagonal of the dense covariance of the cosine coefficients."""
+    # The first 64 have their exact expectation; of higher ones that are not white, and of flicker, the
+    # density at two nodes of a bin stands for it: 2 % of a standard deviation, 1 % of it.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0]
     result, found, _labels = fitted(model, x, "whittle", RATE)
@@ -84,9 +78,8 @@ def test_whittles_estimate_is_the_maximum_and_its_error_the_inverse_information(
 
 @pytest.mark.parametrize(("name", "of_std"), [("N + K", 0.02), ("N + B", 0.1), ("Q + N", 0.25)])
 def test_whittles_estimate_is_near_that_of_the_samples_themselves(name, of_std):
-    """The dense Gaussian likelihood without bins. Coefficients correlate a little under flicker, and under
-    quantization, whose two end readings all share.
-    """
+    """The dense Gaussian likelihood without bins."""
+    # Coefficients correlate a little under flicker, and under quantization, whose end readings all share.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0]
     result, found, _ = fitted(model, x, "whittle", RATE)
@@ -95,11 +88,9 @@ def test_whittles_estimate_is_near_that_of_the_samples_themselves(name, of_std):
 
 @pytest.mark.parametrize("name", dear(["N + K", "N + B", "Q + N", "N + markov", "stream"], "N + markov"))
 def test_allan_variances_are_fitted_by_generalized_least_squares(name):
-    """D'C⁻¹(V − μ) = 0 with all of it by quadratic forms: a further step is 5 % of a standard deviation.
-
-    A thousandth is where the solver stops; the rest is the quadrature of its covariance over lags (half a
-    per cent), multiplied by 16 estimates that know much the same.
-    """
+    """D'C⁻¹(V − μ) = 0 with all of it by quadratic forms: a further step is 5 % of a standard deviation."""
+    # A thousandth is where the solver stops; the rest is the quadrature of its covariance over lags (half a
+    # per cent), multiplied by 16 estimates that know much the same.
     model, seed = SPECTRA["N + K" if name == "stream" else name]
     # Of half the samples most seeds leave no more than a limit of a correlation time.
     x = drawn(model, 128, RATE, 12 if name == "N + markov" else seed)
@@ -154,10 +145,8 @@ def test_wavelet_variances_are_fitted_by_generalized_least_squares(wavelet, of_s
 
 @pytest.mark.parametrize("name", ["N + K", "N + markov"])
 def test_the_exact_likelihood_is_that_of_the_samples_themselves(name):
-    """Maximum to the step at which the climb ends: a gain of 10⁻⁵ nats is 0.5 % of a standard deviation.
-
-    The information is that of the innovations found, which scatters about the expected one of the dense law.
-    """
+    """Maximum to the step at which the climb ends: a gain of 10⁻⁵ nats is 0.5 % of a standard deviation."""
+    # The information is that of the innovations found, which scatters about the dense law's expected one.
     model, seed = SPECTRA[name]
     x = drawn(model, N, RATE, seed)[:, 0] + 3.0
     result, found, _ = fitted(model, x, "exact", RATE)

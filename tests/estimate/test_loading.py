@@ -54,9 +54,8 @@ def not_finite():
 def failed():
     fit = without_result(aj.fit(white(), "N + K"), "gyro_0")
     moved = Fact("at rest", "it was moved", ("gyro_0",), "not a measurement", 3.0, "deg/s", ((1.5, 19.0),))
-    return dataclasses.replace(
-        fit, facts=(moved, Fact("length", "short", ())), parts=((1.5, 9.0), (10.0, 19.0))
-    )
+    facts = (moved, Fact("length", "short", ()))
+    return dataclasses.replace(fit, facts=facts, parts=((1.5, 9.0), (10.0, 19.0)))
 
 
 FITS = {

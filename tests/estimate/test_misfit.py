@@ -22,10 +22,8 @@ def noise(seed):
 
 @pytest.fixture(scope="module")
 def records():
-    """Handled for two seconds; under a line of thrice the noise; at rest; a small line; a hump of 35 %.
-
-    The hump raises the root of the spectrum by a raised cosine about 20 Hz, an octave wide at half.
-    """
+    """Handled for two seconds; under a line of thrice the noise; at rest; a small line; a hump of 35 %."""
+    # The hump raises the root of the spectrum by a raised cosine about 20 Hz, an octave wide at half.
     x = np.stack([noise(seed) for seed in (5, 6, 7, 7, 7)], axis=1)
     x[:200, 0] += np.cumsum(np.random.default_rng(8).normal(size=200)) * 0.02
     for k, size, f in ((1, 3.0, 3.0), (3, 0.4, 5.0)):
@@ -59,9 +57,8 @@ def by_definition(place, ratio, edf, unit):
     if unit == "Hz":
         # The largest of the lower medians over octaves.
         more = 2.0 * (1.0 + 1e-9)
-        octaves = [
-            certain[(place >= p) & (place <= more * p)] for p in place if 2.0 * p <= place[-1] * more / 2.0
-        ]
+        whole = place[2.0 * place <= place[-1] * more / 2.0]
+        octaves = [certain[(place >= p) & (place <= more * p)] for p in whole]
         sustained = max(np.quantile(octave, 0.5, method="lower") for octave in octaves)
     return place[k], *np.expm1([log[k], rms, sustained, abs(log[k]) - certain[k]])
 
@@ -83,10 +80,8 @@ def test_the_misfit_of_an_allan_deviation_is_that_of_a_search_through_all_places
 
 @pytest.mark.parametrize("axis", ["gyro_1", "gyro_4"])
 def test_the_misfit_of_a_spectrum_is_that_of_thirds_of_octaves(records, fits, axis):
-    """Of the cosine spectrum's squares, averaged over thirds of octaves from its first coefficient on.
-
-    The model's density at each coefficient instead of two in each bin: 2 % of a deviation.
-    """
+    """Of the cosine spectrum's squares, averaged over thirds of octaves from its first coefficient on."""
+    # The model's density at each coefficient instead of two in each bin: 2 % of a deviation.
     fit = fits["whittle"]
     result, k = fit[axis], fit.axes.index(axis)
     ratio = dct(records[:, k], norm="ortho")[1:] ** 2 / squares_of(result)
@@ -172,10 +167,8 @@ def test_what_was_held_stays_as_it_was_given(records, fits):
     model = aj.AngleRandomWalk(WHITE).hold("coefficient") + aj.RateRandomWalk()
     for k, objective in ((2, "allan"), (2, "whittle"), (1, "whittle")):
         x = recording(records[:, k], RATE)
-        result, free = (
-            aj.fit(x, model, objective, as_is=True, vibrating=True)["gyro_0"],
-            fits[objective].results[k],
-        )
+        result = aj.fit(x, model, objective, as_is=True, vibrating=True)["gyro_0"]
+        free = fits[objective].results[k]
         c = result["N"]
         assert (c.value, c.std, c.held, c.measured, c.interval) == (WHITE, 0.0, True, True, (WHITE, WHITE))
         assert c.describe().endswith("(held)")

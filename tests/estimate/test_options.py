@@ -14,9 +14,8 @@ import allanjax as aj
 
 WHITE, STEP = aj.AngleRandomWalk(), aj.BiasStep(time=3.0)
 SOME = records(1e-3, 3e-3, 2, seed=5)
-WITH_CHANNELS = dataclasses.replace(
-    SOME, auxiliary={"temperature": np.arange(2048.0), "constant": np.full(2048, 3.0)}
-)
+CHANNELS = {"temperature": np.arange(2048.0), "constant": np.full(2048, 3.0)}
+WITH_CHANNELS = dataclasses.replace(SOME, auxiliary=CHANNELS)
 CURVE, HADAMARD = (aj.allan_deviation(SOME, kind=kind) for kind in ("allan", "hadamard"))
 
 
@@ -93,15 +92,9 @@ def test_an_axis_that_did_not_converge_is_no_result():
     failed = refused.results[0]
     assert not refused.converged
     assert refused.without_result == {"gyro_0": "the start was hopeless"}
-    for ask in (
-        lambda: failed.coefficients,
-        lambda: failed.covariance,
-        lambda: failed.model,
-        lambda: failed["angle_random_walk"],
-        lambda: refused.coefficients,
-        lambda: refused.to_dataframe(),
-        lambda: aj.sample(refused, progress=False),
-    ):
+    asks = [lambda name=name: getattr(failed, name) for name in ("coefficients", "covariance", "model")]
+    asks += [lambda: failed["angle_random_walk"], lambda: refused.coefficients, refused.to_dataframe]
+    for ask in [*asks, lambda: aj.sample(refused, progress=False)]:
         with pytest.raises(aj.FitError, match="the start was hopeless"):
             ask()
 

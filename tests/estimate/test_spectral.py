@@ -26,11 +26,9 @@ RESPONSES += [aj.Butterworth(1.7, order) for order in (1, 2, 3, 4)]
 
 
 class Dense(Spectrum):
-    """Mean squares of so many coefficients of simulated records, under R · Σ terms inside + Σ terms after.
+    """Mean squares of so many coefficients of simulated records, under R · Σ terms inside + Σ terms after."""
 
-    R is what becomes of white noise, the record's ends included.
-    """
-
+    # R is what becomes of white noise, the record's ends included.
     def __init__(self, model, count, seed):
         super().__init__(np.zeros(N), RATE, np.arange(1, N + 1))
         self.count = count
@@ -70,11 +68,9 @@ def squared_amplitudes(model):
 
 @pytest.mark.parametrize("response", RESPONSES, ids=str)
 def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(response):
-    """In logarithms: levels to 10⁻¹⁰; derivatives to the error of five points, 10⁻⁷ for a resonance.
-
-    Those by a filter's shape are differences with a step of 10⁻⁴, of a power of up to the eighth order: they
-    are off by 10⁻⁸/6 · 8³ at most.
-    """
+    """In logarithms: levels to 10⁻¹⁰; derivatives to the error of five points, 10⁻⁷ for a resonance."""
+    # Those by a filter's shape are differences with a step of 10⁻⁴, of a power of up to the eighth order:
+    # they are off by 10⁻⁸/6 · 8³ at most.
     model = (response * WHITE if response else WHITE) + AFTER
     dense, power, labels = Dense(model, 1, 0), squared_amplitudes(model), list(model.values)
     mean, (arrangement, slots, theta) = dense.means(model), prepared(model, dense, False)
@@ -89,11 +85,9 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
 
 
 def test_the_maximum_is_that_of_a_general_minimizer():
-    """White noise, flicker and a resonance behind a filter: the same loss, and the same standard errors.
-
-    Levels are of fifty records, so that every parameter is determined. Errors are those of the general
-    minimizer's place, which is off by 10⁻³ of them.
-    """
+    """White noise, flicker and a resonance behind a filter: the same loss, and the same standard errors."""
+    # Levels are of fifty records, so that every parameter is determined. Errors are those of the general
+    # minimizer's place, which is off by 10⁻³ of them.
     truth = aj.LowPass1(1.5) * (WHITE + aj.BiasInstability(0.2) + aj.Resonance(0.3, 2.0, 6.0))
     dense, labels = Dense(truth, 50, 3), [p.label for p in truth.parameters if p.free]
     start = truth.with_values(**{k: 1.3 * v for k, v in truth.values.items()})
@@ -116,11 +110,9 @@ def test_the_maximum_is_that_of_a_general_minimizer():
 
 
 def test_powers_are_those_of_a_bounded_minimizer():
-    """Three batches, of models with a term that is not there, whose power ends at zero, or without one.
-
-    To 10⁻³ nats, of which the search decides about one: models that do not describe the levels are allowed
-    no more than the usual steps.
-    """
+    """Three batches, of models with a term that is not there, whose power ends at zero, or without one."""
+    # To 10⁻³ nats, of which the search decides about one: models that do not describe the levels are allowed
+    # no more than the usual steps.
     rng, f = np.random.default_rng(4), np.geomspace(1e-3, 0.5, 60)
     every, shape, at_zero = np.stack([f**k for k in (0.0, -1.0, -2.0, 2.0)]), np.geomspace(0.5, 200.0, 60), 0
     used = np.array([[1, 1, 0, 0], [1, 0, 1, 0], [1, 1, 1, 0], [1, 1, 1, 1]], bool)
@@ -135,10 +127,8 @@ def test_powers_are_those_of_a_bounded_minimizer():
                 mean = np.maximum(x @ unit, 1e-12)
                 return shape @ (np.log(mean) + level / mean), unit @ (shape / mean * (1.0 - level / mean))
 
-            bounds, options = [(0.0, None)] * len(scale), {"ftol": 1e-15, "gtol": 1e-8}
-            found = minimize(
-                minus_log, [30.0] * len(scale), jac=True, method="L-BFGS-B", bounds=bounds, options=options
-            )
+            how = {"jac": True, "method": "L-BFGS-B", "options": {"ftol": 1e-15, "gtol": 1e-8}}
+            found = minimize(minus_log, [30.0] * len(scale), bounds=[(0.0, None)] * len(scale), **how)
             assert value == pytest.approx(found.fun, abs=1e-3)
             # An error of 10⁻³ nats is one of √0.002 standard deviations.
             assert_allclose(p[own] / scale, found.x, rtol=0.0, atol=0.05)
@@ -173,7 +163,6 @@ def test_a_search_takes_few_joint_fits(monkeypatch):
     place = "allanjax.estimate.structure.structure.maximize"
     monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
     (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
-    assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= set(
-        result.coefficients
-    )
+    labels = {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"}
+    assert labels <= {*result.coefficients}
     assert 5 < len(calls) <= 35

@@ -16,11 +16,9 @@ FOUR_DECADES = np.log1p(1e4)
 
 
 class Integrals:
-    """ln ∫ likelihood · prior over amplitudes, on grids uniform in ln(1 + c/scale).
+    """ln ∫ likelihood · prior over amplitudes, on grids uniform in ln(1 + c/scale)."""
 
-    The scale is where a term's power is one standard deviation: scale⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
-    """
-
+    # The scale is where a term's power is one standard deviation: scale⁻⁴ = Σ ½ (s_j/S_j)², S at the maximum.
     def __init__(self, x):
         self.dense = Spectrum(x, RATE, np.arange(1, SHORT + 1))
         self.c, both = self.dense.c, WHITE + WALK
@@ -78,9 +76,8 @@ def ranked():
 
 
 def test_evidence_is_the_integral_over_the_prior(ranked):
-    """To 0.8 nats: Laplace's approximation is good to a few tenths where an amplitude is known to a third
-    only. A ramp is integrated exactly: to 0.02 nats, the steps of the sum here.
-    """
+    """To 0.8 nats: Laplace's approximation is off by tenths where an amplitude is known to a third only."""
+    # A ramp is integrated exactly: to 0.02 nats, the steps of the sum here.
     records, selection = ranked
     for axis, x in zip(selection.results, records.T, strict=True):
         assert axis.discrepancy == 0.0
@@ -92,10 +89,8 @@ def test_evidence_is_the_integral_over_the_prior(ranked):
 
 
 def test_a_grid_of_times_is_one_set():
-    """White noise: the evidence of a Markov process besides is the mean over 16 times, by quadrature.
-
-    To 0.8 nats, as above; the sum would be ln 16 = 2.8 nats more.
-    """
+    """White noise: the evidence of a Markov process besides is the mean over 16 times, by quadrature."""
+    # To 0.8 nats, as above; the sum would be ln 16 = 2.8 nats more.
     x = drawn(WHITE, SHORT, RATE, 24)[:, 0]
     selection, ours = aj.select_terms(recording(x, RATE), "N + markov"), Integrals(x)
     found = {s.terms: s.log_evidence for s in selection["gyro_0"].ranking}
@@ -204,10 +199,8 @@ def test_a_model_that_no_set_of_terms_follows_has_weaker_odds():
 
 def test_two_markov_processes_are_told_from_one_where_both_are_strong():
     """Correlation times of 0.2 and 20 s in 655 s; the candidates must have two."""
-    both, alone = (
-        aj.select_terms(bench.recording(name), "N + B + markov + markov").results[0]
-        for name in ("two_markovs", "markov_slow")
-    )
+    records = map(bench.recording, ("two_markovs", "markov_slow"))
+    both, alone = (aj.select_terms(x, "N + B + markov + markov").results[0] for x in records)
     assert {"markov_1", "markov_2"} <= set(both.best.terms)
     assert both.inclusion["markov_2"] > 0.5 > alone.inclusion["markov_2"]
     assert alone.chosen.terms == ("angle_random_walk", "markov_1")
@@ -224,10 +217,8 @@ def test_a_fit_without_a_model_uses_the_chosen_sets():
 
 
 def test_a_slow_term_that_may_be_another_is_not_called_detected():
-    """Of flicker that is just seen: a term is detected where the sets that have it have 95 %, and no other.
-
-    Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
-    """
+    """Of flicker that is just seen: a term is detected where the sets with it have 95 %, and no other."""
+    # Twelve records of 164 s, in which white noise and flicker of these sizes meet at 16 s.
     rng = np.random.default_rng(500)
     x = np.stack([golden.sensor(rng, 2048, RATE, **golden.crossing(0.1, B=16.0)) for _ in range(12)], axis=1)
     found, told = aj.fit(recording(x, RATE), as_is=True, vibrating=True), 0

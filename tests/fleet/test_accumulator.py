@@ -21,8 +21,8 @@ def x():
     return (N * np.sqrt(RATE) * rng.standard_normal((n, 2)) + walk) * [1.0, 3.0] + [0.02, -0.5]
 
 
-def filled(x, size, start=0):
-    accumulator = aj.AllanAccumulator(RATE, AXES, start=start)
+def filled(x, size, start=0, axes=AXES):
+    accumulator = aj.AllanAccumulator(RATE, axes, start=start)
     for k in range(0, len(x), size):
         accumulator.update(x[k : k + size])
     return accumulator
@@ -85,7 +85,7 @@ def test_terms_are_chosen_without_the_record(x):
         assert {*axis.chosen.terms} == {"angle_random_walk", "rate_random_walk"}
 
 
-def test_a_dead_axis_of_a_stream_has_no_result(x):
+def test_a_dead_axis_of_a_stream_has_no_result(x, tmp_path):
     part = x[:20_000].copy()
     part[:, 1] = np.nan
     accumulator = filled(part, 7_000)
@@ -95,7 +95,13 @@ def test_a_dead_axis_of_a_stream_has_no_result(x):
     for call in (lambda: accumulator.update(x[20_000:30_000]), lambda: accumulator.merge(piece)):
         refused(call, "gyro_y", aj.AllanjaxError)
     part[:, 1] = 0.25
-    assert "0.25" in filled(part, 7_000).dead[0].reason
+    constant = filled(part, 7_000)
+    assert "0.25" in constant.dead[0].reason
+    constant.snapshot(tmp_path / "state.npz")
+    fit = aj.AllanAccumulator.restore(tmp_path / "state.npz").fit("N", as_is=True)
+    assert list(fit.without_result) == ["gyro_y"]
+    assert fit["gyro_x"]["N"] == filled(part[:, :1], 7_000, axes=AXES[:1]).fit("N", as_is=True)["gyro_x"]["N"]
+    refused(filled(np.zeros((100, 2)), 100).fit, "gyro_x", aj.FitError)
 
 
 def test_what_goes_wrong_is_named_and_nothing_is_lost(x, tmp_path):

@@ -15,10 +15,8 @@ def marked_axes(result):
 
 
 def integral(x, s, unit, scale):
-    """Probability of a unit at least so far out on its side: over scatter and centre of the others.
-
-    Prior of the scatter: Student's t with 8 degrees of freedom, folded at zero; of the centre: flat.
-    """
+    """Probability of a unit at least so far out on its side: over scatter and centre of the others."""
+    # Prior of the scatter: Student's t with 8 degrees of freedom, folded at zero; of the centre: flat.
     others = np.arange(len(x)) != unit
     sign = np.sign(x[unit] - np.median(x[others]))
 
@@ -39,11 +37,9 @@ def integral(x, s, unit, scale):
     [(ARW, 0.12, 4, 3.0, 0), (ARW, 0.12, 9, -3.0, 0), (BI, 0.4, 6, 3.0, 0), (ARW, 0.12, 6, 3.0, 2)],
 )
 def test_a_mark_is_as_improbable_as_it_says(fleet, label, scale, units, top, further):
-    """The value at which a unit begins to be marked is where its probability is what each test may have.
-
-    In all one like fleet in a hundred may have a mark; half of that is for tests of several suspects, the
-    rest is shared by the coefficients, the two sides, and the units of which it is the most extreme.
-    """
+    """The value at which a unit begins to be marked is where its probability is what each test may have."""
+    # In all one like fleet in a hundred may have a mark; half of that is for tests of several suspects, the
+    # rest is shared by the coefficients, the two sides, and the units of which it is the most extreme.
     rng = np.random.default_rng(units)
     x, s = 0.05 * rng.standard_normal(units), rng.uniform(0.02, 0.05, units)
     others = [("accel", name, np.ones((units, 1)), 0.1) for name in (ARW, BI)[:further]]

@@ -129,13 +129,8 @@ def line(amplitude, frequency, phase):
     return amplitude * np.sin(2.0 * np.pi * frequency * np.arange(MIDDLE) / RATE + phase)
 
 
-LABELS = {
-    "Q": "quantization",
-    "N": "angle_random_walk",
-    "B": "bias_instability",
-    "K": "rate_random_walk",
-    "R": "drift_ramp",
-}
+_BASIC = "quantization angle_random_walk bias_instability rate_random_walk drift_ramp"
+LABELS = dict(zip("QNBKR", _BASIC.split(), strict=True))
 MAKERS = {"Q": quantization, "N": white, "B": flicker, "K": walk}
 
 
@@ -314,10 +309,8 @@ EFFECTS, TROUBLED = {}, {}
 
 
 def hides(seed, *names, among=EFFECTS, **more):
-    """Add a record of N + K of unequal size on these axes, in which the function hides something.
-
-    It changes the axes x by name, of which it gets the truth, and returns the effects.
-    """
+    """Add a record of N + K of unequal size on these axes, in which the function hides something."""
+    # It changes the axes x by name, of which it gets the truth, and returns the effects.
 
     def make(hide, seed=seed):
         rng, x, truth = np.random.default_rng(seed), {}, {}
@@ -496,10 +489,8 @@ def dead(_, x, truth):
 
 
 def real(unit):
-    """The first eleven minutes of a real unit, whose truth nobody knows.
-
-    Raises FileNotFoundError without the data.
-    """
+    """The first eleven minutes of a real unit, whose truth nobody knows."""
+    # Raises FileNotFoundError without the data.
     import pandas as pd
 
     frame = pd.read_parquet(DATA / f"adis16405_unit{unit}.parquet")[:LONG]

@@ -283,9 +283,8 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
     for steps, means in ((0.4, ""), (1.0, "widened"), (1.8, "widened"), (3.0, "not a measurement")):
         x = LEVEL + SIGMA * steps * np.round((values(15) - LEVEL) / SIGMA / steps)
         result = aj.inspect(recording(x))
-        assert {(f.kind, f.consequence) for f in result.facts} == (
-            {("resolution", means)} if means else set()
-        )
+        expected = {("resolution", means)} if means else set()
+        assert {(f.kind, f.consequence) for f in result.facts} == expected
         for k, fact in enumerate(result.facts):
             assert fact.axes == (NAMES[k],)
             # The rms of differences of rounded noise, over the root of two, in steps.

@@ -115,11 +115,9 @@ def test_bias_and_states_are_the_conditional_means(name, smooth):
 
 
 def by_numbers(z: np.ndarray, N: float, K: float):
-    """Innovations, their variances, and the smoothed means of a walk, in white noise, with their variances.
-
-    The walk x goes on by w, its mean over the interval is x + m, Var w = q, Var m = q/3, Cov = q/2. After
-    Bryson and Frazier: r and n are the later innovations' gradient in the error of x, and its variance.
-    """
+    """Innovations, and the smoothed means of a walk in white noise, with their variances."""
+    # The walk x goes on by w, its mean over the interval is x + m, Var w = q, Var m = q/3, Cov = q/2. After
+    # Bryson and Frazier: r and n are the later innovations' gradient in the error of x, and its variance.
     q, R, n = K**2 / RATE, N**2 * RATE, len(z)
     e, s, P, gain = (np.empty(n) for _ in range(4))
     x, p, mean = 0.0, 0.0, np.empty(n)

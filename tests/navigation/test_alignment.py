@@ -85,9 +85,8 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
     # Errors fall before their optimum: the time by interpolation of the logs.
     falling = (row[: np.argmin(row) + 1] for row in errors)
     wanted = -math.log(found.wanted)
-    reached = np.array(
-        [np.exp(np.interp(wanted, -np.log(x), np.log(at[: len(x)]), right=math.inf)) for x in falling]
-    )
+    logs = [np.interp(wanted, -np.log(x), np.log(at[: len(x)]), right=math.inf) for x in falling]
+    reached = np.exp(logs)
     for name, values in {"best": least, "best_time": first, "needed": reached}.items():
         quantiles = [np.quantile(values, q, method="nearest") for q in (0.025, 0.975)]
         np.testing.assert_allclose(getattr(found, f"{name}_interval"), quantiles, rtol=1e-6)

@@ -43,10 +43,8 @@ BEFORE, AFTER = 90, 60
 
 
 def weights(stiffness):
-    """What each sample's error does to φ, v and p after 60 samples: φ' = ε − k·v, v' = φ, p' = v.
-
-    With the samples of the calibration before, whose mean is taken out.
-    """
+    """What each sample's error does to φ, v and p after 60 samples: φ' = ε − k·v, v' = φ, p' = v."""
+    # With the samples of the calibration before, whose mean is taken out.
     A = np.zeros((4, 4))
     A[0, 3], A[0, 1], A[1, 0], A[2, 1] = 1.0, -stiffness, 1.0, 1.0
     step = expm(A / RATE)

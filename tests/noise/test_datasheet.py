@@ -149,6 +149,9 @@ def test_convert_units_and_sheets(tmp_path):
     one, two = run("convert", 0.003, "deg/s/√Hz", "--to", "deg/√h").stdout.splitlines()
     assert f"= {0.18 / math.sqrt(2.0):.6g} deg/√h" in one
     assert "= 0.18 deg/√h" in two
+    assert "3600 deg/h = 1 deg/s" in run("convert", 3600, "deg/h", "--to", "deg/s").stdout
+    two_sided = run("convert", 200, "µg/√Hz", "--to", "m/s/√h", "--sided", "two").stdout
+    assert f"= {200e-6 * G0 * 60.0:.6g} m/s/√h" in two_sided
     one_sided = run("convert", 0.18, "deg/rt-hr", "--to", "dps/sqrt(Hz)", "--sided", "one").stdout
     assert f"= {0.003 * math.sqrt(2.0):.6g} dps/sqrt(Hz)" in one_sided
     squares = run("convert", 2, "(deg/h)²/Hz", "--to", "deg²/h", "--sided", "one").stdout

@@ -177,11 +177,8 @@ def test_ramps_and_transients_are_their_columns(drawn):
     assert not np.any(drawn[0]["effect"])
 
 
-MODELS = {
-    "gyro_x": aj.AngleRandomWalk(1e-3),
-    "gyro_y": "N=0.2 deg/√s",
-    "accel_z": aj.RateRandomWalk(0.1) + aj.ChannelEffect(0.5, lag=0.0, channel="temperature"),
-}
+WARM = aj.RateRandomWalk(0.1) + aj.ChannelEffect(0.5, lag=0.0, channel="temperature")
+MODELS = {"gyro_x": aj.AngleRandomWalk(1e-3), "gyro_y": "N=0.2 deg/√s", "accel_z": WARM}
 
 
 def test_recordings_of_several_axes():

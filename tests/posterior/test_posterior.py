@@ -1,10 +1,13 @@
 """Posteriors against quadrature of dense likelihoods: density, marginals, limits, Bayes factors, priors."""
 
 import functools
+import itertools
 
 import numpy as np
 import pytest
 from dense_fits import Gaussian, Spectrum, Variances, drawn, recording
+from scipy import stats
+from scipy.integrate import quad
 from scipy.special import i0e, logsumexp
 
 import allanjax as aj
@@ -44,16 +47,13 @@ def absent(records):
 
 
 class Grid:
-    """The posterior of N and another term on a grid, by independent levels about the dense covariance.
+    """The posterior of N and another term on a grid, by independent levels about the dense covariance."""
 
-    The other's amplitudes are quantiles of its prior, each of the same prior probability.
-    """
-
+    # The other's amplitudes are quantiles of its prior, each of the same prior probability.
     def __init__(self, x, axis, other=None, label="rate_random_walk"):
         dense = Spectrum(x, RATE, fit_of(x, "N + K")["gyro_0"].spectrum.bins.edges)
-        white, own = (
-            dense.means(term) for term in (aj.AngleRandomWalk(1.0), other or aj.RateRandomWalk(1.0))
-        )
+        terms = aj.AngleRandomWalk(1.0), other or aj.RateRandomWalk(1.0)
+        white, own = map(dense.means, terms)
         size = np.sqrt(np.sum(dense.level * dense.count / white) / dense.count.sum())
         n, c = np.linspace(0.3, 2.0, 400) * size, axis.priors[label].quantile(np.linspace(0.0, 1.0, 1601))
         means = (value**2 * white + c[:, None] ** 2 * own for value in n)
@@ -196,10 +196,8 @@ def test_regressors_and_ramps_of_either_sign_are_integrated_out():
 
 
 def test_a_line_is_averaged_over_its_phase():
-    """White noise: the average of exp over phases is a Bessel function of the line's own amplitude.
-
-    Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
-    """
+    """White noise: the average of exp over phases is a Bessel function of the line's own amplitude."""
+    # Beyond 64 coefficients from the line its best fit is taken out whatever the point: some tenths of a nat.
     x = drawn(WHITE, N, RATE, 6)[:, 0] + 0.25 * np.cos(2.0 * np.pi * 2.345 * T + 1.0)
     z = x - x.mean()
 
@@ -251,11 +249,8 @@ def test_a_record_with_missing_samples_has_a_wider_posterior():
 
 @pytest.mark.parametrize("objective", ["whittle", "allan"])
 def test_the_posterior_of_an_incomplete_model_is_as_wide_as_its_intervals(objective):
-    """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth.
-
-    The one is of a skew law and the other its curvature; of a model taken for the truth it would be less
-    than half as wide.
-    """
+    """White noise with a line that the model lacks: the posterior's deviation is the fit's to a fourth."""
+    # The one is of a skew law, the other its curvature; of a model taken for true it is less than half of it.
     x = np.random.default_rng(9).normal(size=512) + 0.7 * np.sin(np.pi * np.arange(512) / 10.0)
     fit = fit_of(x, "N", objective)
     assert fit["gyro_0"].discrepancy > 0.05
@@ -343,3 +338,48 @@ def test_held_parameters_and_shapes_of_what_is_absent(records):
     dense = Spectrum(records["clear"], RATE, np.arange(1, N + 1))
     std = dense.std(WHITE + aj.RateRandomWalk(axis["K"].median), ["rate_random_walk"])["rate_random_walk"]
     assert axis["K"].std == pytest.approx(std, rel=0.15)
+
+
+PRIORS = [
+    aj.Uniform(0.2, 7.0), aj.Uniform(-1.0, 1.0), aj.LogUniform(1e-3, 2.0), aj.LogUniform(0.7, 50.0, 0.5),
+    aj.LogNormal(3.0, 2.5), aj.ModifiedLogUniform(1e-2, 40.0), aj.ModifiedLogUniform(5.0, 1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("prior", PRIORS, ids=str)
+def test_density_integrates_to_one_and_quantile_is_its_inverse(prior):
+    density = lambda x: float(np.exp(prior.log_density(x)))  # noqa: E731
+    for u in (0.0, 0.03, 0.4, 0.9, 1.0):
+        end = prior.quantile(u)
+        # Piecewise between quantiles, since densities span decades.
+        pieces = prior.quantile(np.linspace(1e-9, 1.0 - 1e-9, 40))
+        pieces = [prior.lower, *pieces[pieces < end], end]
+        below = sum(quad(density, a, b, epsrel=1e-9)[0] for a, b in itertools.pairwise(pieces))
+        assert below == pytest.approx(u, abs=1e-7)
+    outside = np.array([prior.lower - 0.5, prior.lower - 1e-9, prior.upper * 1.001, prior.upper + 100.0])
+    assert np.all(np.asarray(prior.log_density(outside[np.isfinite(outside)])) == -np.inf)
+    assert np.all(np.isfinite(prior.log_density(prior.quantile(np.linspace(0.01, 0.99, 9)))))
+
+
+def test_densities_are_those_of_scipy():
+    x = np.geomspace(0.02, 1.9, 11)
+    laws = {2: stats.loguniform(1e-3, 2.0), 4: stats.lognorm(np.log(2.5), scale=3.0)}
+    for k, law in laws.items():
+        np.testing.assert_allclose(PRIORS[k].log_density(x), law.logpdf(x), rtol=1e-12, atol=1e-12)
+    # Gregory (2005): uniform far below the scale, 1/x far above it.
+    gregory = PRIORS[5]
+    assert gregory.log_density(0.0) == pytest.approx(-np.log(1e-2 * np.log(1.0 + 40.0 / 1e-2)))
+    assert np.exp(gregory.log_density(2.0) - gregory.log_density(20.0)) == pytest.approx(10.0, rel=5e-3)
+
+
+IMPROPER = [
+    (aj.Uniform, 1.0, 1.0), (aj.Uniform, 0.0, np.inf), (aj.LogUniform, 0.0, 1.0), (aj.LogUniform, 2.0, 1.0),
+    (aj.LogUniform, 0.4, 1.0, 0.5), (aj.LogNormal, 0.0, 2.0), (aj.LogNormal, 1.0, 1.0),
+    *((aj.ModifiedLogUniform, *numbers) for numbers in ((0.0, 1.0), (np.nan, 1.0), (1.0, 0.0))),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "numbers"), [(kind, numbers) for kind, *numbers in IMPROPER])
+def test_improper_priors_are_refused(kind, numbers):
+    with pytest.raises(aj.AllanjaxError, match="give "):
+        kind(*numbers)

@@ -75,7 +75,6 @@ TABLE = np.random.default_rng(0).normal(size=(64, 3))
         (lambda: aj.fit(gyro(), "whittle"), "objective="),
         (lambda: aj.fit(gyro(), "N=0.1 m/s/√h"), "m/s"),
         (lambda: aj.fit(bench.recording("small"), "N=0.1 deg/√h"), "both"),
-        (lambda: aj.fit_many([gyro()], "N + sinusoid"), "sinusoid"),
         (lambda: aj.allan_deviation(gyro(), estimator="hadamard"), "kind="),
     ],
 )

@@ -1,7 +1,4 @@
-"""Tests go through public doors: names that `allanjax` or a package's `__all__` offers, and attributes.
-
-A test of an inner function dies with it, and says nothing of what a user gets.
-"""
+"""Tests go through public doors: names that `allanjax` or a package's `__all__` offers, and attributes."""
 
 import ast
 import re
@@ -13,7 +10,8 @@ import allanjax as aj
 
 # What commands start is public, too: pyproject.toml names it.
 ALLOWED = {"allanjax.cli.app.app", "allanjax.cli.app.main"}
-#: Most inner names in all files of tests together, each for a law that nothing public shows.
+#: Most inner names in all files of tests together, each for a law that nothing public shows: a test of an
+#: inner function dies with it.
 MOST = 8
 
 

@@ -116,10 +116,8 @@ def test_draws_are_the_same_whatever_the_unit_and_the_last_bits():
 
 
 def test_samples_are_drawn_from_their_conditional_distribution():
-    """Of a Gauss–Markov process in white noise, whose dense conditional mean and covariance are exact.
-
-    Samples 120 away tell nothing (0.9¹²⁰ = 3e-6), so that each gap has a dense window of its own.
-    """
+    """Of a Gauss–Markov process in white noise, whose dense conditional mean and covariance are exact."""
+    # Samples 120 away tell nothing (0.9¹²⁰ = 3e-6), so that each gap has a dense window of its own.
     n, about = 16_384, 120
     gaps = [(200 + 290 * k, length) for k, length in enumerate(7 * [1, 1, 2, 4, 8, 25])] + [(13_000, 300)]
     squares, sums = [], []
@@ -243,10 +241,8 @@ KINDS += [{"estimator": "pyramid"}, {"cluster_times": [0.03, 0.5, 1.15]}]
 
 @pytest.mark.parametrize("options", KINDS)
 def test_differences_whose_clusters_are_complete_are_averaged(options):
-    """By brute force: every difference of the phase within a stretch, of all stretches together.
-
-    The degrees of freedom for white noise are (tr A)²/tr A² of the quadratic form x'Ax that the estimate is.
-    """
+    """By brute force: every difference of the phase within a stretch, of all stretches together."""
+    # Degrees of freedom for white noise are (tr A)²/tr A² of the quadratic form x'Ax that the estimate is.
     x = np.random.default_rng(31).standard_normal((638, 2)) + 0.2
     recording = filled(in_stretches(x, (110, 230, 64, 63, 171)), gaps="segments")
     found = aj.allan_deviation(recording, **options)

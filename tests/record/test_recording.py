@@ -18,9 +18,8 @@ def recording():
     values = np.round(NOISE * 3.0, 3)
     values[:, 4] = 7.0
     auxiliary = {"temperature": np.linspace(20.0, 30.0, N), "time": np.arange(N), "count": np.arange(N)}
-    return aj.Recording.from_array(
-        values, 123.4567, gyro_unit="deg/s", accel_unit="mg", auxiliary=auxiliary, name="unit 1"
-    )
+    units = {"gyro_unit": "deg/s", "accel_unit": "mg"}
+    return aj.Recording.from_array(values, 123.4567, **units, auxiliary=auxiliary, name="unit 1")
 
 
 def test_columns_are_gyro_then_accel():

@@ -230,9 +230,8 @@ def test_several_are_drawn_over_one_another_axis_by_axis():
     both = {"gyro_x": ["fit", "recording, curve"], "accel_x": ["recording, curve"]}
     assert {name: list(p) for name, p in points.items()} == {name: ["fit"] for name in NAMES} | both
     np.testing.assert_allclose(points["gyro_x"]["fit"].get_ydata(), fit.curve.deviation[:, 0] / HOUR)
-    np.testing.assert_allclose(
-        points["accel_x"]["recording, curve"].get_ydata(), curve.deviation[:, 1] / MICRO_G
-    )
+    drawn = points["accel_x"]["recording, curve"].get_ydata()
+    np.testing.assert_allclose(drawn, curve.deviation[:, 1] / MICRO_G)
     line = lines_of(found["gyro_x"])["fit: model"]
     expected = fit.model_deviation("gyro_x", line.get_xdata()) / HOUR
     np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-9)

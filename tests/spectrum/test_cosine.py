@@ -1,7 +1,4 @@
-"""Expected squares of the cosine coefficients of noise terms against dense covariance matrices, once.
-
-Fits by Whittle's likelihood rest on them; no public number is the expectation of one term alone.
-"""
+"""Expected squares of the cosine coefficients of noise terms against dense covariance matrices, once."""
 
 import itertools
 
@@ -37,6 +34,7 @@ def squares(term, n: int) -> np.ndarray:
 
 def expected(bins: Bins, term) -> np.ndarray:
     """Mean expected square of the coefficients in each bin, of a term with its amplitude."""
+    # Fits by Whittle's likelihood rest on it; no public number is the expectation of one term alone.
     amplitude = getattr(term, term.amplitude_parameter().name)
     return amplitude**2 * columns_of([term], bins)[0].mean(axis=0)
 
@@ -52,11 +50,9 @@ def test_expected_squares_are_those_of_the_dense_covariance(name):
 
 
 def test_expected_squares_of_what_has_an_edge_or_a_line():
-    """Flicker noise with a cutoff: exact at the lowest frequencies, up to the cutoff but for what leaks.
-
-    Resonances around their line: what the record's ends cut off is 1/(its lifetimes in the record), 4 to 9 %;
-    all their power is there.
-    """
+    """Flicker noise with a cutoff: exact at the lowest frequencies, up to the cutoff but for what leaks."""
+    # Resonances around their line: what the record's ends cut off is 1/(its lifetimes in the record), 4 to 9
+    # %; all their power is there.
     n = 1000
     for f0 in (0.4, 3.0):
         term, bins = aj.BiasInstability(1.0, f0), Bins.of(n, RATE)
@@ -101,11 +97,9 @@ LABELS = ("angle_random_walk", "rate_random_walk", "drift_ramp")
 
 
 def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
-    """Of every coefficient used: count, squares, products with a ramp's, its square, and expected squares.
-
-    Level k has means of 8^k samples, whose blocks and segments begin at multiples of their length in the
-    stream's numbers. The expected squares of white noise and of a random walk, of coefficients 1, are exact.
-    """
+    """Of every coefficient used: count, squares, products with a ramp's, its square, and expected squares."""
+    # Level k has means of 8^k samples, whose blocks and segments begin at multiples of their length in the
+    # stream's numbers. Expected squares of white noise and of a random walk, of coefficients 1, are exact.
     found = []
     for k in (2, 1, 0):
         block = FACTOR**k
@@ -128,10 +122,8 @@ def levels(x: np.ndarray, start: int) -> tuple[np.ndarray, ...]:
 
 
 def by_definition(x: np.ndarray, start: int, guess: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients that maximize Whittle's likelihood, and their standard errors.
-
-    It is of every coefficient by itself, restricted: the ramp takes a degree of freedom.
-    """
+    """Coefficients that maximize Whittle's likelihood, and their standard errors."""
+    # It is of every coefficient by itself, restricted: the ramp takes a degree of freedom.
     count, squares, cross, gram, white, walk = levels(x, start)
 
     def minus_log(p: np.ndarray) -> float:
@@ -149,10 +141,8 @@ def by_definition(x: np.ndarray, start: int, guess: tuple[float, ...]) -> tuple[
 
 
 def pieces_merged(x: np.ndarray, start: int) -> aj.AllanAccumulator:
-    """In pieces of all sizes, of a few samples from the beginning of a block too.
-
-    They are merged in random order; often the last two, so that a short piece meets a long one after it.
-    """
+    """In pieces of all sizes, of a few samples from the beginning of a block too."""
+    # They are merged in random order; often the last two, so that a short piece meets a long one after it.
     rng = np.random.default_rng(3)
     cuts = rng.integers(0, N, 9)
     blocks = FACTOR**2 * rng.integers(start // FACTOR**2 + 1, (start + N) // FACTOR**2, 9) - start

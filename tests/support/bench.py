@@ -26,10 +26,8 @@ _LONGEST = 600.0
 
 
 def once(name: str, make: Callable[[], _T]) -> _T:
-    """What `make` returns, made by the first process of the run that asks for this name.
-
-    Everybody gets the object anew from the pickle, also who made it: no test depends on being the first.
-    """
+    """What `make` returns, made by the first process of the run that asks for this name."""
+    # Everybody gets the object anew from the pickle, also who made it: no test depends on being the first.
     path = Path(os.environ[RUN]) / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.pickle"
     if not path.exists():
         with _locked(path.with_suffix(".lock")):

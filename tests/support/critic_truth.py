@@ -54,10 +54,8 @@ def waveform_bound(v, *columns):
 
 
 def spectral_bound(spectrum, theta, beside=()):
-    """Of positive parameters by the Fisher information ½ Σ ∂ln v ∂ln v'.
-
-    `beside` names further basic terms, whose powers are not known either, though they are zero.
-    """
+    """Of positive parameters by the Fisher information ½ Σ ∂ln v ∂ln v'."""
+    # `beside` names further basic terms, whose powers are not known either, though they are zero.
     rows = []
     for label, x in theta.items():
         high, low = (spectrum(theta | {label: x * (1.0 + s * 1e-4)}) for s in (1.0, -1.0))

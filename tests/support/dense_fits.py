@@ -26,10 +26,8 @@ def recording(columns: np.ndarray, rate: float, unit: str = "rad/s", **auxiliary
 
 
 def drawn(model: aj.Model, n: int, rate: float, seed: int, axes: int = 1) -> np.ndarray:
-    """Records of a model [n, axes], by the root of the dense covariance of their deviations from the mean.
-
-    The root is symmetric: it does not depend on which eigenvectors stand for equal eigenvalues.
-    """
+    """Records of a model [n, axes], by the root of the dense covariance of their deviations from the mean."""
+    # The root is symmetric: it does not depend on which eigenvectors stand for equal eigenvalues.
     centre = np.eye(n) - 1.0 / n
     power, vectors = np.linalg.eigh(centre @ covariance(model, n, rate) @ centre)
     root = (vectors * np.sqrt(np.maximum(power, 0.0))) @ vectors.T
@@ -48,11 +46,9 @@ def fitted(
 
 
 class Objective:
-    """Minus the logarithm of a likelihood as a function of a model, with its optimum and information.
+    """Minus the logarithm of a likelihood as a function of a model, with its optimum and information."""
 
-    Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
-    """
-
+    # Parameters are the logarithms of amplitudes and of the distances of shapes from their lower bounds.
     #: Minus the log-likelihood [nats], but for a constant.
     value: Callable[[aj.Model], float]
     #: Fisher's information about the parameters of a model with these labels.
@@ -142,10 +138,7 @@ class Spectrum(Objective):
 
 
 class Gaussian(Objective):
-    """The Gaussian law of the samples' differences, on which an unknown mean has no influence.
-
-    Its value has no constant left out.
-    """
+    """The Gaussian law of the samples' differences, which no mean influences; no constant is left out."""
 
     def __init__(self, x: np.ndarray, rate: float, missing: np.ndarray | None = None) -> None:
         self.n, self.rate = len(x), rate
@@ -168,11 +161,9 @@ class Gaussian(Objective):
 
 
 class Variances:
-    """Means of squares of linear forms, such as Allan variances: their moments by quadratic forms.
+    """Means of squares of linear forms, such as Allan variances: their moments by quadratic forms."""
 
-    `forms` are matrices [coefficients, samples] whose rows' squares are averaged.
-    """
-
+    # Forms are matrices [coefficients, samples] whose rows' squares are averaged.
     def __init__(self, x: np.ndarray, rate: float, forms: list[np.ndarray], factor: float = 1.0) -> None:
         self.n, self.rate, self.forms, self.factor = len(x), rate, forms, factor
         self.found = factor * np.array([np.mean((A @ x) ** 2) for A in forms])
@@ -198,10 +189,8 @@ class Variances:
         return self.factor * np.array([np.mean(np.sum(A * (A @ C), axis=1)) for A in self.forms])
 
     def step(self, model: aj.Model, labels: list[str]) -> tuple[np.ndarray, np.ndarray, float]:
-        """The step of generalized least squares from a model, its standard deviations in ln, and χ² there.
-
-        Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
-        """
+        """The step of generalized least squares from a model, its standard deviations in ln, and χ² there."""
+        # Variances are raised by 10⁻⁴, as the package does, lest their covariance be singular.
         mean, C = self.moments(model)
         P = np.linalg.inv(C + 1e-4 * np.diag(np.diag(C)))
         D, left = slopes(self.mean, model, labels), self.found - mean

@@ -41,10 +41,8 @@ def covariance(step: Step, time: float = 1.0) -> np.ndarray:
 
 
 def predicted(N: float, q: float, T: float = math.inf, time: float = 1.0) -> np.ndarray:
-    """The same of the continuous model: white noise N, and a bias driven with q that decays with T.
-
-    By Van Loan's matrix exponential (IEEE Trans. Autom. Control 23, 1978).
-    """
+    """The same of the continuous model: white noise N, and a bias driven with q that decays with T."""
+    # By Van Loan's matrix exponential (IEEE Trans. Autom. Control 23, 1978).
     A = np.array([[0.0, 1.0], [0.0, -1.0 / T]])
     big = np.zeros((4, 4))
     big[:2, :2], big[:2, 2:], big[2:, 2:] = -A, np.diag([N**2, q**2]), A.T

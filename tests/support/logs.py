@@ -26,11 +26,9 @@ class Topic:
 
 
 def write_bag(path: Path, kind: str, topics: Mapping[str, Topic], **how: bool) -> Path:
-    """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2.
-
-    `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard; `big`
-    writes numbers with their largest byte first.
-    """
+    """Write a bag at `path`, a file of ROS 1 or a folder of ROS 2."""
+    # `other` adds a topic that is no Imu; `small` compresses, by LZ4 or Zstandard; `big` writes numbers with
+    # their largest byte first.
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
     from rosbags.rosbag2 import Writer as Writer2

@@ -41,10 +41,8 @@ def at_rest(means, n, rate, unit="m/s²", name="", axes="xyz") -> aj.Recording:
 
 
 def dense(kernel, start, length, step: float, contrast: bool) -> np.ndarray:
-    """Covariance of means over stretches from that of the rate at times t and s, over all pairs of midpoints.
-
-    With `contrast` of the deviations from the mean over all of the time.
-    """
+    """Covariance of means over stretches from that of the rate at times t and s, over pairs of midpoints."""
+    # With `contrast` of the deviations from the mean over all of the time.
     start, length = np.asarray(start, float)[:, None], np.asarray(length, float)[:, None]
     time = np.arange(step / 2.0, (start + length).max(), step)
     rows = ((time >= start) & (time < start + length)).astype(float)

@@ -26,11 +26,9 @@ def records(N_coefficient: float, K: float, count: int, seed: int, n: int = N) -
 
 
 def variances(N_coefficient: float, K: float, n: int, rate: float = RATE) -> np.ndarray:
-    """What white noise and a walk give to the variances of the sines of n − 1 differences, [2, n − 1].
-
-    Their covariance is tridiagonal, hence diagonal in sines: 2·N²·rate and −N²·rate beside it of white noise,
-    K²h·2/3 and K²h/6 of the means of a walk.
-    """
+    """What white noise and a walk give to the variances of the sines of n − 1 differences, [2, n − 1]."""
+    # Their covariance is tridiagonal, hence diagonal in sines: 2·N²·rate and −N²·rate beside it of white
+    # noise, K²h·2/3 and K²h/6 of the means of a walk.
     cosine = np.cos(np.pi * np.arange(1, n) / n)
     white, slow = 2.0 * rate * (1.0 - cosine), (2.0 + cosine) / (3.0 * rate)
     return np.stack([N_coefficient**2 * white, K**2 * slow])

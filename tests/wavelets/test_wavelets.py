@@ -83,12 +83,10 @@ def test_of_haar_it_is_half_the_allan_variance(x):
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", ["db2", "sym4"])
 def test_expectation_and_covariance_are_those_of_the_dense_matrix(x, name, case):
-    """The expectation is exact, the covariance to what the few coefficients make.
-
-    That factor is exact under white noise. Of the last level of db2 there are 19 coefficients, which overlap
-    so much that they count for one: of a random walk its variance is 6 % off, of quantization, which no
-    record shows at such a level, 27 %. The others are within 1 %.
-    """
+    """The expectation is exact, the covariance to what the few coefficients make."""
+    # That factor is exact under white noise. Of the last level of db2 there are 19 coefficients, which
+    # overlap so much that they count for one: of a random walk its variance is 6 % off, of quantization,
+    # which no record shows at such a level, 27 %. The others are within 1 %.
     model, C = CASES[case], dense.covariance(CASES[case], N, RATE)
     found = aj.wavelet_variance(x, RATE, wavelet=name, model=model)
     taken = [rows(h) for h in filters(name, len(found.level))]
@@ -213,11 +211,9 @@ def variances(model: aj.NoiseTerm, wavelet: str, levels: int) -> np.ndarray:
 
 @pytest.mark.parametrize("wavelet", ["haar", "db2"])
 def test_the_level_is_the_last_at_which_noise_without_memory_exceeds_the_drift(recording, wavelet):
-    """Of each axis by its own model; white is quantization too, and a ramp or a line is neither.
-
-    With Haar, half the Allan variance: N²/2T and K²T/6 cross at T = √3 N/K = 8.7 s, and of the scales
-    0.1 s·2^(j−1) that of level 7, 6.4 s, is the last below.
-    """
+    """Of each axis by its own model; white is quantization too, and a ramp or a line is neither."""
+    # With Haar, half the Allan variance: N²/2T and K²T/6 cross at T = √3 N/K = 8.7 s, and of the scales 0.1
+    # s·2^(j−1) that of level 7, 6.4 s, is the last below.
     parts = {
         "gyro_x": (aj.AngleRandomWalk(1e-4), aj.RateRandomWalk(2e-5)),
         "accel_z": (aj.Quantization(3e-3), aj.RateRandomWalk(2e-3)),
