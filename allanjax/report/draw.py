@@ -164,8 +164,12 @@ def new_figure(size: tuple[float, float], path: str | os.PathLike[str] | None, s
     from matplotlib.figure import Figure
 
     backend = matplotlib.get_backend().lower()
-    # A notebook shows the figure returned; pyplot would show it twice.
-    if not single or "inline" in backend or (path is not None and not plt.isinteractive()):
+    if "inline" in backend:
+        # A notebook shows the figure returned, once pyplot has made one; left open, it would show it twice.
+        figure = plt.figure(figsize=size)
+        plt.close(figure)
+        return figure
+    if not single or (path is not None and not plt.isinteractive()):
         figure = Figure(figsize=size)
         FigureCanvasAgg(figure)
         return figure
