@@ -43,15 +43,16 @@ def _compile(programs: Callable[[], Programs], ended: threading.Event) -> None:
 
 def of_variances() -> Programs:
     """The inference from Allan variances, which is compiled while terms are chosen."""
-    from allanjax.estimate.axis_fits import ALLAN_CAPACITY, infer_variances
+    from allanjax.estimate.axis_fits import ALLAN_CAPACITY
     from allanjax.estimate.design import AllanDesign
     from allanjax.estimate.gls import Solution
+    from allanjax.estimate.inference import infer
     from allanjax.noise.terms import basic_terms
 
     design = AllanDesign.of(basic_terms(), 64, 1.0, np.array([1, 2, 4, 8, 16]), None, ALLAN_CAPACITY)
     yes = np.ones(ALLAN_CAPACITY[1], bool)
     at: Any = (np.ones((1, len(yes))), np.zeros((1, 0)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
-    yield lambda: infer_variances(design, np.ones((1, ALLAN_CAPACITY[0])), yes, yes[None], Solution(*at))
+    yield lambda: infer(design, np.ones((1, ALLAN_CAPACITY[0])), yes, yes[None], Solution(*at))
 
 
 def of_spectra() -> Programs:

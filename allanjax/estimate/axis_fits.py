@@ -19,7 +19,6 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
@@ -32,6 +31,7 @@ from allanjax.estimate.design import (
     free_shapes,
     moments_behind,
     of_owners,
+    random_terms,
     shape_candidates,
 )
 from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
@@ -173,8 +173,7 @@ def fit_spectrum(
         raise FitError(
             "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
         )
-    labels = zip(template.term_labels, random, strict=True)
-    noise = template.without([label for label, here in labels if not here])
+    noise = random_terms(template)
     used = spectrum.used([k for k in range(len(template)) if not active[k]])
     arrangement, projection, fit = _fit_noise(noise, spectrum, used, active[random], peaks)
     mean = np.asarray(fit.maximum.mean)[: len(projection.level)]
@@ -203,7 +202,7 @@ def inferred(
         mean: expected levels there.
     """
     random = np.array([not term.deterministic for term in template.terms])
-    noise = template.without([s for s, here in zip(template.term_labels, random, strict=True) if not here])
+    noise = random_terms(template)
     chi2 = chi_squared(projection.level / mean, projection.dof)
     solution, misfit = solution._replace(chi2=jnp.asarray(chi2)), None
     if bool(solution.converged) and float(solution.discrepancy) > 0.0:
@@ -438,22 +437,10 @@ def solve_and_infer(
         solution = _choose(doubtful & better, other, solution)
     misfits = _misfits(design, variance, solution)
     solution = widened(solution, misfits)
-    inference = infer_variances(design, V, *of_terms, solution)
+    inference = infer(design, V, *of_terms, solution)
     terms, shapes = active.shape[1], starts.shape.shape[-1]
     inference = without_padding(inference, variance.shape[1], terms, shapes)
     return solution._replace(power=solution.power[:, :terms]), inference, misfits
-
-
-def infer_variances(
-    design: AllanDesign,
-    V: Float[np.ndarray, "axes capacity"],
-    free: Bool[np.ndarray, " slots"],
-    active: Bool[np.ndarray, "axes slots"],
-    solution: Solution,
-) -> Inference:
-    """Inference of padded axes around their solutions, see `infer`."""
-    with compiled_once(("variances", V.shape, len(free), design.shapes, len(design.others))):
-        return jax.device_get(infer(design, V, free, active, solution))
 
 
 def _misfits(

@@ -151,6 +151,12 @@ def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_resp
     return found
 
 
+def random_terms(model: Model) -> Model:
+    """Model without its deterministic terms."""
+    terms = zip(model.term_labels, model.terms, strict=True)
+    return model.without([label for label, term in terms if term.deterministic])
+
+
 def of_owners(model: Model, of_terms: Bool[np.ndarray, "... terms"]) -> Bool[np.ndarray, "... owners"]:
     """Flags of these terms, then of the response: whether any of the terms passes through it."""
     if model.response is None:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.estimate.axis_fits import WhittleFit, inferred, result_of, spectrum_of
-from allanjax.estimate.design import free_shapes
+from allanjax.estimate.design import free_shapes, random_terms
 from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.result import AxisFit, extended_model, misfit_of
@@ -203,13 +203,12 @@ class Template(NamedTuple):
     @property
     def noise(self) -> Model:
         """The random terms."""
-        terms = zip(self.model.term_labels, self.model.terms, strict=True)
-        return self.model.without([label for label, term in terms if term.deterministic])
+        return random_terms(self.model)
 
     def places(self, rate: float) -> Places:
         """Where the random terms and their shapes are in the structure's slots."""
-        at, parameter = FULL, []
-        shapes = free_shapes(self.noise)
+        at, noise, parameter = FULL, self.noise, []
+        shapes = free_shapes(noise)
         for p in shapes:
             first = p.parameter.name in ("correlation_time", "frequency", "bandwidth")
             if p.term == len(self.component):
@@ -221,7 +220,6 @@ class Template(NamedTuple):
             else:
                 parameter.append((at.frequencies if first else at.qualities) + k - at.first_oscillator)
         owner = np.array([p.term for p in shapes], int)
-        noise = self.noise
         inside = np.array(noise.inside or [False] * len(noise), bool)
         return Places(at, self.component, np.array(parameter, int), owner, inside, 1.0 / rate)
 
@@ -248,10 +246,8 @@ def fit_jointly(
         left = max(projection.estimates - np.sum(template.active) - len(free_shapes(template.model)), 1.0)
         if chi2 <= beyond_doubt(left):
             break
-    template, per_octave = (
-        Template.of(content._replace(structure=found.structure), ramp),
-        base.bins.per_octave(),
-    )
+    template = Template.of(content._replace(structure=found.structure), ramp)
+    per_octave = base.bins.per_octave()
     degrees = 2.0 * np.asarray(base.levels.shape)
     ratio = projection.level / mean
     unshaped = _unshaped(found.structure, base, ratio)
@@ -278,8 +274,7 @@ def _tangent(
     places = template.places(rate)
     base, by_shape = places.levels(found.maximum)
     power = theta[component] / places.unit_power(theta)
-    inside = np.array(noise.inside, bool) if noise.response is not None else np.zeros(len(noise), bool)
-    passed = np.where(inside, power * (base @ degrees), 0.0)
+    passed = np.where(places.inside, power * (base @ degrees), 0.0)
     response_of_term = WHITE if passed[WHITE] > 0.0 else int(np.argmax(passed))
     levels_of_white, slopes_of_white = base[WHITE].copy(), by_shape[WHITE].copy()
     fillers = _fillers(noise, rate, [i for i, k in enumerate(component) if k in unshaped])

@@ -7,9 +7,7 @@ axes; the blocks share the cores.
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Literal, get_args
 
 import jax
@@ -613,9 +611,7 @@ def _in_blocks(
         solution, inference, misfits = solve_and_infer(design, V, free, active, starts)
         return solution, inference, np.array([m is None or not m.excessive for m in misfits])
 
-    # Compiled programs run without Python's lock.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        blocks = list(pool.map(of_block, range(0, len(variance), _BLOCK)))
+    blocks = for_each(of_block, range(0, len(variance), _BLOCK))
     return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(variance)], *blocks)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from jax.scipy.special import gammaln, ndtri
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.linalg import inverse, non_negative_least_squares
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
@@ -84,12 +85,11 @@ _FAR_ENOUGH = -2.0
 _CHANCE = 0.025
 
 
-@eqx.filter_jit
 def infer(
     design: Design,
-    V: Float[ArrayLike, "axes m"],
-    free: Bool[ArrayLike, " terms"],
-    active: Bool[ArrayLike, "axes terms"],
+    V: Float[np.ndarray, "axes m"],
+    free: Bool[np.ndarray, " terms"],
+    active: Bool[np.ndarray, "axes terms"],
     solution: Solution,
 ) -> Inference:
     """Covariance of the parameters, and for each term the distance of the data from hypothetical powers.
@@ -100,8 +100,21 @@ def infer(
 
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
-    with v. It exists for inactive terms too, whose upper limits it gives.
+    with v. It exists for inactive terms too, whose upper limits it gives. All arrays are NumPy's.
     """
+    of_program, structure = jax.tree.flatten((design, V, free, active, solution))
+    with compiled_once((structure, *map(np.shape, of_program))):
+        return jax.device_get(_infer_axes(design, V, free, active, solution))
+
+
+@eqx.filter_jit
+def _infer_axes(
+    design: Design,
+    V: Float[ArrayLike, "axes m"],
+    free: Bool[ArrayLike, " terms"],
+    active: Bool[ArrayLike, "axes terms"],
+    solution: Solution,
+) -> Inference:
     shared = jnp.asarray(free)
     return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s))(V, active, solution)
 

@@ -199,7 +199,7 @@ class AxisSampler:
         return self._result(name, target, chains, random)
 
     def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
-        """Default priors, replaced by those of the user."""
+        """Default priors, overridden by the priors that the user gave."""
         priors = likelihood.default_priors()
         for label, prior in self.priors.items():
             if label not in priors:

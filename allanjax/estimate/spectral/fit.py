@@ -11,12 +11,10 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
-from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.base.linalg import CholeskyWhitened
 from allanjax.estimate.design import Design, free_shapes, of_owners
@@ -506,8 +504,7 @@ def infer_levels(
     padded = _padded(design, solution)
     V = design.padded_estimates(level[None])
     of_terms = design.padded_terms(free), design.padded_terms(active[None])
-    with compiled_once(("infer", *np.shape(design.by_shape))):
-        found = jax.device_get(infer(design, V, *of_terms, padded))
+    found = infer(design, V, *of_terms, padded)
     return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
 
 

@@ -256,7 +256,7 @@ class Expected(NamedTuple):
 
     Attributes:
         unit: the levels.
-        by_shape: derivatives by each shape of a component, those of the response left out.
+        by_shape: derivatives by the shapes of the components, without those of the response.
         by_response: derivatives of their sum by bandwidth and quality factor of the response.
     """
 
@@ -334,7 +334,7 @@ class Maximum(NamedTuple):
             included; the others have a unit on the diagonal.
         interior: which parameters these are.
         mean: the expected levels [rate²].
-        model: those of the components.
+        model: expected levels of each component, and their derivatives.
         steps: number of steps taken.
         converged: whether the iteration converged.
     """

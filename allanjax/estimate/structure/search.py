@@ -301,7 +301,7 @@ def _at_windows(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[list[S
     ratio = record.squares / at_all(spectrum, now)
     for k in structure.oscillators:
         if structure.companions(int(k)) >= _MOVING:
-            # What is left there is what a resonance that moves has.
+            # The excess that is left there belongs to the resonance that moves.
             low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
             ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
     proposals, together, count = [], structure, 0
@@ -438,7 +438,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
                 structure = structure.without(k)
             now = spectrum.fit(structure)
             continue
-        # What is known better than that is there.
+        # Components whose power is known better than `_DOUBTFUL` stay without a trial.
         std = np.sqrt(np.diag(now.covariance))[: FULL.components]
         shaped = np.arange(FULL.components) >= FULL.first_markov
         loose = [OUTSIDE, QUANTIZATION] if structure.kind != NONE else [OUTSIDE]
