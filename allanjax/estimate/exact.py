@@ -20,11 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.errors import FitError
-from allanjax.estimate.axis_fits import fit_whittle
 from allanjax.estimate.design import free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
+from allanjax.estimate.whittle import fit_whittle
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.terms import PowerLaw

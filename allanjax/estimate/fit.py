@@ -25,23 +25,22 @@ from allanjax.base.wording import significant
 from allanjax.estimate.ahead import compiling_ahead, of_variances
 from allanjax.estimate.axis_fits import (
     check_count,
-    estimated,
+    check_terms,
     fit_allan,
     fit_wavelet,
-    fit_whittle,
     judged,
     solve_and_infer,
     with_curve,
 )
 from allanjax.estimate.design import AllanDesign, find_starts, free_powers, model_to_fit
-from allanjax.estimate.deterministic import needs_record
 from allanjax.estimate.exact import check_exact, fit_exact
-from allanjax.estimate.extension import Extension, extended
+from allanjax.estimate.extension import extended
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, estimates_of, reported
-from allanjax.estimate.joint_fits import fit_statistics, joined, with_quiet_others
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.segments import joined, with_quiet_others
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
+from allanjax.estimate.whittle import estimated, fit_spectrum, fit_whittle, statistics_of
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.estimate import usual_unit
@@ -54,7 +53,7 @@ from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import unit_scale
-from allanjax.spectrum.cosine import joint_statistics
+from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -197,23 +196,22 @@ def _fitted(
     wavelet: str,
 ) -> Fit:
     """Fit of all samples of a recording."""
-    given = _regressors(recording, regressors, objective)
+    given, axes = _regressors(recording, regressors, objective), range(len(recording.axes))
     notes: tuple[str, ...] = ()
     if objective == "exact":
         check_exact(None if model is None else model_to_fit(model, recording.axes, True), recording)
     release_programs(0.75)
     selection = ranked(recording) if model is None else None
     template, active = terms_to_fit(model, selection, recording.axes, objective)
+    # Haar wavelet variances are half the Allan variances at octaves.
     octaves = objective == "wavelet" and wavelet == "haar"
     curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
     check_length(curve, template, recording.name)
     if recording.others:
         # Segments are taken to be independent.
         joint = joint_statistics((recording.values, *recording.others), recording.rate)
-        results = fit_statistics(*joint, template, recording.axes, active)
-        objective = "whittle"
+        results, objective = fit_statistics(*joint, template, recording.axes, active), "whittle"
     elif objective == "allan" or octaves:
-        # Haar wavelet variances are half the Allan variances at octaves.
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
     elif objective == "wavelet":
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
@@ -222,11 +220,10 @@ def _fitted(
     elif objective == "exact":
         results, notes = _exact(recording, template, active)
     else:
-        axes = range(len(recording.axes))
         results = tuple(for_each(lambda k: fit_whittle(recording, k, template, active[k], given), axes))
     if objective in ("allan", "wavelet"):
-        fits = enumerate(results)
-        results = tuple(for_each(lambda of: judged(recording, of[0], template, active[of[0]], of[1]), fits))
+        fits = results
+        results = tuple(for_each(lambda k: judged(recording, k, template, active[k], fits[k]), axes))
     # Fitted Allan variances have their degrees of freedom already.
     if not (objective == "allan" or octaves) or any(result.spectrum is not None for result in results):
         results, curve = with_curve(curve, template, results)
@@ -239,20 +236,39 @@ def _fitted(
     return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
 
 
+def fit_statistics(
+    bins: Bins,
+    statistics: SpectralStatistics,
+    template: Model,
+    axes: Sequence[Axis],
+    active: Bool[np.ndarray, "axes terms"],
+) -> tuple[AxisFit, ...]:
+    """Fit every axis by Whittle's likelihood to the statistics [axes, m] of an averaged or joint spectrum.
+
+    Raises:
+        FitError: no random term; fewer than 64 samples.
+    """
+
+    def of(k: int) -> AxisFit:
+        spectrum = statistics_of(bins, statistics, k, template)
+        return fit_spectrum(template, axes[k], spectrum, active[k])
+
+    return tuple(for_each(of, range(len(axes))))
+
+
 def _exact(
     recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
 ) -> tuple[tuple[AxisFit, ...], tuple[str, ...]]:
     """Results by the exact likelihood, and a note on axes with Whittle's, which is widened for missing
     samples."""
-    found = [fit_exact(recording, k, template, active[k]) for k in range(len(recording.axes))]
-    by = np.ones(len(found)) if recording.missing is None else widening(recording.missing)
-    results = tuple(
-        result if exact else result.widened(float(factor))
-        for (result, exact), factor in zip(found, by, strict=True)
-    )
-    names = [result.axis.name for result, exact in found if not exact]
+    by = np.ones(len(active)) if recording.missing is None else widening(recording.missing)
+    results, names = [], []
+    for k, factor in enumerate(by.tolist()):
+        result, exact = fit_exact(recording, k, template, active[k])
+        results.append(result if exact else result.widened(factor))
+        names += [] if exact else [result.axis.name]
     note = f"{', '.join(names)}: fitted by Whittle's likelihood instead, as the model does not fit"
-    return results, (note,) if names else ()
+    return tuple(results), (note,) if names else ()
 
 
 def _extended(
@@ -260,14 +276,14 @@ def _extended(
 ) -> tuple[tuple[AxisFit, ...], TermSelection]:
     """Results and selection, in which axes that no set of terms fits have their extension."""
 
-    def of(k: int) -> Extension | None:
-        incomplete = not results[k].converged or results[k].discrepancy > 0.0
-        return extended(recording.values[:, k], recording.rate, results[k], curve, k) if incomplete else None
+    def of(k: int) -> tuple[AxisFit, AxisSelection]:
+        result, own = results[k], selection.results[k]
+        incomplete = not result.converged or result.discrepancy > 0.0
+        found = extended(recording.values[:, k], recording.rate, result, curve, k) if incomplete else None
+        return found or (result, own)
 
-    found = for_each(of, range(len(results)))
-    rankings = [s if e is None else e.selection for s, e in zip(selection.results, found, strict=True)]
-    fits = (r if e is None else e.result for r, e in zip(results, found, strict=True))
-    return tuple(fits), dataclasses.replace(selection, results=tuple(rankings))
+    fits, rankings = zip(*for_each(of, range(len(results))), strict=True)
+    return fits, dataclasses.replace(selection, results=rankings)
 
 
 def _with_missing(found: Fit, factors: Float[np.ndarray, " axes"]) -> Fit:
@@ -546,18 +562,13 @@ def fit_many(
     """
     curve = _curve_of(data, cluster_times)
     template = model_to_fit(model, curve.axes or ())
-    _check_terms(template)
+    check_terms(
+        template,
+        "is estimated from the record itself, not from Allan variances; leave it out, or fit each recording "
+        "with allanjax.fit",
+    )
     check_length(curve, template, "the curve")
     return _bulk_fit(curve, template, *_in_blocks(curve, template))
-
-
-def _check_terms(template: Model) -> None:
-    for term in template.terms:
-        if needs_record(term):
-            raise FitError(
-                f"{term.name()} is estimated from the record itself, not from Allan variances; leave it out, "
-                "or fit each recording with allanjax.fit"
-            )
 
 
 def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing) -> AllanDeviation:

@@ -18,16 +18,17 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.pyramid import Pyramid
 from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError
-from allanjax.estimate.axis_fits import fit_allan, with_curve
+from allanjax.estimate.axis_fits import check_terms, fit_allan, with_curve
 from allanjax.estimate.fit import (
     Objective,
     check_length,
+    fit_statistics,
     terms_to_fit,
     with_what_was_seen,
     without_coefficients,
 )
-from allanjax.estimate.joint_fits import check_terms, fit_stream, select_stream_terms
 from allanjax.estimate.result import Fit
+from allanjax.estimate.selection import candidates_of, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
@@ -42,6 +43,11 @@ _GATHERED = 1 << 17
 # Version of the format of snapshots.
 _FORMAT = 3
 _TOO_FINE = "the Allan variances did not determine the fit; the averaged spectra were fitted (whittle)"
+
+_FROM_RECORD = (
+    "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "
+    "memory (start=, stop=) and fit that"
+)
 
 _T = TypeVar("_T")
 
@@ -251,9 +257,11 @@ class AllanAccumulator:
         living, dead = self._living(), self.dead
         curve, axes, spectra = living.result(), living.axes, living._spectra
         choose = model is None and not inspection.refusal
-        selection = select_stream_terms(spectra, axes, name=self.name) if choose else None
+        statistics, selection = spectra.statistics(), None
+        if choose:
+            selection = rank_terms(candidates_of(None, self.rate), *statistics, axes, self.name)
         template, active = terms_to_fit(model, selection, axes, objective)
-        check_terms(template)
+        check_terms(template, _FROM_RECORD)
         check_length(curve, template, self.name)
         notes = selection.ambiguities() if selection else ()
         if inspection.refusal:
@@ -264,7 +272,7 @@ class AllanAccumulator:
                 fit = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
                 return with_what_was_seen(fit, inspection)
             notes += (_TOO_FINE,)
-        results = fit_stream(spectra, template, axes, active)
+        results = fit_statistics(*statistics, template, axes, active)
         results, curve = with_curve(curve, template, results)
         fit = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
         return with_what_was_seen(fit, inspection)

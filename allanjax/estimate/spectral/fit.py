@@ -1,14 +1,15 @@
-"""Fit of a model to the levels of a spectrum: its slots in the joint model, designs, and the maximum.
+"""Fit of a model to the levels of a spectrum: its slots in the joint model, the maximum, and its tangent.
 
-Where a model cannot follow the levels within their scatter (p < 1e-6), all levels are given a relative error,
-common to about an octave, that brings χ² to its degrees of freedom.
+Where a model cannot follow the levels within their scatter (p < 1e-6), these first get the errors that models
+of filters and resonances have; where that does not suffice, all get a relative error, common to about an
+octave, that brings χ² to its degrees of freedom.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design, free_shapes, of_owners
+from allanjax.estimate.design import Design, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.components import (
@@ -34,15 +35,8 @@ from allanjax.estimate.spectral.components import (
     levels_of,
     padded,
 )
-from allanjax.estimate.spectral.model import (
-    FULL,
-    Layout,
-    Maximum,
-    Others,
-    Slots,
-    maximize,
-)
-from allanjax.noise.model import Model, ModelParameter
+from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Others, Slots, maximize
+from allanjax.noise.model import Model
 from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
@@ -63,60 +57,11 @@ _ROUNDS, _SETTLED = 8, 0.02
 _FEW = 0.05
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
-
-
-class Places(NamedTuple):
-    """Where the terms of a model and their free shapes are in the slots of the joint spectral model.
-
-    Attributes:
-        layout: the slots.
-        component: component of each term.
-        parameter: parameter of each free shape.
-        owner: term of each free shape; the number of terms for the response.
-        inside: whether each term passes through the response.
-        interval: sample interval [s].
-    """
-
-    layout: Layout
-    component: Int[np.ndarray, " terms"]
-    parameter: Int[np.ndarray, " shapes"]
-    owner: Int[np.ndarray, " shapes"]
-    inside: Bool[np.ndarray, " terms"]
-    interval: float
-
-    @property
-    def _time(self) -> Int[np.ndarray, " terms"]:
-        """Parameter with the correlation time of each Markov process, −1 of other terms."""
-        k = self.component - self.layout.first_markov
-        return np.where((k >= 0) & (k < self.layout.markovs), self.layout.times + k, -1)
-
-    def unit_power(self, theta: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " terms"]:
-        """Power of each term's component where the term has unit amplitude.
-
-        That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
-        """
-        return np.where(self._time >= 0, np.exp(theta[self._time]) * self.interval / 2.0, 1.0)
-
-    def levels(
-        self, maximum: Maximum
-    ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
-        """Expected levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
-        at, model = self.layout, maximum.model
-        unit = self.unit_power(np.asarray(maximum.theta))[:, None]
-        base = np.asarray(model.unit)[self.component] * unit
-        by_shape = np.zeros((*base.shape, len(self.parameter)))
-        # What passes through the response changes in proportion.
-        passing = self.inside[:, None] * base
-        total = np.asarray(maximum.theta)[self.component] @ (passing / unit)
-        for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
-            if at.response <= p < at.other_shapes:
-                slope = np.asarray(model.by_response)[p - at.response]
-                by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
-                continue
-            row = p - at.times if p < at.response else len(at.owner) + p - at.other_shapes
-            by_shape[k, :, s] = np.asarray(model.by_shape)[row] * unit[k]
-            by_shape[k, :, s] += base[k] if p == self._time[k] else 0.0
-        return base, by_shape
+# Gain of the next step at which a fit ends [nats].
+_TOLERANCE = 1e-7
+# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
+# fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
+_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 
 
 class Arrangement(NamedTuple):
@@ -124,29 +69,36 @@ class Arrangement(NamedTuple):
 
     Attributes:
         model: the model.
-        places: where its terms and free shapes are.
+        rate: sample rate [Hz].
+        component: component of each term.
+        parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
+        owner: term of each free shape; the number of terms for the response.
+        inside: whether each term passes through the response.
         slots: the slots; no parameter is free yet.
         levels: the levels, without data yet.
-        offset: what is added to ln(value − lower bound) of each free shape for its parameter.
         held: parameters with the shapes that have a value.
-        per_octave: number of levels in the octave around each.
+        bins: bins of the levels.
     """
 
     model: Model
-    places: Places
+    rate: float
+    component: Int[np.ndarray, " terms"]
+    parameter: Int[np.ndarray, " shapes"]
+    offset: Float[np.ndarray, " shapes"]
+    owner: Int[np.ndarray, " shapes"]
+    inside: Bool[np.ndarray, " terms"]
     slots: Slots
     levels: Levels
-    offset: Float[np.ndarray, " shapes"]
     held: Float[np.ndarray, " parameters"]
-    per_octave: Float[np.ndarray, " m"]
+    bins: Bins
 
     @classmethod
     def of(cls, model: Model, bins: Bins) -> Arrangement:
         """Arrangement of a model for the levels of these bins."""
-        model = model.sampled(bins.rate)
+        model, rate = model.sampled(bins.rate), bins.rate
         kind, layout = _kinds(model)
         others = np.flatnonzero(kind == _OTHER)
-        own = [p for p in model.parameters if p.free and p.term in others and not p.parameter.is_amplitude]
+        own = [p for p in free_shapes(model) if p.term in others]
         layout = layout._replace(others=len(others), shapes=len(own))
         first = np.array([0, layout.first_markov, layout.first_oscillator, layout.first_other])
         before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
@@ -158,59 +110,137 @@ class Arrangement(NamedTuple):
         further = None
         if own:
             shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
-            terms = tuple(model.terms[k] for k in others)
-            further = Others.of(terms, shapes, bins, len(levels.shape))
+            further = Others.of(tuple(model.terms[k] for k in others), shapes, bins, len(levels.shape))
         slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), further)
-
-        def place(p: ModelParameter) -> tuple[int, float]:
-            """Parameter of one of the model's shapes, and its offset."""
-            angle = math.log(2.0 * math.pi / bins.rate)
-            frequency = p.parameter.name in ("frequency", "bandwidth")
-            if p.term == len(model):
-                return (layout.response, angle) if frequency else (layout.response + 1, 0.0)
-            if kind[p.term] == _MARKOV:
-                return layout.times + int(before[p.term]), math.log(bins.rate)
-            if kind[p.term] == _OSCILLATOR:
-                at = layout.frequencies if frequency else layout.qualities
-                return at + int(before[p.term]), angle if frequency else 0.0
-            return layout.other_shapes + own.index(p), 0.0
-
+        # Kind of each owner of shapes, the response last; units are the sample interval's.
+        slot, angle = [*kind.tolist(), None], math.log(2.0 * math.pi / rate)
+        places = {
+            (_MARKOV, "correlation_time"): (layout.times, math.log(rate)),
+            (_OSCILLATOR, "frequency"): (layout.frequencies, angle),
+            (_OSCILLATOR, "quality_factor"): (layout.qualities, 0.0),
+            (None, "bandwidth"): (layout.response, angle),
+            (None, "quality_factor"): (layout.response + 1, 0.0),
+        }
         held, free = slots.usual(), []
-        slotted = np.append((kind == _MARKOV) | (kind == _OSCILLATOR), True)
         for p in model.parameters:
-            if p.parameter.is_amplitude or not (p.free or slotted[p.term]):
+            if p.parameter.is_amplitude or not (p.free or slot[p.term] in (_MARKOV, _OSCILLATOR, None)):
                 continue
-            index, offset = place(p)
+            if slot[p.term] == _OTHER:
+                index, offset = layout.other_shapes + own.index(p), 0.0
+            else:
+                index, offset = places[slot[p.term], p.parameter.name]
+                index += int(before[p.term]) if p.term < len(model) else 0
             if p.free:
-                free.append((index, offset))
+                free.append((index, offset, p.term))
             if p.start is not None:
                 held[index] = math.log(p.start - p.parameter.lower) + offset
-        parameter, shift = np.array(free).reshape(-1, 2).T
-        owner = np.array([p.term for p in free_shapes(model)], int)
-        through = inside[component]
-        places = Places(layout, component, parameter.astype(int), owner, through, 1.0 / bins.rate)
-        return cls(model, places, slots, levels, shift, held, bins.per_octave())
+        parameter, offsets, owner = np.array(free).reshape(-1, 3).T
+        of_shapes = parameter.astype(int), offsets, owner.astype(int)
+        return cls(model, rate, component, *of_shapes, inside[component], slots, levels, held, bins)
 
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Arrangement:
         """Copy with these mean squares [rate²] and degrees of freedom as data."""
         return self._replace(levels=self.levels.with_data(level, dof))
 
-    def tangent(self, fit: LevelFit) -> LevelDesign:
-        """Levels around a fit; the response belongs to the term that has most of what passes through it."""
-        base, by_shape = self.places.levels(fit.maximum)
-        dof, model, owner = 2.0 * self.levels.shape, self.model, self.places.owner
-        if model.response is not None:
-            passed = np.asarray(fit.solution.power) * (base @ dof) * np.array(model.inside)
-            owner = np.where(owner == len(model), np.argmax(passed), owner)
-        shape = np.asarray(fit.solution.shape)
-        return LevelDesign.of(base, by_shape, shape, owner.tolist(), dof, self.per_octave)
+    @property
+    def _time(self) -> Int[np.ndarray, " terms"]:
+        """Parameter with the correlation time of each Markov process, −1 of other terms."""
+        k = self.component - self.slots.layout.first_markov
+        return np.where((k >= 0) & (k < self.slots.layout.markovs), self.slots.layout.times + k, -1)
 
-    def estimated(
-        self, free: Bool[np.ndarray, " terms"], active: Bool[np.ndarray, " terms"]
-    ) -> Bool[np.ndarray, " terms+shapes"]:
+    def unit_power(self, theta: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " terms"]:
+        """Power of each term's component where the term has unit amplitude.
+
+        That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
+        """
+        return np.where(self._time >= 0, np.exp(theta[self._time]) / (2.0 * self.rate), 1.0)
+
+    def estimated(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " terms+shapes"]:
         """Which powers and which free shapes are estimated, if these terms are in use."""
-        owned = of_owners(self.model, active)[self.places.owner]
-        return np.concatenate([free & active, owned])
+        owned = of_owners(self.model, active)[self.owner]
+        return np.concatenate([free_powers(self.model) & active, owned])
+
+    def fitted_model(self, fit: LevelFit) -> Model:
+        """The model with the shapes of a fit, and unit amplitudes."""
+        values = zip(free_shapes(self.model), np.exp(fit.solution.shape), strict=True)
+        return self.model.with_values(**{p.label: float(p.parameter.lower + x) for p, x in values})
+
+    def unit_levels(
+        self, maximum: Maximum
+    ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
+        """Levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
+        at, model, theta = self.slots.layout, maximum.model, np.asarray(maximum.theta)
+        unit = self.unit_power(theta)[:, None]
+        base = np.asarray(model.unit)[self.component] * unit
+        by_shape = np.zeros((*base.shape, len(self.parameter)))
+        # What passes through the response changes in proportion.
+        passing = self.inside[:, None] * base
+        total = theta[self.component] @ (passing / unit)
+        for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
+            if at.response <= p < at.other_shapes:
+                slope = np.asarray(model.by_response)[p - at.response]
+                by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
+                continue
+            row = p - at.times if p < at.response else len(at.owner) + p - at.other_shapes
+            by_shape[k, :, s] = np.asarray(model.by_shape)[row] * unit[k]
+            by_shape[k, :, s] += base[k] if p == self._time[k] else 0.0
+        return base, by_shape
+
+    def tangent(
+        self, fit: LevelFit, plateaus: Mapping[int, Mapping[str, float]], white: int
+    ) -> tuple[LevelDesign, Solution]:
+        """Levels around a fit, linear in all shapes, and the solution in them.
+
+        Args:
+            fit: the fit.
+            plateaus: for each term that is white at low frequencies its density there, for unit amplitude
+                (""), and the logarithmic derivatives of that by its shapes. What it has there is counted
+                as white noise, so that its own power is what it has beyond.
+            white: index of the white noise term.
+        """
+        base, by_shape = self.unit_levels(fit.maximum)
+        power: Any = np.array(fit.solution.power)
+        shape = np.asarray(fit.solution.shape)
+        # The response belongs to the term that has most of what passes through it.
+        passed, owner = np.where(self.inside, power * (base @ fit.degrees), 0.0), self.owner
+        owner = np.where(owner == len(power), np.argmax(passed), owner)
+        level, slope = base[white].copy(), by_shape[white].copy()
+        for k, plateau in plateaus.items():
+            power[white] += plateau[""] * power[k]
+            base[k] -= plateau[""] * level
+            by_shape[k] -= plateau[""] * slope
+            for s, p in enumerate(free_shapes(self.model)):
+                if p.term == k:
+                    by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
+        per_octave = self.bins.per_octave()
+        design = LevelDesign.of(base, by_shape, shape, owner.tolist(), fit.degrees, per_octave)
+        return design, fit.solution._replace(power=power)
+
+    def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " capacity"]:
+        """Relative variance of the levels from what sensors' filters and resonances differ from the model.
+
+        Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
+        just like the model's, which is common to the levels of an octave.
+        """
+        bins, model = self.bins, self.fitted_model(fit)
+        mean, m = np.asarray(fit.maximum.mean), len(bins.size)
+        drifting, common = np.zeros(len(mean)), np.zeros(m)
+        if model.response is not None:
+            fallen = np.log(np.maximum(np.asarray(model.response.power(bins.frequency, bins.rate)), 1e-300))
+            common += (_FILTER * np.minimum(fallen, 0.0)) ** 2
+        theta, f, narrow = np.asarray(fit.maximum.theta), bins.frequency, []
+        for k, term in zip(self.component.tolist(), model.terms, strict=True):
+            if isinstance(term, Resonance):
+                share = theta[k] * np.asarray(fit.maximum.model.unit[k]) / mean
+                narrow.append((float(term.frequency or 1.0), float(term.quality_factor or 1.0), share))
+        for middle, quality, share in narrow:
+            near = sum(abs(middle - g) < 0.75 * (middle / quality + g / Q) for g, Q, _ in narrow)
+            drifting += _UNSTEADY * near * share
+            beside = abs(f - middle) > _BESIDE * middle / quality
+            common += np.where(beside, _SKIRT * share[:m], 0.0) ** 2
+        square = drifting**2
+        square[:m] += common * bins.per_octave()
+        return square
 
 
 def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
@@ -224,7 +254,6 @@ def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
 
 
 def _kind(term: NoiseTerm) -> int:
-    """Kind of slot for a term."""
     free = [p for p in term.parameters()[1:] if term.is_free(p)]
     if not free:
         return _COLUMN
@@ -351,10 +380,14 @@ class LevelFit(NamedTuple):
     Attributes:
         solution: powers and shapes of its terms.
         maximum: the same in the slots, with the expected levels.
+        sufficient: whether the model follows the levels within their scatter.
+        degrees: degrees of freedom of the levels, less what the model's uncertainty costs.
     """
 
     solution: Solution
     maximum: Maximum
+    sufficient: bool
+    degrees: Float[np.ndarray, " capacity"]
 
 
 def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
@@ -395,7 +428,6 @@ def error_of_powers(
 
 def fit_levels(
     arrangement: Arrangement,
-    free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, " terms"],
     power: Float[ArrayLike, " terms"],
     shape: Float[ArrayLike, " shapes"],
@@ -405,70 +437,67 @@ def fit_levels(
 
     Args:
         arrangement: the model, with data.
-        free: terms whose power is estimated.
         active: terms in use.
         power, shape: start values.
         noise: rough levels of the noise [rate²].
     """
-    levels = arrangement.levels
-    dof, capacity = 2.0 * levels.shape, len(levels.shape)
-    noise, per_octave = padded(noise, capacity, 1.0), padded(arrangement.per_octave, capacity, 1.0)
-    fit = _maximum(arrangement, free, active, np.asarray(power), np.asarray(shape), noise, 1.0)
-    parameters = np.sum(arrangement.estimated(free, active))
-    degrees = max(float(np.sum(np.minimum(dof, 1.0))) - parameters, 1.0)
-    sufficient = fit.solution.converged and fit.solution.chi2 < beyond_doubt(degrees)
-    error = 0.0
-    for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not sufficient else 0):
-        wanted = error_of_powers(levels.level / fit.maximum.mean, dof, per_octave, degrees)
+    dof, capacity = 2.0 * arrangement.levels.shape, len(arrangement.levels.shape)
+    noise, per_octave = padded(noise, capacity, 1.0), padded(arrangement.bins.per_octave(), capacity, 1.0)
+    degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
+
+    def fitted(power: Any, shape: Any, share: Any = 1.0) -> LevelFit:
+        solution, maximum = _maximum(arrangement, active, np.asarray(power), np.asarray(shape), noise, share)
+        enough = bool(solution.converged and solution.chi2 < beyond_doubt(degrees))
+        return LevelFit(solution, maximum, enough, dof)
+
+    fit, error, share = fitted(power, shape), 0.0, np.ones(capacity)
+    if not fit.sufficient and np.isfinite(fit.solution.cost):
+        share = 1.0 / (1.0 + 0.5 * dof * arrangement.uncertainty(fit))
+        fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
+    for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not fit.sufficient else 0):
+        wanted = error_of_powers(arrangement.levels.level / fit.maximum.mean, dof, per_octave, degrees)
         if abs(wanted - error) <= _SETTLED * wanted:
             break
-        error, share = wanted, share_with_error(dof, per_octave, wanted)
-        start = np.asarray(fit.solution.power), np.asarray(fit.solution.shape)
-        fit = _maximum(arrangement, free, active, *start, noise, share)
+        error = wanted
+        fit = fitted(*fit.solution[:2], share * share_with_error(share * dof, per_octave, error))
     final: Any = np.asarray(error)
-    return fit._replace(solution=fit.solution._replace(power_error=final))
+    return fit._replace(solution=fit.solution._replace(power_error=final), degrees=share * dof)
 
 
 def _maximum(
     arrangement: Arrangement,
-    free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, " terms"],
     power: Float[np.ndarray, " terms"],
     shape: Float[np.ndarray, " shapes"],
     noise: Float[np.ndarray, " capacity"],
     share: Any,
-) -> LevelFit:
+) -> tuple[Solution, Maximum]:
     """Maximum of the likelihood of levels that keep this share of their weight."""
-    levels, slots, places = arrangement.levels, arrangement.slots, arrangement.places
-    component, parameter, offset = places.component, places.parameter, arrangement.offset
+    levels, slots = arrangement.levels, arrangement.slots
+    component, parameter, offset = arrangement.component, arrangement.parameter, arrangement.offset
     start, estimated = np.array(arrangement.held), np.array(slots.free)
     start[parameter] = shape + offset
-    estimated[np.append(component, parameter)] = arrangement.estimated(free, active)
-    start[component] = np.where(active, power * places.unit_power(start), _NOTHING)
-    lower, upper, rate = np.array(slots.lower), np.array(slots.upper), 1.0 / places.interval
+    estimated[np.append(component, parameter)] = arrangement.estimated(active)
+    start[component] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
+    lower, upper, terms = np.array(slots.lower), np.array(slots.upper), len(arrangement.model)
     for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
-        reach, terms = _REACH[p.parameter.kind], len(arrangement.model)
-        top = np.log(_upper(int(slots.kind), p, terms, rate) - p.parameter.lower) - _INSIDE + u
-        lower[k], upper[k] = max(lower[k], start[k] - reach), min(start[k] + reach, top)
+        reach, top = _REACH[p.parameter.kind], p.parameter.upper
+        if p.term == terms and p.parameter.name == "bandwidth":
+            top = bandwidths(int(slots.kind))[1] * arrangement.rate / (2.0 * np.pi)
+        end = np.log(top - p.parameter.lower) - _INSIDE + u
+        lower[k], upper[k] = max(lower[k], start[k] - reach), min(start[k] + reach, end)
     slots = dataclasses.replace(slots, free=estimated, lower=lower, upper=upper)
-    found: Any = maximize(start, slots, levels._replace(shape=levels.shape * share), noise)
+    found: Any = maximize(start, slots, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
     theta, mean = found.theta, found.mean
     values: Any = (
-        np.where(active, theta[component] / places.unit_power(theta), 0.0),
+        np.where(active, theta[component] / arrangement.unit_power(theta), 0.0),
         theta[parameter] - offset,
         np.asarray(chi_squared(levels.level / mean, 2.0 * levels.shape)),
         np.asarray(0.0),
         np.asarray(found.converged & np.isfinite(found.loss)),
         np.asarray(-2.0 * np.sum(_log_densities(levels.level, mean, levels.shape * share))),
     )
-    return LevelFit(Solution(*values), found)
-
-
-def _upper(kind: int, p: ModelParameter, terms: int, rate: float) -> float:
-    """Upper bound of a shape, of a term or of this kind of response, for samples at `rate` [Hz]."""
-    if p.term == terms and p.parameter.name == "bandwidth":
-        return bandwidths(kind)[1] * rate / (2.0 * np.pi)
-    return p.parameter.upper
+    return Solution(*values), found
 
 
 def _log_densities(
@@ -501,17 +530,11 @@ def infer_levels(
     solution: Solution,
 ) -> Inference:
     """Inference of one axis around its solution, [1, …]; see `infer`."""
-    padded = _padded(design, solution)
-    V = design.padded_estimates(level[None])
-    of_terms = design.padded_terms(free), design.padded_terms(active[None])
-    found = infer(design, V, *of_terms, padded)
-    return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
-
-
-def _padded(design: LevelDesign, solution: Solution) -> Solution:
-    """Solution in arrays of the design's length."""
-    padded: dict[str, Any] = {
+    of: Any = {
         "power": design.padded_terms(np.asarray(solution.power)),
         "shape": design.padded_shapes(np.asarray(solution.shape)),
     }
-    return solution._replace(**padded)
+    V = design.padded_estimates(level[None])
+    of_terms = design.padded_terms(free), design.padded_terms(active[None])
+    found = infer(design, V, *of_terms, solution._replace(**of))
+    return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])

@@ -1,0 +1,331 @@
+"""Fit of one axis by Whittle's likelihood: from the levels of its spectrum to coefficients, misfit and model.
+
+The levels of the cosine spectrum are χ² around their expectations (see `cosine`); the joint spectral model
+computes these for all terms and the response at once (`spectral`). The inference is as for Allan variances,
+with the levels in their place. Lines, ramps and regressors are estimated alongside (`deterministic`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from allanjax.base.chi_squared import upper_tail
+from allanjax.base.errors import FitError
+from allanjax.estimate.design import (
+    different,
+    find_lines,
+    free_powers,
+    free_shapes,
+    of_owners,
+    random_terms,
+    shape_candidates,
+)
+from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
+from allanjax.estimate.gls import Solution
+from allanjax.estimate.inference import Coefficients, coefficients_of, deterministic_coefficients, reported
+from allanjax.estimate.result import AxisFit, Misfit, fitted_model, spectral_misfit, widened
+from allanjax.estimate.spectral.expected import ExpectedLevels
+from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels, infer_levels
+from allanjax.estimate.spectral.powers import power_fits
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
+from allanjax.noise.terms import Markov, PowerLaw, Resonance
+from allanjax.record.recording import Axis, Recording
+from allanjax.spectrum.cosine import PER_OCTAVE, Bins, SpectralStatistics, cosine_transform, term_column
+
+# Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
+_ROUNDS = 3
+# Levels with fewer degrees of freedom are smoothed for the start values.
+_FEW = 8.0
+# Bins per octave where the spectrum is not smooth: for resonances, and for filters.
+_FINE = 24
+# Candidates of start values that are evaluated together.
+_BLOCK = 32
+#: Quality factor below which a resonance may be white noise behind a filter.
+WIDE = 4.0
+# Correlation time [samples] below which a Markov process is filtered white noise.
+_SHORT = 20.0
+# Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
+# shown to be the oscillator's shape: a judgement.
+_SHAPED, _AROUND = 0.05, 1.5
+
+
+def spectrum_of(
+    template: Model,
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    bins: Bins | None = None,
+) -> AxisSpectrum:
+    """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
+
+    Bins that are not given are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those
+    without one.
+    """
+    n = len(x)
+    lines, wanted = lines_of(template)
+    known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
+    c, found = take_out_lines(x - x.mean(), rate, wanted)
+    columns: list[tuple[str | int, np.ndarray]] = []
+    columns += [(name, cosine_transform(z)) for name, z in (regressors or {}).items()]
+    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
+    if bins is None:
+        around = [line.frequency for line in found]
+        narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
+        unknown = iter(peaks)
+        around += [p.start if p.start is not None else float(next(unknown, rate / 8.0)) for p in narrow]
+        per_octave = PER_OCTAVE if template.response is None else _FINE
+        bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
+    return AxisSpectrum.of(bins, c, columns, dict(zip(lines, found, strict=True)))
+
+
+def statistics_of(bins: Bins, statistics: SpectralStatistics, k: int, template: Model) -> AxisSpectrum:
+    """Spectral statistics of axis k among those of several, for a model without lines and transients."""
+    squares, cross, gram = (np.asarray(x[k]) for x in statistics)
+    ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
+    columns = (len(squares), len(ramps))
+    cross = np.broadcast_to(cross[:, None], columns)
+    gram = np.broadcast_to(gram[:, None, None], (*columns, len(ramps)))
+    return AxisSpectrum(bins, squares, np.zeros(len(squares)), cross, gram, ramps, {})
+
+
+def fit_whittle(
+    recording: Recording,
+    k: int,
+    template: Model,
+    active: Bool[np.ndarray, " terms"],
+    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+) -> AxisFit:
+    """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
+    x, rate = recording.values[:, k], recording.rate
+    searched = any(p.parameter.kind == "line" and p.start is None for p in template.parameters)
+    peaks = find_lines(x, rate) if searched else ()
+    spectrum = spectrum_of(template, x, rate, regressors, peaks)
+    return fit_spectrum(template, recording.axes[k], spectrum, active, peaks)
+
+
+def fit_spectrum(
+    template: Model,
+    axis: Axis,
+    spectrum: AxisSpectrum,
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    at_low: bool = False,
+) -> AxisFit:
+    """Fit a model to the spectral statistics of one axis by maximum likelihood.
+
+    Args:
+        template: the terms.
+        axis: the axis.
+        spectrum: the statistics, with a column for each deterministic term.
+        active: the terms in use; for the others there is an upper limit.
+        peaks: frequencies [Hz] to try for narrow-band terms without one.
+        at_low: whether N is the density at low frequencies, which includes that of wide resonances and of
+            short processes; the fitted model has them apart.
+
+    Raises:
+        FitError: there is no random term in the model.
+    """
+    random = np.array([not term.deterministic for term in template.terms])
+    if not (random & active).any():
+        raise FitError(
+            "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
+        )
+    noise, here = random_terms(template), active[random]
+    used = spectrum.used(np.flatnonzero(~active).tolist())
+    arrangement, projection, fit = _fit_noise(noise, spectrum, used, here, peaks)
+    mean = np.asarray(fit.maximum.mean)[: len(projection.level)]
+    misfit = None
+    if fit.solution.converged and float(fit.solution.power_error) > 0.0:
+        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
+    white = noise.term_labels.index("angle_random_walk") if at_low else 0
+    plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
+    design, solution = arrangement.tangent(fit, plateaus, white)
+    solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
+    inference = infer_levels(design, projection.level, free_powers(noise), here, solution)
+    place = int(spectrum.bins.n), spectrum.bins.rate
+    (found,) = coefficients_of(noise, [axis], here[None], solution, inference, *place)
+    values = dict(found.values)
+    for k in np.flatnonzero(~random):
+        values |= _deterministic(template, int(k), axis, spectrum, mean, bool(active[k]))
+    order = [p.label for p in reported(template)]
+    covariance = np.diag([values[label].std ** 2 for label in order])
+    rows = [order.index(label) for label in found.values]
+    covariance[np.ix_(rows, rows)] = found.covariance
+    coefficients = Coefficients({label: values[label] for label in order}, np.nan_to_num(covariance))
+    dof = round(projection.estimates) - estimated(template, active & random)
+    one = jax.tree.map(lambda x: np.asarray(x)[0], solution)
+    regression = _regression(spectrum, projection)
+    result = axis_fit(axis, template, active, coefficients, one, dof, misfit)
+    result = dataclasses.replace(result, regression=regression, spectrum=spectrum)
+    if plateaus:
+        N = coefficients.values["angle_random_walk"]
+        own = {**coefficients.values, N.label: dataclasses.replace(N, value=_root(fit.solution.power[white]))}
+        result = dataclasses.replace(result, _model=fitted_model(template, own, absent(template, active)))
+    return result
+
+
+def _root(power: Any) -> float:
+    return float(np.sqrt(power))
+
+
+def _fit_noise(
+    noise: Model,
+    spectrum: AxisSpectrum,
+    used: Bool[np.ndarray, " columns"],
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+) -> tuple[Arrangement, Projection, LevelFit]:
+    """Fit the random terms, alternating with the projection of the deterministic parts in use."""
+    window = np.ones(7)
+    size, squares = (np.convolve(x, window, "same") for x in (spectrum.bins.size, spectrum.squares))
+    smooth = np.where(size > 0, squares / np.maximum(size, 1.0), spectrum.squares.sum() / spectrum.bins.n)
+    empty, variance, fit = Arrangement.of(noise, spectrum.bins), smooth, None
+    for _ in range(_ROUNDS if used.any() else 1):
+        projection = spectrum.project(variance, used)
+        arrangement = empty.with_data(projection.level, projection.dof)
+        if fit is None:
+            # Single coefficients scatter too much for start values.
+            rough = np.where(projection.dof < _FEW, smooth, projection.level)
+            starts = _starts(noise, spectrum.bins, rough, projection.dof, active, peaks)
+        else:
+            starts = [(np.asarray(fit.solution.power), np.asarray(fit.solution.shape))]
+        # The likelihood may have several maxima in a correlation time: all starts are tried.
+        fit = best_of([fit_levels(arrangement, active, *start, smooth) for start in starts])
+        variance = np.asarray(fit.maximum.mean)[: len(smooth)]
+    assert fit is not None
+    return arrangement, projection, fit
+
+
+def _starts(
+    noise: Model,
+    bins: Bins,
+    level: Float[np.ndarray, " m"],
+    dof: Float[np.ndarray, " m"],
+    active: Bool[np.ndarray, " terms"],
+    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
+    """Powers and shapes to start from: the best candidates of shapes with the powers that fit best."""
+    shapes, parameters = free_shapes(noise), noise.parameters
+    candidates = shape_candidates(shapes, float(bins.n / bins.rate), bins.rate, peaks)
+    values = np.tile([1.0 if p.start is None else p.start for p in parameters], (len(candidates), 1))
+    places = [k for k, p in enumerate(parameters) if p.free and not p.parameter.is_amplitude]
+    values[:, places] = np.exp(candidates) + [p.parameter.lower for p in shapes]
+    of, found = ExpectedLevels(noise, bins), []
+    amplitudes = [p for p in parameters if p.parameter.is_amplitude]
+    held, free = np.array([float(p.start or 0.0) ** 2 for p in amplitudes]), free_powers(noise)
+    for some in np.array_split(values, -(-len(values) // _BLOCK)):
+        unit = np.broadcast_to(of(some), (len(some), len(noise), len(level)))
+        start = np.where(free, np.min(level / np.maximum(unit, 1e-300), axis=-1), held)
+        found.append(power_fits(level, dof / 2.0, level, unit, start, np.tile(active, (len(some), 1))))
+    power, loss = (np.concatenate(part) for part in zip(*found, strict=True))
+    power = np.where(free, power, held)
+    return [(power[k], candidates[k]) for k in different(candidates, loss, shapes)]
+
+
+def _plateaus(
+    arrangement: Arrangement, projection: Projection, fit: LevelFit
+) -> dict[int, Mapping[str, float]]:
+    """Terms that are white at low frequencies, where nothing distinguishes them from white noise.
+
+    These include resonances whose oscillator shape the data do not show. See `Arrangement.tangent`.
+    """
+    bins, model, rows = arrangement.bins, arrangement.fitted_model(fit), len(projection.level)
+    weight, ratio = 0.5 * fit.degrees[:rows], projection.level / np.asarray(fit.maximum.mean)[:rows]
+    found: dict[int, Mapping[str, float]] = {}
+    for k, term in enumerate(model.terms):
+        if isinstance(term, PowerLaw):
+            found[k] = {"": 1.0}
+        elif isinstance(term, Markov):
+            T = float(term.correlation_time or 0.0)
+            if T * bins.rate < _SHORT:
+                found[k] = {"": T**2, "correlation_time": 2.0}
+        elif isinstance(term, Resonance):
+            f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
+            w = np.where(abs(np.log(bins.frequency / f)) < np.log(_AROUND), weight, 0.0)
+            beyond_chance = w @ (ratio - 1.0) ** 2 - np.count_nonzero(w)
+            if Q < WIDE or beyond_chance > _SHAPED**2 * w.sum():
+                slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
+                found[k] = {"": 1.0 / (np.pi * f * Q), **slopes}
+    return found
+
+
+def _regression(spectrum: AxisSpectrum, projection: Projection) -> dict[str, tuple[float, float]]:
+    """Amplitude of each regressor and its standard deviation."""
+    std = np.sqrt(np.diag(projection.covariance)).tolist()
+    found = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
+    return {owner: (value, error) for owner, value, error in found if isinstance(owner, str)}
+
+
+def _deterministic(
+    template: Model,
+    k: int,
+    axis: Axis,
+    spectrum: AxisSpectrum,
+    variance: Float[np.ndarray, " m"],
+    active: bool,
+) -> dict[str, Estimate]:
+    """Coefficients of a ramp, a step or a line, from the joint estimate of its components."""
+    own = np.array([owner == k for owner in spectrum.owners])
+    regressors = np.array([isinstance(owner, str) for owner in spectrum.owners])
+    projection = spectrum.project(variance, own | (spectrum.used() if active else regressors))
+    covariance = projection.covariance[np.ix_(own, own)]
+    components = projection.amplitude[own]
+    square = float(components @ np.linalg.solve(covariance, components))
+    unit = float(np.sqrt(np.trace(covariance) / own.sum()))
+    return deterministic_coefficients(
+        template, k, axis, square, unit, int(own.sum()), spectrum.lines.get(k), spectrum.bins.n, active
+    )
+
+
+def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
+    """Number of coefficients that are estimated, by which the degrees of freedom of χ² are reduced."""
+    here = of_owners(template, active)
+    return sum(p.free and bool(here[p.term]) for p in reported(template))
+
+
+def absent(template: Model, active: Bool[np.ndarray, " terms"]) -> list[str]:
+    """Labels of the terms that are not in use."""
+    return [label for label, here in zip(template.term_labels, active, strict=True) if not here]
+
+
+def axis_fit(
+    axis: Axis,
+    template: Model,
+    active: Bool[np.ndarray, " terms"],
+    coefficients: Coefficients,
+    solution: Solution,
+    dof: int,
+    misfit: Misfit | None,
+) -> AxisFit:
+    """Result of one axis; if its misfit is excessive, coefficients lose intervals and limits."""
+    converged = bool(solution.converged)
+    result = AxisFit(
+        axis=axis,
+        converged=converged,
+        reason="" if converged else "the fit did not converge; try fewer terms or other start values",
+        chi2=float(solution.chi2),
+        dof=dof,
+        p_value=float(upper_tail(solution.chi2, dof)),
+        discrepancy=float(solution.discrepancy),
+        _coefficients=coefficients.values,
+        _covariance=coefficients.covariance,
+        _model=fitted_model(template, coefficients.values, absent(template, active)),
+    )
+    return with_misfit(result, misfit)
+
+
+def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
+    """Result with its misfit, if any; if that is excessive, coefficients lose intervals and limits."""
+    if misfit is None or not result.converged:
+        return result
+    if not misfit.excessive:
+        return dataclasses.replace(result, misfit=misfit)
+    return result.unmeasured(misfit=misfit)
