@@ -55,10 +55,10 @@ def prepared(model, dense, free):
     """Slots, levels and parameters of a model with values; `free`: whether all are estimated."""
     model = aj.Model(()) + model
     arrangement = Arrangement.of(model, bins()).with_data(dense.level, np.full(N - 1, dense.count))
-    places, theta = arrangement.places, np.array(arrangement.held)
-    theta[places.component] = squared_amplitudes(model) * places.unit_power(theta)
+    theta = np.array(arrangement.held)
+    theta[arrangement.component] = squared_amplitudes(model) * arrangement.unit_power(theta)
     estimated = np.zeros(len(theta), bool)
-    estimated[np.append(places.component, places.parameter)] = free
+    estimated[np.append(arrangement.component, arrangement.parameter)] = free
     return arrangement, dataclasses.replace(arrangement.slots, free=estimated), theta
 
 
@@ -76,7 +76,7 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
     mean, (arrangement, slots, theta) = dense.means(model), prepared(model, dense, False)
     found = maximize(theta, slots, arrangement.levels, arrangement.levels.level)
     assert_allclose(found.mean[: N - 1], mean, rtol=1e-10)
-    base, by_shape = arrangement.places.levels(SimpleNamespace(theta=theta, model=found.model))
+    base, by_shape = arrangement.unit_levels(SimpleNamespace(theta=theta, model=found.model))
     amplitudes, shapes = iter(2.0 * power[:, None] * base), iter(np.einsum("t,tms->sm", power, by_shape))
     expected = slopes(lambda m: np.log(dense.means(m)), model, labels)
     for p, exact in zip(model.parameters, expected, strict=True):
