@@ -60,10 +60,8 @@ def of_spectra() -> Programs:
 
     They run with data of no meaning, in the order in which fits need them.
     """
-    from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import ranked
     from allanjax.estimate.spectral.components import CAPACITIES, levels_of
-    from allanjax.estimate.spectral.fit import LevelDesign, infer_levels
     from allanjax.estimate.spectral.model import FULL, Slots, maximize
     from allanjax.estimate.whittle import fit_whittle
     from allanjax.noise.terms import basic_terms
@@ -75,11 +73,7 @@ def of_spectra() -> Programs:
     yield lambda: ranked(recording)
     yield lambda: fit_whittle(recording, 0, model, np.ones(len(model), bool))
     # The same for many levels and terms.
-    m, terms = CAPACITIES[-1], FULL.columns + 1
+    m = CAPACITIES[-1]
     slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), np.zeros(FULL.components, bool))
     levels = levels_of(Bins.of(len(x), 1.0), np.zeros((0, 2, 0)), FULL.columns, m)
     yield lambda: maximize(slots.usual(), slots, levels, np.ones(m))
-    ones, here = np.ones((terms, m)), np.ones(terms, bool)
-    design = LevelDesign.of(ones, np.zeros((terms, m, 1)), np.zeros(1), [0], np.ones(m), np.ones(m))
-    at: Any = (np.ones((1, terms)), np.zeros((1, 1)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
-    yield lambda: infer_levels(design, np.ones(m), here, here, Solution(*at))

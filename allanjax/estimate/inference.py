@@ -13,6 +13,7 @@ import numpy as np
 from jax.scipy.special import gammaln, ndtri
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from allanjax.base.arrays import namespace
 from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.linalg import inverse, non_negative_least_squares
@@ -62,27 +63,28 @@ class _Linearized(NamedTuple):
     estimate_variance: Float[Array, " m"]
 
 
-def _normal_score(t: Float[Array, ""], skewness: Float[Array, ""]) -> Float[Array, ""]:
+def gamma_score(t: Float[Array, ...], skewness: Float[Array, ...]) -> Float[Array, ...]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
     With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
     """
-    g = jnp.where(jnp.abs(skewness) > 1e-3, skewness, 1e-3)
-    return jnp.sign(g) * cube_root_score(jnp.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
+    xp = namespace(t, skewness)
+    g = xp.where(xp.abs(skewness) > 1e-3, skewness, 1e-3)
+    return xp.sign(g) * cube_root_score(xp.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
 
 
-# Hypothetical powers, in standard deviations from the estimate; the first is zero power.
-_BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+#: Hypothetical powers, in standard deviations from the estimate; the first is zero power.
+DOWN = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
 # If the scatter grows with the power, as for few long clusters, limits may be far above.
 _NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
-_ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
+UP = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
 #: Indices of the estimate itself, of hypotheses below and above.
-ESTIMATE = len(_BELOW) - 1
-ABOVE = len(_BELOW)
-# No interval ends beyond this score.
-_FAR_ENOUGH = -2.0
-# Probability that a ceiling is too low.
-_CHANCE = 0.025
+ESTIMATE = len(DOWN) - 1
+ABOVE = len(DOWN)
+#: No interval ends beyond this score.
+FAR_ENOUGH = -2.0
+#: Probability that a ceiling is too low.
+CHANCE = 0.025
 
 
 def infer(
@@ -151,7 +153,7 @@ def _infer(
         power_at, pivot_at = axis.hypotheses(active & free, k, alone[k], own_shape[k], tested[k])
         return found[0].at[k].set(power_at), found[1].at[k].set(pivot_at)
 
-    nothing = jnp.full((terms, len(_BELOW) + len(_ABOVE)), jnp.nan)
+    nothing = jnp.full((terms, len(DOWN) + len(UP)), jnp.nan)
     power_at, pivot_at = jax.lax.fori_loop(0, design.terms, of_term, (nothing, nothing))
     found = axis.linearized(s.power, is_active)
     highest = ceiling(design, V, axis.means, axis.products, s.power_error)
@@ -222,7 +224,7 @@ class _Axis(NamedTuple):
         third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
         skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
-        return _normal_score(there.step[term] / jnp.sqrt(variance), skewness)
+        return gamma_score(there.step[term] / jnp.sqrt(variance), skewness)
 
     def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
         """Powers, the allowed ones fitted to the data with weights from the covariance at `power`."""
@@ -251,8 +253,8 @@ class _Axis(NamedTuple):
         # The only term cannot vanish altogether.
         least = 1e-9 * s.power[term]
         slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
-        down = jnp.maximum(s.power[term] + jnp.asarray(_BELOW) * sd, 0.0)
-        up = s.power[term] + jnp.asarray(_ABOVE) * sd
+        down = jnp.maximum(s.power[term] + jnp.asarray(DOWN) * sd, 0.0)
+        up = s.power[term] + jnp.asarray(UP) * sd
 
         def below(k: Array, scores: Array) -> Array:
             v = jnp.maximum(down[k], least)
@@ -272,11 +274,11 @@ class _Axis(NamedTuple):
 
         def goes_on(state: tuple[Array, Array, Array]) -> Array:
             k, scores, _ = state
-            reached = scores[k - 1] - jnp.minimum(scores[0], 0.0) < _FAR_ENOUGH
-            return (k == 0) | (~reached & (k < len(_ABOVE)))
+            reached = scores[k - 1] - jnp.minimum(scores[0], 0.0) < FAR_ENOUGH
+            return (k == 0) | (~reached & (k < len(UP)))
 
-        nothing = jnp.full(len(_ABOVE), jnp.nan)
-        pivots = jax.lax.fori_loop(0, len(_BELOW), below, jnp.zeros_like(down))
+        nothing = jnp.full(len(UP), jnp.nan)
+        pivots = jax.lax.fori_loop(0, len(DOWN), below, jnp.zeros_like(down))
         _, further, _ = jax.lax.while_loop(goes_on, above, (jnp.asarray(0), nothing, s.power * active))
         return jnp.concatenate([down, up]), jnp.concatenate([pivots, further])
 
@@ -287,12 +289,12 @@ def ceiling(
     """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
     Other terms can only add to an estimate, so that V ≥ v·mean·e^(power_error·z)·χ²/ν, with a normal z. With
-    m estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). ν is that of the
+    m estimates the chance of either is `CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). ν is that of the
     term that scatters most.
     """
     each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
     relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
-    half, chance = 1.0 / jnp.maximum(relative, 1e-9), _CHANCE / (2.0 * design.rows)
+    half, chance = 1.0 / jnp.maximum(relative, 1e-9), CHANCE / (2.0 * design.rows)
     least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + power_error * ndtri(chance)
     return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)
 

@@ -31,7 +31,7 @@ from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Coefficients, coefficients_of, deterministic_coefficients, reported
 from allanjax.estimate.result import AxisFit, Misfit, fitted_model, spectral_misfit, widened
 from allanjax.estimate.spectral.expected import ExpectedLevels
-from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels, infer_levels
+from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -147,9 +147,9 @@ def fit_spectrum(
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     white = noise.term_labels.index("angle_random_walk") if at_low else 0
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
-    design, solution = arrangement.tangent(fit, plateaus, white)
+    tangent, solution = arrangement.tangent(fit, plateaus, white)
     solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
-    inference = infer_levels(design, projection.level, free_powers(noise), here, solution)
+    inference = tangent.inference(free_powers(noise), here, solution)
     place = int(spectrum.bins.n), spectrum.bins.rate
     (found,) = coefficients_of(noise, [axis], here[None], solution, inference, *place)
     values = dict(found.values)

@@ -12,19 +12,15 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design, free_powers, free_shapes, of_owners
+from allanjax.estimate.design import free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.components import (
     BIQUAD,
     BUTTERWORTH_1,
-    CAPACITIES,
     MOVING_AVERAGE,
     NONE,
     ONE_POLE,
@@ -35,6 +31,7 @@ from allanjax.estimate.spectral.components import (
     levels_of,
     padded,
 )
+from allanjax.estimate.spectral.intervals import Tangent
 from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Others, Slots, maximize
 from allanjax.noise.model import Model
 from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
@@ -49,8 +46,6 @@ _NOTHING = 1e-290
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
-# Numbers of terms, of free shapes and of levels to which arrays are padded.
-_ROOMS = tuple(zip((8, 24), (8, 32), CAPACITIES, strict=True))
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
@@ -188,7 +183,7 @@ class Arrangement(NamedTuple):
 
     def tangent(
         self, fit: LevelFit, plateaus: Mapping[int, Mapping[str, float]], white: int
-    ) -> tuple[LevelDesign, Solution]:
+    ) -> tuple[Tangent, Solution]:
         """Levels around a fit, linear in all shapes, and the solution in them.
 
         Args:
@@ -200,7 +195,6 @@ class Arrangement(NamedTuple):
         """
         base, by_shape = self.unit_levels(fit.maximum)
         power: Any = np.array(fit.solution.power)
-        shape = np.asarray(fit.solution.shape)
         # The response belongs to the term that has most of what passes through it.
         passed, owner = np.where(self.inside, power * (base @ fit.degrees), 0.0), self.owner
         owner = np.where(owner == len(power), np.argmax(passed), owner)
@@ -213,8 +207,10 @@ class Arrangement(NamedTuple):
                 if p.term == k:
                     by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
         per_octave = self.bins.per_octave()
-        design = LevelDesign.of(base, by_shape, shape, owner.tolist(), fit.degrees, per_octave)
-        return design, fit.solution._replace(power=power)
+        m = len(per_octave)
+        of_levels = self.levels.level[:m], fit.degrees[:m], per_octave
+        tangent = Tangent(base[:, :m], by_shape[:, :m], owner, *of_levels)
+        return tangent, fit.solution._replace(power=power)
 
     def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " capacity"]:
         """Relative variance of the levels from what sensors' filters and resonances differ from the model.
@@ -270,108 +266,6 @@ def _response(model: Model) -> int:
         return BUTTERWORTH_1 + model.response.order - 1
     kinds = {LowPass1: ONE_POLE, LowPass2: TWO_POLES, MovingAverage: MOVING_AVERAGE, Biquad: BIQUAD}
     return kinds[type(model.response)]
-
-
-class LevelDesign(Design):
-    """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
-
-    A relative error of the model is taken to be common to the bins of an octave.
-
-    Attributes:
-        base: levels of each term of unit amplitude at the solution.
-        by_shape: their derivatives by the shapes there.
-        centre: the shapes there.
-        degrees: degrees of freedom of each level; 0 for padding.
-        moves: which shapes exist; the others are padding.
-        per_octave: number of bins in the octave around each bin.
-    """
-
-    base: Float[np.ndarray, "terms m"]
-    by_shape: Float[np.ndarray, "terms m shapes"]
-    centre: Float[np.ndarray, " shapes"]
-    degrees: Float[np.ndarray, " m"]
-    moves: Bool[np.ndarray, " shapes"]
-    per_octave: Float[np.ndarray, " m"]
-
-    @classmethod
-    def of(
-        cls,
-        base: Float[np.ndarray, "terms m"],
-        by_shape: Float[np.ndarray, "terms m shapes"],
-        centre: Float[np.ndarray, " shapes"],
-        owner: Sequence[int],
-        degrees: Float[np.ndarray, " m"],
-        per_octave: Float[np.ndarray, " rows"],
-    ) -> LevelDesign:
-        """Design in arrays of two sizes, so that two programs serve all models; see the class."""
-        size = len(base), len(centre), len(degrees)
-        terms, shapes, capacity = next((r for r in _ROOMS if all(np.array(r) >= size)), size)
-        room = [(0, terms - len(base)), (0, capacity - base.shape[1])]
-        return cls(
-            owner=padded(np.array(owner, int), shapes, 0),
-            terms=np.asarray(len(base)),
-            rows=np.asarray(len(per_octave)),
-            base=np.pad(base, room),
-            by_shape=np.pad(by_shape, [*room, (0, shapes - len(centre))]),
-            centre=padded(centre, shapes, 0.0),
-            degrees=padded(degrees, capacity, 0.0),
-            moves=np.arange(shapes) < len(centre),
-            per_octave=padded(per_octave, capacity, 1.0),
-        )
-
-    @property
-    def movable(self) -> Bool[np.ndarray, " shapes"]:
-        return self.moves
-
-    @property
-    def has_shapes(self) -> bool:
-        return True
-
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
-        return padded(V, len(self.per_octave), 1.0)
-
-    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        return padded(values, len(self.base), 0)
-
-    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        return padded(values, len(self.moves), 0)
-
-    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        return jnp.asarray(self.base) + jnp.asarray(self.by_shape) @ (shape - jnp.asarray(self.centre))
-
-    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        return jnp.where(jnp.arange(means.shape[1]) < self.rows, power @ means, 1.0)
-
-    def products(self, shape: Float[Array, " shapes"]) -> Array:
-        return self.means(shape)
-
-    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
-        return self.mean(power, products) ** 2 / jnp.maximum(jnp.asarray(self.degrees) / 2.0, 1e-9)
-
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        return covariance
-
-    def whiten(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> CholeskyWhitened:
-        relative = covariance / mean**2 + power_error**2 * self.per_octave
-        known = jnp.asarray(self.degrees) > 0.0
-        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
-        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
-
-    def whiten_and_weigh(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
-        scale = self.whiten(covariance, mean, power_error, jnp.ones((len(mean), 1))).values
-        return X * scale, (X * scale**2).T
 
 
 class LevelFit(NamedTuple):
@@ -520,21 +414,3 @@ def best_of(fits: Sequence[LevelFit]) -> LevelFit:
     cost = [float(np.nan_to_num(fit.solution.cost, nan=np.inf)) for fit in fits]
     close = [fit for fit, c in zip(fits, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
     return next((fit for fit in close if fit.solution.converged), close[0])
-
-
-def infer_levels(
-    design: LevelDesign,
-    level: Float[np.ndarray, " m"],
-    free: Bool[np.ndarray, " terms"],
-    active: Bool[np.ndarray, " terms"],
-    solution: Solution,
-) -> Inference:
-    """Inference of one axis around its solution, [1, …]; see `infer`."""
-    of: Any = {
-        "power": design.padded_terms(np.asarray(solution.power)),
-        "shape": design.padded_shapes(np.asarray(solution.shape)),
-    }
-    V = design.padded_estimates(level[None])
-    of_terms = design.padded_terms(free), design.padded_terms(active[None])
-    found = infer(design, V, *of_terms, solution._replace(**of))
-    return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
