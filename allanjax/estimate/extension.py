@@ -19,6 +19,7 @@ from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import NONE
+from allanjax.estimate.spectral.fit import CLOSE
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.structure.search import Record, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
@@ -47,8 +48,8 @@ _NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
 _BLOCK, _MEDIAN = 64, 0.4549
 # Number of searches for lines, each after removal of the lines found before.
 _LOOKS = 3
-# Least distance of two lines [coefficients], and of two resonances, in the mean of their widths.
-_APART, _CLOSE = 1.5, 1.5
+# Least distance of two lines [coefficients].
+_APART = 1.5
 # Most fits until every component of the model is detected.
 _ROUNDS = 6
 # Growth of the discrepancy, relative and absolute, that the removal of what is not detected may cause:
@@ -270,7 +271,7 @@ def _tidied(
         # Overlapping resonances may be detected only together, not singly: the weakest goes first.
         for k in sorted(unseen, key=lambda k: amplitude[k].value):
             beside = (i for i in gone if {k, i} <= width.keys())
-            if all(abs(middle[k] - middle[i]) >= _CLOSE * 0.5 * (width[k] + width[i]) for i in beside):
+            if all(abs(middle[k] - middle[i]) >= CLOSE * 0.5 * (width[k] + width[i]) for i in beside):
                 gone.append(k)
     if not gone:
         return None

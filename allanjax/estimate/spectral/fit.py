@@ -57,6 +57,8 @@ _TOLERANCE = 1e-7
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
+#: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
+CLOSE = 1.5
 
 
 class Arrangement(NamedTuple):
@@ -230,7 +232,7 @@ class Arrangement(NamedTuple):
                 share = theta[k] * np.asarray(fit.maximum.model.unit[k]) / mean
                 narrow.append((float(term.frequency or 1.0), float(term.quality_factor or 1.0), share))
         for middle, quality, share in narrow:
-            near = sum(abs(middle - g) < 0.75 * (middle / quality + g / Q) for g, Q, _ in narrow)
+            near = sum(abs(middle - g) < CLOSE * 0.5 * (middle / quality + g / Q) for g, Q, _ in narrow)
             drifting += _UNSTEADY * near * share
             beside = abs(f - middle) > _BESIDE * middle / quality
             common += np.where(beside, _SKIRT * share[:m], 0.0) ** 2
