@@ -243,7 +243,8 @@ def _detected(
         if not result.converged or (tidied := _tidied(template, active, result, bins)) is None:
             break
         template, active = tidied
-    return last if last is not None else (template, result)
+    assert last is not None
+    return last
 
 
 def _tidied(
