@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -42,37 +42,30 @@ if TYPE_CHECKING:
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
+#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement.
+#: 30 % in the deviation is 69 % in the variances, which are fitted; standard deviations propagate the model's
+#: error to first order only. A coefficient is determined by one or two octaves. (Static sensors with
+#: resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-"""Deviations beyond which coefficients are not a measurement: root mean square, and over an octave.
-
-30 % in the deviation is 69 % in the variances, which are fitted. Standard deviations propagate the model's
-error to first order, which does not hold for one so large. A coefficient is determined by one or two octaves,
-and is lost if one of these is off by a factor of 1.5. (Static sensors
-with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
-"""
-
+#: What to do about a curve that is far off.
+NEXT = (
+    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
+    "at rest, --terms selects other terms"
+)
 # p-value below which a model is doubtful.
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
-# Deviations above this ratio are reported as a factor.
-_FACTOR = 1.5
 # Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
 # one; chance hardly ever exceeds them: judgements.
 _NOTABLE, _CLEAR = 0.02, 0.06
-# Scatter is reported with a deviation if it is a larger share of it than this.
-_MUCH = 0.3
-# Ratio of a limit of the bandwidth to its value within which the limit is reported.
-_NEAR = 3.0
-# Largest number of places that are named, the strongest ones.
-_NAMED = 3
-#: What to do about a curve that is far off.
-NEXT = (
-    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
-    "at rest, --terms selects other terms"
-)
+# Words: deviations above this ratio are a factor, a scatter above this share of a deviation is reported, and
+# so is a limit of the bandwidth within this ratio of its value, and so many places, the strongest ones.
+_FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
+# One, to rounding.
+_ALMOST = 1.0 + 1e-6
 # Least share of N that counts as white noise.
 _LITTLE = 1e-6
 
@@ -149,7 +142,12 @@ def misfit_of(
         return Misfit(0.0, float("nan"), unit, 0.0, 0.0)
     # In squares, less the half width of the interval on the model's side.
     rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
-    sustained = certain[k] if unit == "s" else _over_octaves(place, certain)
+    sustained = certain[k]
+    if unit == "Hz":
+        # The largest of the medians over octaves; of an even number of places the lower one.
+        starts = place[2.0 * place <= place[-1] * _ALMOST]
+        octaves = (certain[(place >= f) & (place <= 2.0 * f * _ALMOST)] for f in starts)
+        sustained = max((np.sort(x)[(len(x) - 1) // 2] for x in octaves), default=0.0)
     scatter = abs(log[k]) - certain[k]
     largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
     return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
@@ -163,16 +161,6 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
     # The error of powers is twice that of deviations.
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
-
-
-def _over_octaves(place: Float[np.ndarray, " m"], certain: Float[np.ndarray, " m"]) -> float:
-    """The largest of the medians over octaves; of an even number of places the lower one."""
-    almost = 1.0 + 1e-6
-    found = 0.0
-    for start in place[2.0 * place <= place[-1] * almost]:
-        inside = np.sort(certain[(place >= start) & (place <= 2.0 * start * almost)])
-        found = max(found, float(inside[(len(inside) - 1) // 2]))
-    return found
 
 
 def spectral_misfit(
@@ -191,15 +179,14 @@ def spectral_misfit(
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
     part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
-    total, power, place = (np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency)))
-    there = total > 0.0
-    total, power, place = total[there], power[there], place[there]
+    sums = np.array([np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency))])
+    total, power, place = sums[:, sums[0] > 0.0]
     return misfit_of(np.exp(place / total), np.sqrt(power / total), total, "Hz")
 
 
 def deviation(relative: float) -> str:
     """A relative deviation in words: "47 %", or a large one as a factor in either direction, "×18"."""
-    factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
+    factor = np.exp(abs(np.log(max(1.0 + relative, 1e-300))))
     if factor < _FACTOR:
         return percent(abs(relative))
     return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
@@ -255,59 +242,29 @@ class AxisEstimates:
         return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
 
 
-def further_terms(template: Model) -> tuple[str, ...]:
-    """Labels of a model's terms that are neither basic ones nor Markov processes, and of its response."""
-    kinds = {type(term) for term in basic_terms()} | {Markov}
-    labels = zip(template.term_labels, template.terms, strict=True)
-    response = () if template.response is None else (template.response.name(),)
-    return (*(label for label, term in labels if type(term) not in kinds), *response)
-
-
-def correction_of(
-    template: Model, found: Model, after: Estimate, before: Estimate | None, bandwidth: Estimate | None
-) -> str:
-    """Words such as "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: … 2.41 → 2.27 deg/√h".
-
-    Args:
-        template: the model that was fitted.
-        found: the model with its values.
-        after, before: N of this fit and of the fit without correction.
-        bandwidth: of the response, if there is one.
-    """
-    causes = _bandwidth(found, bandwidth)
-    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "spectral line")
-    if not causes:
-        several = sum(isinstance(term, Markov) for term in template.terms) > 1
-        causes = ["Markov processes of several correlation times" if several else "a Markov process"]
-    text = f"corrected for {_listed(causes)}"
-    if before is None or not (after.value > 0.0 and before.value > 0.0):
-        return text
-    new, old = after.in_unit(), before.in_unit()
-    return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
-
-
-def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
-    """The response in words: its bandwidth, a limit of it, or that the data do not determine it."""
-    if found.response is None or estimate is None:
-        return []
-    if np.isfinite(estimate.std) or estimate.held:
-        return [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
-    for side, limit in (("above", estimate.lower_limit), ("below", estimate.upper_limit)):
+def _causes(result: AxisFit, template: Model) -> list[str]:
+    """What an axis's own model corrects the plain terms for, in words."""
+    response, causes = result.model.response, []
+    if response is not None:
+        bandwidth = result[f"{response.name()}_bandwidth"]
+        limits = {"above": bandwidth.lower_limit, "below": bandwidth.upper_limit}
         # A limit far from the value says nothing.
-        if limit is not None and 1.0 / _NEAR < limit / found.response.half_power < _NEAR:
-            return [f"a bandwidth {side} {plain(limit, 3)} Hz"]
-    return ["a filter of undetermined bandwidth"]
-
-
-def _places(found: Model, kind: type[Resonance] | type[Sinusoid], name: str) -> list[str]:
-    """Frequencies of the terms of one kind in words, at most three of them."""
-    terms = [term for term in found.terms if isinstance(term, kind)]
-    if not terms:
-        return []
-    strongest = sorted(terms, key=lambda term: -float(term.amplitude or 0.0))[:_NAMED]
-    places = _listed([plain(f, 3) for f in sorted(float(term.frequency or 0.0) for term in strongest)])
-    more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
-    return [f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}"]
+        near = {side: x for side, x in limits.items() if x and 1.0 / _NEAR < x / response.half_power < _NEAR}
+        if np.isfinite(bandwidth.std) or bandwidth.held:
+            causes = [f"a {plain(response.half_power, 3)} Hz bandwidth"]
+        elif near:
+            causes = [f"a bandwidth {side} {plain(x, 3)} Hz" for side, x in near.items()][:1]
+        else:
+            causes = ["a filter of undetermined bandwidth"]
+    for kind, name in ((Resonance, "resonance"), (Sinusoid, "spectral line")):
+        terms: list[Any] = [term for term in result.model.terms if isinstance(term, kind)]
+        if terms:
+            strongest = sorted(terms, key=lambda term: -term.amplitude)[:_NAMED]
+            places = _listed([plain(f, 3) for f in sorted(term.frequency for term in strongest)])
+            more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
+            causes.append(f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}")
+    several = sum(isinstance(term, Markov) for term in template.terms) > 1
+    return causes or ["Markov processes of several correlation times" if several else "a Markov process"]
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -365,29 +322,23 @@ class AxisFit(ByValue, AxisEstimates):
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "coefficient",
-        "value",
-        "std",
-        "lower_95",
-        "upper_95",
-        "unit",
-        "detected",
-        "upper_limit_95",
-        "measured",
+        *("axis", "coefficient", "value", "std", "lower_95", "upper_95"),
+        *("unit", "detected", "upper_limit_95", "measured"),
     )
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     axis: Axis
     converged: bool
     reason: str
-    chi2: float
-    dof: int
-    p_value: float
-    discrepancy: float
-    _coefficients: Mapping[str, Estimate]
-    _covariance: Float[np.ndarray, "params params"]
-    _model: Model
+    chi2: float = np.nan
+    dof: int = 0
+    p_value: float = np.nan
+    discrepancy: float = np.nan
+    _coefficients: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
+    _covariance: Float[np.ndarray, "params params"] = dataclasses.field(
+        default_factory=lambda: np.zeros((0, 0))
+    )
+    _model: Model = dataclasses.field(default_factory=lambda: Model(()))
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
     allan_misfit: Misfit | None = None
@@ -404,10 +355,9 @@ class AxisFit(ByValue, AxisEstimates):
     def __post_init__(self) -> None:
         if not self.converged:
             # The numbers are meaningless, and no file contains them.
-            nothing = {"_coefficients": {}, "_covariance": np.zeros((0, 0)), "_model": Model(())}
-            nothing |= dict.fromkeys(("chi2", "p_value", "discrepancy"), np.nan)
-            for name, value in nothing.items():
-                object.__setattr__(self, name, value)
+            nothing = AxisFit(self.axis, True, "")
+            for name in ("chi2", "p_value", "discrepancy", "_coefficients", "_covariance", "_model"):
+                object.__setattr__(self, name, getattr(nothing, name))
 
     def _checked(self) -> None:
         if not self.converged:
@@ -451,12 +401,18 @@ class AxisFit(ByValue, AxisEstimates):
 
     def widened(self, factor: float) -> AxisFit:
         """A copy whose standard deviations are larger by a factor, with intervals and limits to match."""
+        found = self._scaled(lambda c: factor)
+        plain = None if self.plain is None else self.plain.widened(factor)
+        return dataclasses.replace(found, plain=plain, widening=self.widening * factor)
+
+    def _scaled(self, factor: Callable[[Estimate], float]) -> AxisFit:
+        """A copy whose standard deviations are larger by a factor each."""
+        by = np.array([factor(c) for c in self._coefficients.values()])
+        found = zip(self._coefficients.items(), by.tolist(), strict=True)
         return dataclasses.replace(
             self,
-            _coefficients={label: c.widened(factor) for label, c in self._coefficients.items()},
-            _covariance=self._covariance * factor**2,
-            plain=None if self.plain is None else self.plain.widened(factor),
-            widening=self.widening * factor,
+            _coefficients={label: c.widened(x) for (label, c), x in found},
+            _covariance=self._covariance * np.outer(by, by),
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
@@ -476,9 +432,8 @@ class AxisFit(ByValue, AxisEstimates):
 
         if not self.converged or share == foreign == 0.0:
             return self
-        found = {label: c.widened(factor(c)) for label, c in self._coefficients.items()}
         plain = None if self.plain is None else self.plain.allowing(share, foreign)
-        return dataclasses.replace(self.with_estimates(found), plain=plain)
+        return dataclasses.replace(self._scaled(factor), plain=plain)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
         """A copy with these estimates of its coefficients, and a covariance rescaled to their standard
@@ -512,17 +467,28 @@ class AxisFit(ByValue, AxisEstimates):
     @property
     def further(self) -> tuple[str, ...]:
         """Labels of the filter, the resonances and the lines for which the plain terms were corrected."""
-        return () if self.own_template is None else further_terms(self.own_template)
+        if (own := self.own_template) is None:
+            return ()
+        kinds = {type(term) for term in basic_terms()} | {Markov}
+        terms = zip(own.term_labels, own.terms, strict=True)
+        response = () if own.response is None else (own.response.name(),)
+        return (*(label for label, term in terms if type(term) not in kinds), *response)
 
     @property
     def correction(self) -> str:
-        """What the plain terms were corrected for, and by how much; "" without a correction."""
+        """What the plain terms were corrected for, and by how much; "" without a correction.
+
+        E.g. "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: N 2.41 → 2.27 deg/√h".
+        """
         if self.own_template is None or not self.converged:
             return ""
-        before = self.plain["angle_random_walk"] if self.plain is not None and self.plain.converged else None
-        response = self.own_template.response
-        bandwidth = None if response is None else self[f"{response.name()}_bandwidth"]
-        return correction_of(self.own_template, self.model, self["angle_random_walk"], before, bandwidth)
+        text = f"corrected for {_listed(_causes(self, self.own_template))}"
+        if self.plain is None or not self.plain.converged:
+            return text
+        old, new = (fit["angle_random_walk"].in_unit() for fit in (self.plain, self))
+        if not (old.value > 0.0 and new.value > 0.0):
+            return text
+        return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
     @property
     def term_labels(self) -> tuple[str, ...]:
