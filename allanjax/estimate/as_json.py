@@ -6,7 +6,7 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -56,12 +56,12 @@ _KEYS: Mapping[type, dict[str, str]] = {
     TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
     Averaged: _keys("coefficients= cluster_time_s=cluster_time deviation interval_95=interval"),
 }
-# Of a curve, with an entry for each axis.
-_BY_AXIS = {"deviation": "deviation", "degrees_of_freedom": "edf"}
 
 
 def _plain(value: Any) -> Any:
     """A value in types of JSON, which has neither NaN nor infinity."""
+    if isinstance(value, Estimate):
+        return {**_written(value), **in_both_units(value)}
     if type(value) in _KEYS:
         return _written(value)
     if isinstance(value, Mapping):
@@ -79,10 +79,9 @@ def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
 
 
 def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
-    """The object of a class from its JSON, and from what that does not hold as it is.
+    """The object of a class from its JSON, and as given what that does not hold.
 
-    Where a field is not in the JSON of an earlier version, it has its default. Null is NaN in a field that
-    cannot be None.
+    A field that an earlier version did not write has its default. Null is NaN in a field that cannot be None.
     """
     keys = {name: key for key, name in _KEYS[made].items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
@@ -92,8 +91,8 @@ def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made
         value = document[key]
         if "ndarray" in kind:
             value = np.array(value, int if "Int" in kind else float)
-        elif value is None:
-            value = None if "None" in kind else math.nan
+        elif value is None and "None" not in kind:
+            value = math.nan
         given[field.name] = tuple(value) if isinstance(value, list) else value
     return made(**given)
 
@@ -104,17 +103,16 @@ def to_dict(fit: Fit) -> dict[str, Any]:
     Numbers that do not exist, such as the χ² of an axis without a result, and numbers that are not finite,
     such as the upper end of an open interval, are None. `load` restores the fit.
     """
-    n, rate = int(fit.curve.n), float(fit.curve.rate)
-    curve = _written(fit.curve)
-    for key, name in _BY_AXIS.items():
-        curve[key] = dict(zip(fit.axes, _plain(getattr(fit.curve, name).T), strict=True))
+    curve, n, rate = fit.curve, int(fit.curve.n), float(fit.curve.rate)
+    columns = {"deviation": curve.deviation, "degrees_of_freedom": curve.edf}
+    by_axis = {key: dict(zip(fit.axes, _plain(x.T), strict=True)) for key, x in columns.items()}
     axes = [_axis(result) for result in fit.results]
     if fit.selection is not None:
         for axis, ranking in zip(axes, fit.selection.results, strict=True):
             axis |= _ranking(ranking)
     for d in fit.dead:
         none = AxisFit(axis=d.axis, converged=False, reason=d.reason, not_measured=("dead axes",))
-        axes.append(_axis(none) | {"dead": True})
+        axes.append({**_axis(none), "dead": True})
     return {
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
@@ -122,7 +120,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "objective": fit.objective,
         "converged": fit.converged,
         **_terms(fit.template),
-        "curve": curve,
+        "curve": {**_written(curve), **by_axis},
         "axes": axes,
         "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
@@ -133,7 +131,7 @@ def to_dict(fit: Fit) -> dict[str, Any]:
 
 
 def _axis(result: AxisFit) -> dict[str, Any]:
-    found, extension = result._coefficients.values(), None
+    found, extension = list(result._coefficients.values()), None
     if result.own_template is not None and result.plain is not None:
         extension = {
             **_terms(result.own_template),
@@ -141,36 +139,31 @@ def _axis(result: AxisFit) -> dict[str, Any]:
             "correction": result.correction,
             "plain": _axis(result.plain),
         }
-    return (
-        _written(result.axis)
-        | _written(result)
-        | {
-            "dead": False,
-            "coefficients": _coefficients(found),
-            "covariance": {
-                "labels": [c.label for c in found],
-                "units": [c.si_unit for c in found],
-                "values": _plain(result._covariance),
-            },
-            "extension": extension,
-            "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
-        }
-    )
+    covariance = {
+        "labels": [c.label for c in found],
+        "units": [c.si_unit for c in found],
+        "values": _plain(result._covariance),
+    }
+    return {
+        **_written(result.axis),
+        **_written(result),
+        "dead": False,
+        "coefficients": _plain(found),
+        "covariance": covariance,
+        "extension": extension,
+        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
+    }
 
 
 def _ranking(selection: AxisSelection) -> dict[str, Any]:
     chosen, averaged = selection.chosen, None
     if (of := selection.averaged) is not None:
-        averaged = _written(of) | {"coefficients": _coefficients(of.coefficients.values())}
+        averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
     return {
-        "selection": [_written(s) | {"chosen": s == chosen} for s in selection.ranking],
+        "selection": [{**_written(s), "chosen": s == chosen} for s in selection.ranking],
         "selection_discrepancy": selection.discrepancy,
         "selection_averaged": averaged,
     }
-
-
-def _coefficients(found: Iterable[Estimate]) -> list[dict[str, Any]]:
-    return [{**_written(c), **in_both_units(c)} for c in found]
 
 
 def in_both_units(c: Estimate) -> dict[str, Any]:
@@ -247,15 +240,18 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
         )
     template, of, curve = _model(document, classes), document["recording"], document["curve"]
     alive = [(a, _read(Axis, a)) for a in document["axes"] if not a["dead"]]
-    columns = {name: [curve[key][axis.name] for _, axis in alive] for key, name in _BY_AXIS.items()}
-    by_axis: dict[str, Any] = {name: np.array(x, float).T for name, x in columns.items()}
-    by_axis["axes"] = tuple(axis for _, axis in alive)
+    axes = tuple(axis for _, axis in alive)
+    deviation, edf = (
+        np.array([curve[key][axis.name] for axis in axes], float).T
+        for key in ("deviation", "degrees_of_freedom")
+    )
+    size = {"n": of["n"], "rate": of["rate_hz"]}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
     return Fit(
         name=of["name"],
         template=template,
-        curve=_read(AllanDeviation, curve, n=of["n"], rate=of["rate_hz"], **by_axis),
+        curve=_read(AllanDeviation, curve, deviation=deviation, edf=edf, **size, axes=axes),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
         notes=tuple(document["notes"]),
         facts=tuple(map(Fact.from_dict, document["facts"])),

@@ -1,9 +1,8 @@
 """Results of a fit: coefficients with their intervals for each axis, corrections, and the misfit.
 
 The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals correctly
-while it is small. It does not describe a model that is off by a factor, as it is relative to the model and
-data below the model are off by one at most. The misfit therefore compares the ratio of the two curves, place
-by place.
+while it is small, not for a model that is off by a factor, as data below the model are off by one at most.
+The misfit therefore compares the ratio of the two curves, place by place.
 """
 
 from __future__ import annotations
@@ -234,12 +233,11 @@ class AxisEstimates:
         return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
 
     def __repr__(self) -> str:
-        names: dict[bool, list[str]] = {True: [], False: []}
-        for c in self.coefficients.values():
-            names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
-        absent = f"; not detected: {', '.join(names[False])}" if names[False] else ""
-        found = ", ".join(names[True]) or "nothing detected"
-        return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
+        of = self.coefficients.values()
+        found = ", ".join(f"{c.title} {c.in_unit().describe()}" for c in of if c.detected)
+        absent = ", ".join(c.title for c in of if not c.detected)
+        shown = (found or "nothing detected") + (f"; not detected: {absent}" if absent else "")
+        return f"<{type(self).__name__} {self.axis.name}: {shown};\n {self.verdict}>"
 
 
 def _causes(result: AxisFit, template: Model) -> list[str]:
@@ -401,18 +399,17 @@ class AxisFit(ByValue, AxisEstimates):
 
     def widened(self, factor: float) -> AxisFit:
         """A copy whose standard deviations are larger by a factor, with intervals and limits to match."""
-        found = self._scaled(lambda c: factor)
-        plain = None if self.plain is None else self.plain.widened(factor)
-        return dataclasses.replace(found, plain=plain, widening=self.widening * factor)
+        return self._scaled(lambda c: factor, factor)
 
-    def _scaled(self, factor: Callable[[Estimate], float]) -> AxisFit:
-        """A copy whose standard deviations are larger by a factor each."""
+    def _scaled(self, factor: Callable[[Estimate], float], widening: float = 1.0) -> AxisFit:
         by = np.array([factor(c) for c in self._coefficients.values()])
         found = zip(self._coefficients.items(), by.tolist(), strict=True)
         return dataclasses.replace(
             self,
             _coefficients={label: c.widened(x) for (label, c), x in found},
             _covariance=self._covariance * np.outer(by, by),
+            plain=None if self.plain is None else self.plain._scaled(factor, widening),
+            widening=self.widening * widening,
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
@@ -430,18 +427,13 @@ class AxisFit(ByValue, AxisEstimates):
             more = c.value - np.sqrt(max(c.value**2 - foreign**2, 0.0)) if white else 0.0
             return float(np.sqrt(1.0 + ((share * c.value) ** 2 + more**2) / c.std**2))
 
-        if not self.converged or share == foreign == 0.0:
-            return self
-        plain = None if self.plain is None else self.plain.allowing(share, foreign)
-        return dataclasses.replace(self._scaled(factor), plain=plain)
+        return self if share == foreign == 0.0 else self._scaled(factor)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
-        """A copy with these estimates of its coefficients, and a covariance rescaled to their standard
-        deviations."""
+        """A copy with these estimates, and a covariance rescaled to their standard deviations."""
         pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
         by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
-        covariance = self._covariance * by[:, None] * by
-        return dataclasses.replace(self, _coefficients=found, _covariance=covariance)
+        return dataclasses.replace(self, _coefficients=found, _covariance=self._covariance * by[:, None] * by)
 
     @property
     def coefficients(self) -> Mapping[str, Estimate]:
@@ -496,9 +488,8 @@ class AxisFit(ByValue, AxisEstimates):
 
         Raises FitError if the fit did not converge.
         """
-        there = [
-            c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
-        ]
+        amplitudes = (c for c in self.coefficients.values() if c.is_amplitude)
+        there = [c.term for c in amplitudes if np.isfinite(c.value) and c.value]
         # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
@@ -506,8 +497,8 @@ class AxisFit(ByValue, AxisEstimates):
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
         if self._fit is None:
-            raise self.ERROR(
-                f"{self.axis.name}: a figure needs the curve of the fit; use a result taken from a fit"
+            raise FitError(
+                f"{self.axis.name}: a figure needs the curve of a fit; use a result taken from one"
             )
         return self._fit.plot(self.axis.name, path, ax=ax)
 
@@ -607,10 +598,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def without_extensions(self) -> Fit:
         """The fit in which axes with a model of their own have the fit of the plain terms."""
-        plain = [r if r.plain is None else r.plain for r in self.results]
-        levels = zip(plain, self.results, strict=True)
+        kept = ("mean", "rms", "not_measured")
         results = tuple(
-            dataclasses.replace(p, mean=r.mean, rms=r.rms, not_measured=r.not_measured) for p, r in levels
+            dataclasses.replace(r.plain or r, **{name: getattr(r, name) for name in kept})
+            for r in self.results
         )
         return dataclasses.replace(self, results=results)
 
