@@ -35,7 +35,10 @@ _Classes: TypeAlias = Mapping[str, type[NoiseTerm]]
 
 
 def _keys(text: str) -> dict[str, str]:
-    """Keys in order with their attributes, where these have other names; functions write those without."""
+    """Keys in their order, and the attribute behind each: `key=attribute` if it has another name.
+
+    `key=` is written by a function of its own.
+    """
     words = (word.partition("=") for word in text.split())
     return {key: name if equals else key for key, equals, name in words}
 
@@ -245,13 +248,14 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
         np.array([curve[key][axis.name] for axis in axes], float).T
         for key in ("deviation", "degrees_of_freedom")
     )
-    size = {"n": of["n"], "rate": of["rate_hz"]}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
     return Fit(
         name=of["name"],
         template=template,
-        curve=_read(AllanDeviation, curve, deviation=deviation, edf=edf, **size, axes=axes),
+        curve=_read(
+            AllanDeviation, curve, deviation=deviation, edf=edf, n=of["n"], rate=of["rate_hz"], axes=axes
+        ),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
         notes=tuple(document["notes"]),
         facts=tuple(map(Fact.from_dict, document["facts"])),
@@ -307,9 +311,8 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
 def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
     """Coefficient in SI."""
     si = c["si"]
-    more: dict[str, Any] = {
-        name: _interval(si[key]) for key, name in _NUMBERS.items() if name.startswith("interval")
-    }
+    more: dict[str, Any] = {"interval": _interval(si["interval_95"])}
+    more["interval_68"] = _interval(si["interval_68"])
     if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
         more["upper_limit"] = math.inf
     return _read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)

@@ -46,11 +46,6 @@ if TYPE_CHECKING:
 #: error to first order only. A coefficient is determined by one or two octaves. (Static sensors with
 #: resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-#: What to do about a curve that is far off.
-NEXT = (
-    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
-    "at rest, --terms selects other terms"
-)
 # p-value below which a model is doubtful.
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
@@ -123,13 +118,9 @@ def misfit_of(
     edf: Float[np.ndarray, " m"],
     unit: Literal["s", "Hz"],
 ) -> Misfit:
-    """Misfit of estimated deviations.
+    """Misfit of estimated deviations, given measured/model, and the degrees of freedom of their squares.
 
-    Args:
-        place: cluster times [s] or frequencies [Hz], increasing.
-        ratio: measured over model, of the deviation.
-        edf: degrees of freedom of the estimates' squares under the model.
-        unit: of the places.
+    The places are cluster times [s] or frequencies [Hz], increasing.
     """
     log = np.log(np.maximum(ratio, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
@@ -170,10 +161,7 @@ def spectral_misfit(
 ) -> Misfit:
     """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
 
-    Args:
-        frequency: middle of each bin [Hz].
-        level, mean: measured and expected level of each.
-        dof: degrees of freedom of the levels; those without any do not count.
+    Each level is of a bin about its frequency [Hz]; those without degrees of freedom do not count.
     """
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
@@ -245,14 +233,13 @@ def _causes(result: AxisFit, template: Model) -> list[str]:
     response, causes = result.model.response, []
     if response is not None:
         bandwidth = result[f"{response.name()}_bandwidth"]
-        limits = {"above": bandwidth.lower_limit, "below": bandwidth.upper_limit}
-        # A limit far from the value says nothing.
-        near = {side: x for side, x in limits.items() if x and 1.0 / _NEAR < x / response.half_power < _NEAR}
+        sign, limit = bandwidth.limit
         if np.isfinite(bandwidth.std) or bandwidth.held:
             causes = [f"a {plain(response.half_power, 3)} Hz bandwidth"]
-        elif near:
-            causes = [f"a bandwidth {side} {plain(x, 3)} Hz" for side, x in near.items()][:1]
+        elif limit and 1.0 / _NEAR < limit / response.half_power < _NEAR:
+            causes = [f"a bandwidth {'below' if sign == '<' else 'above'} {plain(limit, 3)} Hz"]
         else:
+            # A limit far from the value says nothing.
             causes = ["a filter of undetermined bandwidth"]
     for kind, name in ((Resonance, "resonance"), (Sinusoid, "spectral line")):
         terms: list[Any] = [term for term in result.model.terms if isinstance(term, kind)]
@@ -415,9 +402,8 @@ class AxisFit(ByValue, AxisEstimates):
     def allowing(self, share: float, foreign: float) -> AxisFit:
         """A copy with intervals widened for errors of the record.
 
-        Args:
-            share: relative error of the Allan deviation, and thus of every amplitude.
-            foreign: density of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
+        `share` is the relative error of the Allan deviation, and thus of every amplitude; `foreign` a density
+        of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
         """
 
         def factor(c: Estimate) -> float:
@@ -569,9 +555,16 @@ class Fit(ByValue, PerAxis[AxisFit]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the coefficients, the gravest first."""
+        told = warnings_of(self.facts)
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
-        far_off = f"{names}: not a measurement of this sensor, as the model does not fit: {NEXT}"
-        return (*warnings_of(self.facts), *([far_off] if names else []))
+        if not names:
+            return told
+        return (
+            *told,
+            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure, and run "
+            "`allanjax critique FILE` for the cause; --start and --stop select the part at rest, --terms "
+            "selects other terms",
+        )
 
     @property
     def longest_part(self) -> tuple[float, float] | None:
@@ -623,9 +616,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def __getitem__(self, axis: str) -> AxisFit:
         """The fit of one axis, e.g. `fit["gyro_x"]`."""
-        for dead in self.dead:
-            if axis == dead.axis.name:
-                raise FitError(f"{axis}: no result, {dead.reason}")
+        if reason := next((dead.reason for dead in self.dead if dead.axis.name == axis), None):
+            raise FitError(f"{axis}: no result, {reason}")
         return super().__getitem__(axis)
 
     @property

@@ -247,13 +247,13 @@ class Estimate(ByValue):
             return Number(self.value, after=" held")
         if not self.measured:
             return Number(self.value, before="(", after=")") if self.value > 0.0 else None
-        sign, limit = self._limit
+        sign, limit = self.limit
         if sign:
             return None if limit is None else Number(limit, before=f"{sign} ")
         return Number(self.value, self.std) if np.isfinite(self.std) else None
 
     @property
-    def _limit(self) -> tuple[str, float | None]:
+    def limit(self) -> tuple[str, float | None]:
         """Sign and value of the limit that stands for the value; "" if the value does."""
         if not self.detected:
             return "<", self.upper_limit
@@ -266,7 +266,7 @@ class Estimate(ByValue):
         shown, normal = self.number, True
         if self.held:
             number = plain(self.value)
-        elif self.measured and not self._limit[0]:
+        elif self.measured and not self.limit[0]:
             normal = self.is_normal
             number = format_with_error(self.value, self.std) if normal else significant(self.value)
         elif shown is None:
@@ -292,8 +292,8 @@ class Estimate(ByValue):
                 names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"cannot be distinguished from {names} (< {amount}, 95 %)"
             return f"not detected (< {amount}, 95 %)"
-        if self._limit[0]:
-            return f"{self._limit[0]} {amount} (95 %)"
+        if self.limit[0]:
+            return f"{self.limit[0]} {amount} (95 %)"
         if self.parameter and not self.is_amplitude and np.isnan(self.std):
             return "not determined by these data"
         return f"{amount}; {self.remark}" if self.remark else amount
