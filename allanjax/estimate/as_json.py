@@ -1,17 +1,17 @@
-"""A fit as JSON, and a fit loaded from that."""
+"""A fit as JSON, and a fit loaded from that; both follow one table of keys for each class."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
@@ -29,7 +29,75 @@ from allanjax.record.recording import Axis, DeadAxis
 SCHEMA_VERSION = 1
 #: Replacement for an infinite parameter of a model, for which JSON has no number.
 INFINITY = "Infinity"
-_Made = TypeVar("_Made", bound=Parametrized)
+_Made = TypeVar("_Made")
+_Own = TypeVar("_Own", bound=Parametrized)
+_Classes: TypeAlias = Mapping[str, type[NoiseTerm]]
+
+
+def _keys(text: str) -> dict[str, str]:
+    """Keys in their order, and the attribute behind each: `key=attribute` if it has another name.
+
+    `key=` is written by a function of its own.
+    """
+    words = (word.partition("=") for word in text.split())
+    return {key: name if equals else key for key, equals, name in words}
+
+
+# Of an estimate in one unit.
+_NUMBERS = _keys("""unit value std interval_68 interval_95=interval upper_limit_95=upper_limit
+    lower_limit_95=lower_limit""")
+_KEYS: Mapping[type, dict[str, str]] = {
+    Axis: _keys("name sensor unit"),
+    AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
+        measured moving not_measured misfit allan_misfit coefficients= covariance= selection=
+        selection_discrepancy= selection_averaged= extension= regression="""),
+    Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
+        octave_deviation=sustained scatter"""),
+    Estimate: _keys("label term symbol kind detected rivals held measured") | _NUMBERS,
+    AllanDeviation: _keys("""kind overlapping estimator other_stretches=others cluster_time_s=cluster_time
+        cluster_size count deviation= degrees_of_freedom="""),
+    TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
+    Averaged: _keys("coefficients= cluster_time_s=cluster_time deviation interval_95=interval"),
+}
+
+
+def _plain(value: Any) -> Any:
+    """A value in types of JSON, which has neither NaN nor infinity."""
+    if isinstance(value, Estimate):
+        return {**_written(value), **in_both_units(value)}
+    if type(value) in _KEYS:
+        return _written(value)
+    if isinstance(value, Mapping):
+        return {key: _plain(x) for key, x in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [_plain(x) for x in value]
+    if isinstance(value, np.integer):
+        return int(value)
+    return finite_or_none(value) if isinstance(value, float) else value
+
+
+def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
+    keys = _KEYS[type(of)] if keys is None else keys
+    return {key: _plain(getattr(of, name)) if name else None for key, name in keys.items()}
+
+
+def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
+    """The object of a class from its JSON, and as given what that does not hold.
+
+    A field that an earlier version did not write has its default. Null is NaN in a field that cannot be None.
+    """
+    keys = {name: key for key, name in _KEYS[made].items()}
+    for field in dataclasses.fields(made):  # type: ignore[arg-type]
+        key, kind = keys.get(field.name, ""), str(field.type)
+        if field.name in given or key not in document:
+            continue
+        value = document[key]
+        if "ndarray" in kind:
+            value = np.array(value, int if "Int" in kind else float)
+        elif value is None and "None" not in kind:
+            value = math.nan
+        given[field.name] = tuple(value) if isinstance(value, list) else value
+    return made(**given)
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
@@ -38,100 +106,72 @@ def to_dict(fit: Fit) -> dict[str, Any]:
     Numbers that do not exist, such as the χ² of an axis without a result, and numbers that are not finite,
     such as the upper end of an open interval, are None. `load` restores the fit.
     """
+    curve, n, rate = fit.curve, int(fit.curve.n), float(fit.curve.rate)
+    columns = {"deviation": curve.deviation, "degrees_of_freedom": curve.edf}
+    by_axis = {key: dict(zip(fit.axes, _plain(x.T), strict=True)) for key, x in columns.items()}
+    axes = [_axis(result) for result in fit.results]
+    if fit.selection is not None:
+        for axis, ranking in zip(axes, fit.selection.results, strict=True):
+            axis |= _ranking(ranking)
+    for d in fit.dead:
+        none = AxisFit(axis=d.axis, converged=False, reason=d.reason, not_measured=("dead axes",))
+        axes.append({**_axis(none), "dead": True})
     return {
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
-        "recording": {
-            "name": fit.name,
-            "n": int(fit.curve.n),
-            "rate_hz": float(fit.curve.rate),
-            "duration_s": fit.curve.n / fit.curve.rate,
-        },
+        "recording": {"name": fit.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
         "objective": fit.objective,
         "converged": fit.converged,
         **_terms(fit.template),
-        "curve": _curve(fit.curve, fit.axes),
-        "axes": [*(_axis(result, fit.selection) for result in fit.results), *map(_dead_axis, fit.dead)],
+        "curve": {**_written(curve), **by_axis},
+        "axes": axes,
         "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
-        "stretch_s": None if fit.longest_part is None else list(fit.longest_part),
-        "parts_s": [list(part) for part in fit.parts],
+        "stretch_s": _plain(fit.longest_part),
+        "parts_s": _plain(fit.parts),
         "notes": list(fit.notes),
     }
 
 
-def _dead_axis(dead: DeadAxis) -> dict[str, Any]:
-    """Entry of a dead axis, which has no result."""
-    nan, nothing = math.nan, np.zeros((0, 0))
-    none = AxisFit(
-        dead.axis, False, dead.reason, nan, 0, nan, nan, {}, nothing, Model(()), not_measured=("dead axes",)
-    )
-    return {**_axis(none, None), "dead": True}
-
-
-def _axis(result: AxisFit, selection: TermSelection | None) -> dict[str, Any]:
-    coefficients = list(result.coefficients.values()) if result.converged else []
-    covariance = result.covariance if result.converged else np.zeros((0, 0))
+def _axis(result: AxisFit) -> dict[str, Any]:
+    found, extension = list(result._coefficients.values()), None
+    if result.own_template is not None and result.plain is not None:
+        extension = {
+            **_terms(result.own_template),
+            "further": list(result.further),
+            "correction": result.correction,
+            "plain": _axis(result.plain),
+        }
+    covariance = {
+        "labels": [c.label for c in found],
+        "units": [c.si_unit for c in found],
+        "values": _plain(result._covariance),
+    }
     return {
-        "name": result.axis.name,
-        "sensor": result.axis.sensor,
-        "unit": result.axis.unit,
-        "mean_si": finite_or_none(result.mean),
-        "rms_si": finite_or_none(result.rms),
-        "converged": result.converged,
+        **_written(result.axis),
+        **_written(result),
         "dead": False,
-        "reason": result.reason,
-        "chi2": finite_or_none(result.chi2) if result.converged else None,
-        "dof": int(result.dof),
-        "p_value": finite_or_none(result.p_value) if result.converged else None,
-        "discrepancy": finite_or_none(result.discrepancy) if result.converged else None,
-        "widening": result.widening,
-        "measured": result.measured,
-        "moving": result.moving,
-        "not_measured": list(result.not_measured),
-        "misfit": _misfit(result.misfit),
-        "allan_misfit": _misfit(result.allan_misfit),
-        "coefficients": [_coefficient(c) for c in coefficients],
-        "covariance": {
-            "labels": [c.label for c in coefficients],
-            "units": [c.si_unit for c in coefficients],
-            "values": [[finite_or_none(x) for x in row] for row in covariance],
-        },
-        "selection": None if selection is None else _ranking(selection[result.axis.name]),
-        "selection_discrepancy": None if selection is None else selection[result.axis.name].discrepancy,
-        "selection_averaged": None if selection is None else _averaged(selection[result.axis.name].averaged),
-        "extension": None if result.own_template is None else _extension(result),
-        "regression": {
-            name: {"value": value, "std": std} for name, (value, std) in result.regression.items()
-        },
+        "coefficients": _plain(found),
+        "covariance": covariance,
+        "extension": extension,
+        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
     }
 
 
-def _extension(result: AxisFit) -> dict[str, Any]:
-    """The axis's own model, its correction in words, and the fit without that correction."""
-    template, plain = result.own_template, result.plain
-    assert template is not None
-    assert plain is not None
+def _ranking(selection: AxisSelection) -> dict[str, Any]:
+    chosen, averaged = selection.chosen, None
+    if (of := selection.averaged) is not None:
+        averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
     return {
-        **_terms(template),
-        "further": list(result.further),
-        "correction": result.correction,
-        "plain": _axis(plain, None),
+        "selection": [{**_written(s), "chosen": s == chosen} for s in selection.ranking],
+        "selection_discrepancy": selection.discrepancy,
+        "selection_averaged": averaged,
     }
 
 
-def _misfit(misfit: Misfit | None) -> dict[str, Any] | None:
-    if misfit is None:
-        return None
-    return {
-        "of": misfit.curve,
-        "largest_deviation": finite_or_none(misfit.largest),
-        "at": finite_or_none(misfit.at),
-        "at_unit": misfit.unit,
-        "rms_deviation": finite_or_none(misfit.rms),
-        "octave_deviation": finite_or_none(misfit.sustained),
-        "scatter": finite_or_none(misfit.scatter),
-    }
+def in_both_units(c: Estimate) -> dict[str, Any]:
+    """Value, standard deviation and intervals of an estimate in its usual unit and in SI."""
+    return {**_written(c.in_unit(), _NUMBERS), "si": _written(c.in_unit(c.si_unit), _NUMBERS)}
 
 
 def _terms(model: Model) -> dict[str, Any]:
@@ -140,95 +180,15 @@ def _terms(model: Model) -> dict[str, Any]:
     if (response := model.response) is None:
         return {"model": terms, "response": None}
     inside = [label for label, inside in zip(model.term_labels, model.inside, strict=True) if inside]
-    passed = {"response": response.name(), **_parameters(response), "inside": inside}
-    return {"model": terms, "response": passed}
+    of_response = {"response": response.name(), **_parameters(response), "inside": inside}
+    return {"model": terms, "response": of_response}
 
 
 def _parameters(of: Parametrized) -> dict[str, Any]:
     values = {p.name: getattr(of, p.name) for p in of.parameters()}
-    found: dict[str, Any] = {"parameters": {name: _start(x) for name, x in values.items()}}
-    if of.options:
-        found["options"] = of.options
-    return {**found, "held": sorted(of.held)}
-
-
-def _start(x: float | None) -> float | str | None:
-    return x if x is None else float(x) if math.isfinite(x) else INFINITY
-
-
-def _curve(curve: AllanDeviation, axes: Sequence[str]) -> dict[str, Any]:
-    def by_axis(values: Float[np.ndarray, "m axes"]) -> dict[str, list[float | None]]:
-        return {
-            axis: [finite_or_none(x) for x in column] for axis, column in zip(axes, values.T, strict=True)
-        }
-
-    return {
-        "kind": curve.kind,
-        "overlapping": curve.overlapping,
-        "estimator": curve.estimator,
-        "other_stretches": list(curve.others),
-        "cluster_time_s": curve.cluster_time.tolist(),
-        "cluster_size": curve.cluster_size.tolist(),
-        "count": curve.count.tolist(),
-        "deviation": by_axis(curve.deviation),
-        "degrees_of_freedom": by_axis(curve.edf),
-    }
-
-
-def _ranking(selection: AxisSelection) -> list[dict[str, Any]]:
-    return [
-        {
-            "terms": list(s.terms),
-            "parameters": s.parameters,
-            "probability": s.probability,
-            "log_evidence": finite_or_none(s.log_evidence),
-            "chosen": s == selection.chosen,
-            "intervals_95_si": {label: list(ends) for label, ends in s.intervals.items()},
-        }
-        for s in selection.ranking
-    ]
-
-
-def _averaged(averaged: Averaged | None) -> dict[str, Any] | None:
-    if averaged is None:
-        return None
-    return {
-        "coefficients": [_coefficient(c) for c in averaged.coefficients.values()],
-        "cluster_time_s": averaged.cluster_time.tolist(),
-        "deviation": averaged.deviation.tolist(),
-        "interval_95": averaged.interval.tolist(),
-    }
-
-
-def _coefficient(c: Estimate) -> dict[str, Any]:
-    return {
-        "label": c.label,
-        "term": c.term,
-        "symbol": c.symbol,
-        "kind": c.kind,
-        "detected": c.detected,
-        "rivals": list(c.rivals),
-        "held": c.held,
-        "measured": c.measured,
-        **in_both_units(c),
-    }
-
-
-def in_both_units(c: Estimate) -> dict[str, Any]:
-    """Value, standard deviation and intervals of an estimate in its usual unit and in SI."""
-    shown, si = c.in_unit(), c.in_unit(c.si_unit)
-    return {"unit": shown.unit, **_numbers(shown), "si": {"unit": si.unit, **_numbers(si)}}
-
-
-def _numbers(c: Estimate) -> dict[str, Any]:
-    return {
-        "value": finite_or_none(c.value),
-        "std": finite_or_none(c.std),
-        "interval_68": [finite_or_none(x) for x in c.interval_68],
-        "interval_95": [finite_or_none(x) for x in c.interval],
-        "upper_limit_95": None if c.upper_limit is None else finite_or_none(c.upper_limit),
-        "lower_limit_95": c.lower_limit,
-    }
+    known = {name: INFINITY if x == math.inf else x if x is None else float(x) for name, x in values.items()}
+    options = {"options": of.options} if of.options else {}
+    return {"parameters": known, **options, "held": sorted(of.held)}
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
@@ -267,7 +227,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
 
 
-def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Fit:
+def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
     """Fit from its JSON document."""
     if "baseline" in document or "schema_version" not in document or "axes" not in document:
         raise AllanjaxError("not a fit written by allanjax; give a NAME.json of allanjax characterize")
@@ -281,194 +241,104 @@ def _fit(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) ->
             f"written by allanjax {document.get('allanjax_version')} without the curve; characterize the "
             "recording again"
         )
-    template = _model(document, classes)
-    alive = [a for a in document["axes"] if not a["dead"]]
-    axes = tuple(map(_loaded_axis, alive))
-    name = document["recording"]["name"]
+    template, of, curve = _model(document, classes), document["recording"], document["curve"]
+    alive = [(a, _read(Axis, a)) for a in document["axes"] if not a["dead"]]
+    axes = tuple(axis for _, axis in alive)
+    deviation, edf = (
+        np.array([curve[key][axis.name] for axis in axes], float).T
+        for key in ("deviation", "degrees_of_freedom")
+    )
+    chosen = all(a["selection"] is not None for a, _ in alive)
+    rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
     return Fit(
-        name=name,
+        name=of["name"],
         template=template,
-        curve=_loaded_curve(document, axes),
-        results=tuple(_result(a, axis, template, classes) for a, axis in zip(alive, axes, strict=True)),
+        curve=_read(
+            AllanDeviation, curve, deviation=deviation, edf=edf, n=of["n"], rate=of["rate_hz"], axes=axes
+        ),
+        results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
         notes=tuple(document["notes"]),
         facts=tuple(map(Fact.from_dict, document["facts"])),
-        parts=tuple((first, last) for first, last in document["parts_s"]),
+        parts=tuple(map(tuple, document["parts_s"])),
         objective=document["objective"],
-        selection=_selection(name, alive, axes, classes),
-        dead=tuple(DeadAxis(_loaded_axis(a), a["reason"]) for a in document["axes"] if a["dead"]),
+        selection=TermSelection(of["name"], rankings) if chosen else None,
+        dead=tuple(DeadAxis(_read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
 
 
-def _model(document: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> Model:
+def _model(document: Mapping[str, Any], classes: _Classes) -> Model:
     """The model that was fitted."""
-    plain = Model(tuple(_loaded_term(term, classes) for term in document["model"]))
+    for name in (term["term"] for term in document["model"]):
+        if name not in classes:
+            raise AllanjaxError(
+                f"unknown term {name!r}; pass the class of a user-defined term with load(path, terms=[…])"
+            )
+    plain = Model(tuple(_parametrized(classes[term["term"]], term) for term in document["model"]))
     if not (of := document.get("response")):
         return plain
     response = _parametrized(response_classes()[of["response"]], of)
-    inside = tuple(label in of["inside"] for label in plain.term_labels)
-    return Model(plain.terms, response, inside)
+    return Model(plain.terms, response, tuple(label in of["inside"] for label in plain.term_labels))
 
 
-def _loaded_term(term: Mapping[str, Any], classes: Mapping[str, type[NoiseTerm]]) -> NoiseTerm:
-    """Noise term of the fitted model."""
-    if term["term"] not in classes:
-        raise AllanjaxError(
-            f"unknown term {term['term']!r}; pass the class of a user-defined term with load(path, terms=[…])"
-        )
-    return _parametrized(classes[term["term"]], term)
-
-
-def _parametrized(made: type[_Made], of: Mapping[str, Any]) -> _Made:
+def _parametrized(made: type[_Own], of: Mapping[str, Any]) -> _Own:
     """Term or response of this class, with its parameters."""
     values: dict[str, Any] = {name: math.inf if x == INFINITY else x for name, x in of["parameters"].items()}
     return made(**values, **of.get("options", {})).hold(*of["held"])
 
 
-def _loaded_curve(document: Mapping[str, Any], axes: tuple[Axis, ...]) -> AllanDeviation:
-    """Allan deviations of all axes but the dead ones."""
-    curve = document["curve"]
-    return AllanDeviation(
-        cluster_time=np.array(curve["cluster_time_s"], float),
-        cluster_size=np.array(curve["cluster_size"], int),
-        deviation=np.stack([_loaded_numbers(curve["deviation"][axis.name]) for axis in axes], axis=1),
-        count=np.array(curve["count"], int),
-        edf=np.stack([_loaded_numbers(curve["degrees_of_freedom"][axis.name]) for axis in axes], axis=1),
-        n=document["recording"]["n"],
-        rate=document["recording"]["rate_hz"],
-        kind=curve["kind"],
-        overlapping=curve["overlapping"],
-        axes=axes,
-        estimator=curve["estimator"],
-        others=tuple(curve.get("other_stretches", ())),
-    )
-
-
-def _loaded_axis(a: Mapping[str, Any]) -> Axis:
-    return Axis(a["name"], a["sensor"], a["unit"])
-
-
-def _result(
-    a: Mapping[str, Any], axis: Axis, template: Model, classes: Mapping[str, type[NoiseTerm]]
-) -> AxisFit:
+def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes) -> AxisFit:
     """Result of one axis."""
     own = plain = None
     if extension := a.get("extension"):
         own = _model(extension, classes)
         template, plain = own, _result(extension["plain"], axis, template, classes)
     parameters = {p.label: p.parameter for p in template.parameters}
-    coefficients = {c["label"]: _estimate(c, parameters[c["label"]], axis, "fit") for c in a["coefficients"]}
-    return AxisFit(
+    found = {c["label"]: _estimate(c, parameters[c["label"]], axis) for c in a["coefficients"]}
+    return _read(
+        AxisFit,
+        a,
         axis=axis,
-        converged=a["converged"],
-        reason=a["reason"],
-        chi2=_number(a["chi2"]),
-        dof=a["dof"],
-        p_value=_number(a["p_value"]),
-        discrepancy=_number(a["discrepancy"]),
-        widening=a.get("widening", 1.0),
-        _coefficients=coefficients,
-        _covariance=_matrix(a["covariance"]["values"]),
-        _model=(fitted_model if own is None else extended_model)(template, coefficients),
+        _coefficients=found,
+        _covariance=np.array(a["covariance"]["values"], float).reshape(len(found), len(found)),
+        _model=(fitted_model if own is None else extended_model)(template, found),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
-        misfit=_loaded_misfit(a["misfit"]),
-        allan_misfit=_loaded_misfit(a.get("allan_misfit")),
-        mean=_number(a["mean_si"]),
-        rms=_number(a["rms_si"]),
-        not_measured=tuple(a["not_measured"]),
+        **{key: a.get(key) and _read(Misfit, a[key]) for key in ("misfit", "allan_misfit")},
         own_template=own,
         plain=plain,
     )
 
 
-def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, source: Literal["fit", "averaged"]) -> Estimate:
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
     """Coefficient in SI."""
-    si, limit = c["si"], c["si"]["upper_limit_95"]
-    limited = p.is_amplitude and c["measured"] and not c["held"]
-    return Estimate(
-        label=c["label"],
-        term=c["term"],
-        parameter=p,
-        axis=axis,
-        unit=si["unit"],
-        value=_number(si["value"]),
-        std=_number(si["std"]),
-        interval=_interval(si["interval_95"]),
-        interval_68=_interval(si["interval_68"]),
-        upper_limit=math.inf if limit is None and limited else limit,
-        lower_limit=si["lower_limit_95"],
-        detected=c["detected"],
-        rivals=tuple(c.get("rivals", ())),
-        held=c["held"],
-        measured=c["measured"],
-        source=source,
-    )
-
-
-def _loaded_misfit(m: Mapping[str, Any] | None) -> Misfit | None:
-    if m is None:
-        return None
-    largest, rms, octave = (_number(m[f"{key}_deviation"]) for key in ("largest", "rms", "octave"))
-    return Misfit(largest, _number(m["at"]), m["at_unit"], rms, octave, _number(m["scatter"]))
-
-
-def _selection(
-    name: str, documents: Sequence[Any], axes: tuple[Axis, ...], classes: Mapping[str, type[NoiseTerm]]
-) -> TermSelection | None:
-    """Ranking of the term sets, if the fit chose among them."""
-    if any(a["selection"] is None for a in documents):
-        return None
-
-    def ranking(sets: Sequence[Mapping[str, Any]]) -> tuple[TermSet, ...]:
-        evidence = [-math.inf if s["log_evidence"] is None else s["log_evidence"] for s in sets]
-        return tuple(
-            TermSet(
-                tuple(s["terms"]),
-                s["parameters"],
-                e,
-                s["probability"],
-                {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()},
-            )
-            for s, e in zip(sets, evidence, strict=True)
-        )
-
-    def averaged(of: Mapping[str, Any] | None, axis: Axis) -> Averaged | None:
-        if not of:
-            return None
-        coefficients = {}
-        for c in of["coefficients"]:
-            term = c["term"] if c["term"] in classes else c["term"].rpartition("_")[0]
-            p = classes[term].amplitude_parameter()
-            coefficients[c["label"]] = _estimate(c, p, axis, "averaged")
-        time, deviation = _loaded_numbers(of["cluster_time_s"]), _loaded_numbers(of["deviation"])
-        return Averaged(coefficients, time, deviation, np.array(of["interval_95"]))
-
-    results = (
-        AxisSelection(
-            axis,
-            ranking(a["selection"]),
-            a["selection_discrepancy"],
-            averaged(a.get("selection_averaged"), axis),
-        )
-        for a, axis in zip(documents, axes, strict=True)
-    )
-    return TermSelection(name, tuple(results))
-
-
-def _number(x: float | None) -> float:
-    """Number from JSON, NaN for null."""
-    return math.nan if x is None else float(x)
-
-
-def _matrix(rows: Sequence[Sequence[float | None]]) -> Float[np.ndarray, "params params"]:
-    """Square matrix of these rows, which is empty if there are none."""
-    return np.array([_loaded_numbers(row) for row in rows]).reshape(len(rows), len(rows))
-
-
-def _loaded_numbers(values: Sequence[float | None]) -> Float[np.ndarray, " m"]:
-    return np.array([_number(x) for x in values])
+    si = c["si"]
+    more: dict[str, Any] = {"interval": _interval(si["interval_95"])}
+    more["interval_68"] = _interval(si["interval_68"])
+    if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
+        more["upper_limit"] = math.inf
+    return _read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
 def _interval(ends: Sequence[float | None]) -> tuple[float, float]:
-    """Ends of an interval from JSON; without an upper one it extends to infinity."""
+    """Without an upper end it extends to infinity; without both there is none."""
     lower, upper = ends
-    return _number(lower), math.inf if upper is None and lower is not None else _number(upper)
+    if lower is None:
+        return math.nan, math.nan if upper is None else upper
+    return lower, math.inf if upper is None else upper
+
+
+def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
+    """Ranking of the term sets for one axis."""
+    ranking = []
+    for s in a["selection"]:
+        evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
+        intervals = {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()}
+        ranking.append(_read(TermSet, s, log_evidence=evidence, intervals=intervals))
+    averaged = None
+    if of := a.get("selection_averaged"):
+        coefficients = {}
+        for c in of["coefficients"]:
+            term = c["term"] if c["term"] in classes else c["term"].rpartition("_")[0]
+            found = _estimate(c, classes[term].amplitude_parameter(), axis)
+            coefficients[c["label"]] = dataclasses.replace(found, source="averaged")
+        averaged = _read(Averaged, of, coefficients=coefficients)
+    return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)

@@ -1,49 +1,35 @@
-"""Fits of a noise model to a recording: Allan or wavelet variances, Whittle's or the exact likelihood.
-
-For many axes (`fit_many`) the solver and the inference are compiled once, for blocks of a fixed number of
-axes; the blocks share the cores.
-"""
+"""Fits of a noise model to a recording: Allan or wavelet variances, Whittle's or the exact likelihood."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
-from allanjax.allan.estimators import Spacing
 from allanjax.base.cache import release_programs
-from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.threads import for_each
-from allanjax.base.wording import significant
 from allanjax.estimate.ahead import compiling_ahead, of_variances
 from allanjax.estimate.axis_fits import (
     check_count,
-    check_terms,
     fit_allan,
     fit_wavelet,
     judged,
-    solve_and_infer,
     with_curve,
 )
-from allanjax.estimate.design import AllanDesign, find_starts, free_powers, model_to_fit
+from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension import extended
-from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Inference, estimates_of, reported
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.segments import joined, with_quiet_others
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
-from allanjax.estimate.whittle import estimated, fit_spectrum, fit_whittle, statistics_of
+from allanjax.estimate.whittle import fit_spectrum, fit_whittle, statistics_of
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
-from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import Markov, Sinusoid, Telegraph, basic_terms
@@ -52,19 +38,11 @@ from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, DeadAxis, Recording
-from allanjax.record.units import unit_scale
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
 _PER_OCTAVE = 4
 Objective = Literal["allan", "whittle", "wavelet", "exact"]
-# Axes per block: for so many, the data of the compiled programs stay in a core's cache.
-_BLOCK = 64
-# Arrays are padded to a multiple of so many cluster sizes: at octaves, two programs serve all records.
-_CAPACITY = 8
 
 
 def fit(
@@ -304,11 +282,7 @@ def without_coefficients(
     dead: tuple[DeadAxis, ...],
 ) -> Fit:
     """A fit without coefficients: the curve of a recording, and the reason."""
-    nothing = np.zeros((0, 0))
-    results = tuple(
-        AxisFit(axis, False, seen.refusal, np.nan, 0, np.nan, np.nan, {}, nothing, template)
-        for axis in seen.axes
-    )
+    results = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
     return with_what_was_seen(Fit(seen.name, template, curve, results, notes, objective, None, dead), seen)
 
 
@@ -441,223 +415,3 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
             rivals = doubtful[c.term] if c.is_amplitude else ()
             found[label] = dataclasses.replace(c, detected=False, rivals=rivals)
     return result.with_estimates(found)
-
-
-@dataclasses.dataclass(frozen=True, eq=False, repr=False)
-class BulkFit(ByValue, Tabled):
-    """The fit of one model to many axes: arrays [axes] or [axes, coefficients], in SI.
-
-    Axes that did not converge have NaN for their coefficients and detect nothing.
-
-    Attributes:
-        template: the model that was asked for.
-        curve: the Allan deviations it was fitted to.
-        value: the estimates; zero for the amplitude of a term that improves nothing.
-        std: their standard deviations.
-        lower, upper: ends of the 95 % intervals; the lower one is zero where zero is not excluded.
-        upper_limit: one-sided 95 % limits of amplitudes; NaN for other coefficients.
-        detected: whether zero is excluded.
-        converged: whether the axis has a result.
-        chi2, dof: misfit of the Allan variances to the model within their own scatter.
-        discrepancy: as in `AxisFit`.
-        measured: whether the coefficients are a measurement. They are not where the fitted curve is far off
-            (see `AxisFit.misfit`): there is then no standard deviation, interval or limit.
-    """
-
-    template: Model
-    curve: AllanDeviation
-    value: Float[np.ndarray, "axes coefficients"]
-    std: Float[np.ndarray, "axes coefficients"]
-    lower: Float[np.ndarray, "axes coefficients"]
-    upper: Float[np.ndarray, "axes coefficients"]
-    upper_limit: Float[np.ndarray, "axes coefficients"]
-    detected: Bool[np.ndarray, "axes coefficients"]
-    converged: Bool[np.ndarray, " axes"]
-    chi2: Float[np.ndarray, " axes"]
-    dof: int
-    discrepancy: Float[np.ndarray, " axes"]
-    measured: Bool[np.ndarray, " axes"]
-
-    @property
-    def coefficients(self) -> tuple[str, ...]:
-        """Labels of the coefficients, in the order of the arrays' columns."""
-        return tuple(p.label for p in reported(self.template))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The axes' names; their numbers where the curve is that of an array."""
-        axes = self.curve.axes
-        return tuple(a.name for a in axes) if axes else tuple(str(k) for k in range(len(self.value)))
-
-    def __len__(self) -> int:
-        return len(self.value)
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """One row per axis and coefficient, with the columns of `Fit.to_dataframe`.
-
-        Numbers are in the usual units; for the curve of an array, whose sensor is unknown, in the array's own
-        unit and seconds, with an empty `unit`.
-        """
-        import pandas as pd
-
-        units, scale = self._units()
-        names = np.repeat(np.array(self.names, object), len(self.coefficients))
-        labels = np.tile(np.array(self.coefficients, object), len(self))
-        numbers = {
-            "value": self.value,
-            "std": self.std,
-            "lower_95": self.lower,
-            "upper_95": self.upper,
-            "unit": units,
-            "detected": self.detected,
-            "upper_limit_95": self.upper_limit,
-            "measured": np.broadcast_to(self.measured[:, None], self.value.shape),
-        }
-        flat = {key: (x / scale if x.dtype == float else x).reshape(len(names)) for key, x in numbers.items()}
-        return pd.DataFrame({"axis": names, "coefficient": labels, **flat})
-
-    def _units(self) -> tuple[np.ndarray, Float[np.ndarray, "axes coefficients"]]:
-        """The usual unit of each coefficient of each axis, and what it is in SI."""
-        sensors = [a.sensor for a in self.curve.axes] if self.curve.axes else [None] * len(self)
-        of_sensor = {
-            s: ["" if s is None else usual_unit(p.parameter, s) for p in reported(self.template)]
-            for s in set(sensors)
-        }
-        scales = {s: [unit_scale(u, s) if u else 1.0 for u in units] for s, units in of_sensor.items()}
-        return np.array([of_sensor[s] for s in sensors], object), np.array([scales[s] for s in sensors])
-
-    def _tables(self) -> list[list[Column]]:
-        rows = []
-        for (label, unit), of_label in self.to_dataframe().groupby(["coefficient", "unit"], sort=False):
-            seen = of_label["value"][of_label["detected"]]
-            ends = [significant(x, 4) for x in seen.quantile([0.05, 0.5, 0.95])] if len(seen) else [""] * 3
-            rows.append([str(label), str(unit), *ends, f"{len(seen)} of {len(of_label)} axes"])
-        return [columns_from(("coefficient", "unit", "5 %", "median", "95 %", "detected"), rows)]
-
-    def _title(self) -> str:
-        return (
-            f"{len(self)} axes of {self.curve.n:,} samples at {self.curve.rate:g} Hz, "
-            f"{np.count_nonzero(self.converged)} converged; values where detected"
-        )
-
-
-def fit_many(
-    data: AllanDeviation | Sequence[Recording], model: ModelLike, *, cluster_times: Spacing = "octave"
-) -> BulkFit:
-    """Estimate the coefficients of one noise model for each of many axes, thousands per second.
-
-    The result for an axis is that of `fit` with `objective="allan"` for the same Allan variances, by default
-    at octaves of the cluster time: some 5 % less precise in the middle of the curve than `fit`, which has
-    four cluster times per octave, and twenty times faster.
-
-    Args:
-        data: a curve of any number of axes, e.g. `allan_deviation(x, rate)` of an array [samples, units]; or
-            recordings of equal length and rate, whose axes are then named "recording/axis".
-        model: the terms, with start values and held parameters as in `fit`.
-        cluster_times: spacing of the cluster times of recordings, see `allan_deviation`; a curve has its own.
-
-    Raises:
-        FitError: a line, resonance or transient, which needs the record itself; too few cluster times.
-        AllanjaxError: no recordings, or of different lengths or rates; a modified or Hadamard curve.
-    """
-    curve = _curve_of(data, cluster_times)
-    template = model_to_fit(model, curve.axes or ())
-    check_terms(
-        template,
-        "is estimated from the record itself, not from Allan variances; leave it out, or fit each recording "
-        "with allanjax.fit",
-    )
-    check_length(curve, template, "the curve")
-    return _bulk_fit(curve, template, *_in_blocks(curve, template))
-
-
-def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing) -> AllanDeviation:
-    """The Allan deviations of all axes."""
-    if isinstance(data, AllanDeviation):
-        if data.kind != "allan":
-            raise AllanjaxError(f"a fit needs the Allan deviation, not a {data.kind} one; leave out kind")
-        if not (isinstance(cluster_times, str) and cluster_times == "octave"):
-            raise AllanjaxError("a curve has its own cluster times; leave out cluster_times")
-        return data
-    if isinstance(data, Recording) or not all(isinstance(r, Recording) for r in data) or not len(data):
-        raise AllanjaxError("pass an AllanDeviation or a sequence of recordings, e.g. [recording]")
-    names = [recording.name or str(k) for k, recording in enumerate(data)]
-    first = data[0]
-    for name, recording in zip(names, data, strict=True):
-        if (recording.n, recording.rate) != (first.n, first.rate):
-            raise AllanjaxError(
-                f"{name} has {recording.n} samples at {recording.rate:g} Hz, but {names[0]} {first.n} at "
-                f"{first.rate:g} Hz; cut them to one length with between(), or fit it separately"
-            )
-    alone = (dataclasses.replace(recording, others=()) for recording in data)
-    curves = [allan_deviation(recording, cluster_times=cluster_times) for recording in alone]
-    axes = (
-        dataclasses.replace(axis, name=f"{name}/{axis.name}")
-        for name, recording in zip(names, data, strict=True)
-        for axis in recording.axes
-    )
-    return dataclasses.replace(
-        curves[0],
-        deviation=np.concatenate([curve.deviation for curve in curves], axis=1),
-        edf=np.concatenate([curve.edf for curve in curves], axis=1),
-        axes=tuple(axes),
-    )
-
-
-def _in_blocks(
-    curve: AllanDeviation, template: Model
-) -> tuple[Solution, Inference, Bool[np.ndarray, " axes"]]:
-    """Solution and inference of every axis, and whether the curve is close enough to the data."""
-    capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (capacity, 0))
-    free = free_powers(template)
-    active = np.ones((_BLOCK, len(template)), bool)
-    variance = curve.variance.T
-
-    def of_block(first: int) -> tuple[Solution, Inference, Bool[np.ndarray, " block"]]:
-        V = variance[first : first + _BLOCK]
-        # The last block is filled up with its last axis.
-        V = np.pad(V, ((0, _BLOCK - len(V)), (0, 0)), mode="edge")
-        starts = find_starts(template, design, V, active, [None] * _BLOCK, curve.n, curve.rate)
-        solution, inference, misfits = solve_and_infer(design, V, free, active, starts)
-        return solution, inference, np.array([m is None or not m.excessive for m in misfits])
-
-    blocks = for_each(of_block, range(0, len(variance), _BLOCK))
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[: len(variance)], *blocks)
-
-
-def _bulk_fit(
-    curve: AllanDeviation,
-    template: Model,
-    solution: Solution,
-    inference: Inference,
-    near: Bool[np.ndarray, " axes"],
-) -> BulkFit:
-    """The result made of solutions and inferences."""
-    active = np.ones((len(solution.power), len(template)), bool)
-    estimates = estimates_of(template, active, solution, inference)
-    converged = np.asarray(solution.converged)
-    dof = len(curve.cluster_size) - estimated(template, active[0])
-
-    measured = converged & near
-
-    def known(
-        x: Float[np.ndarray, "axes coefficients"], where: Bool[np.ndarray, " axes"] = measured
-    ) -> Float[np.ndarray, "axes coefficients"]:
-        return np.where(where[:, None], x, np.nan)
-
-    return BulkFit(
-        template=template,
-        curve=curve,
-        value=known(estimates.value, converged),
-        std=known(estimates.std),
-        lower=known(estimates.interval[..., 0]),
-        upper=known(estimates.interval[..., 1]),
-        upper_limit=known(estimates.upper_limit),
-        detected=estimates.detected & measured[:, None],
-        converged=converged,
-        chi2=np.asarray(solution.chi2),
-        dof=dof,
-        discrepancy=np.asarray(solution.discrepancy),
-        measured=measured,
-    )

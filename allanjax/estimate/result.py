@@ -1,9 +1,8 @@
 """Results of a fit: coefficients with their intervals for each axis, corrections, and the misfit.
 
 The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals correctly
-while it is small. It does not describe a model that is off by a factor, as it is relative to the model and
-data below the model are off by one at most. The misfit therefore compares the ratio of the two curves, place
-by place.
+while it is small, not for a model that is off by a factor, as data below the model are off by one at most.
+The misfit therefore compares the ratio of the two curves, place by place.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
@@ -42,37 +41,25 @@ if TYPE_CHECKING:
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
+#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement.
+#: 30 % in the deviation is 69 % in the variances, which are fitted; standard deviations propagate the model's
+#: error to first order only. A coefficient is determined by one or two octaves. (Static sensors with
+#: resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-"""Deviations beyond which coefficients are not a measurement: root mean square, and over an octave.
-
-30 % in the deviation is 69 % in the variances, which are fitted. Standard deviations propagate the model's
-error to first order, which does not hold for one so large. A coefficient is determined by one or two octaves,
-and is lost if one of these is off by a factor of 1.5. (Static sensors
-with resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
-"""
-
 # p-value below which a model is doubtful.
 _DOUBTFUL = 1e-3
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²).
 _SURE = 0.997
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
-# Deviations above this ratio are reported as a factor.
-_FACTOR = 1.5
 # Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
 # one; chance hardly ever exceeds them: judgements.
 _NOTABLE, _CLEAR = 0.02, 0.06
-# Scatter is reported with a deviation if it is a larger share of it than this.
-_MUCH = 0.3
-# Ratio of a limit of the bandwidth to its value within which the limit is reported.
-_NEAR = 3.0
-# Largest number of places that are named, the strongest ones.
-_NAMED = 3
-#: What to do about a curve that is far off.
-NEXT = (
-    "see the figure, and run `allanjax critique FILE` for the cause; --start and --stop select the part "
-    "at rest, --terms selects other terms"
-)
+# Words: deviations above this ratio are a factor, a scatter above this share of a deviation is reported, and
+# so is a limit of the bandwidth within this ratio of its value, and so many places, the strongest ones.
+_FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
+# One, to rounding.
+_ALMOST = 1.0 + 1e-6
 # Least share of N that counts as white noise.
 _LITTLE = 1e-6
 
@@ -131,13 +118,9 @@ def misfit_of(
     edf: Float[np.ndarray, " m"],
     unit: Literal["s", "Hz"],
 ) -> Misfit:
-    """Misfit of estimated deviations.
+    """Misfit of estimated deviations, given measured/model, and the degrees of freedom of their squares.
 
-    Args:
-        place: cluster times [s] or frequencies [Hz], increasing.
-        ratio: measured over model, of the deviation.
-        edf: degrees of freedom of the estimates' squares under the model.
-        unit: of the places.
+    The places are cluster times [s] or frequencies [Hz], increasing.
     """
     log = np.log(np.maximum(ratio, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
@@ -149,7 +132,12 @@ def misfit_of(
         return Misfit(0.0, float("nan"), unit, 0.0, 0.0)
     # In squares, less the half width of the interval on the model's side.
     rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
-    sustained = certain[k] if unit == "s" else _over_octaves(place, certain)
+    sustained = certain[k]
+    if unit == "Hz":
+        # The largest of the medians over octaves; of an even number of places the lower one.
+        starts = place[2.0 * place <= place[-1] * _ALMOST]
+        octaves = (certain[(place >= f) & (place <= 2.0 * f * _ALMOST)] for f in starts)
+        sustained = max((np.sort(x)[(len(x) - 1) // 2] for x in octaves), default=0.0)
     scatter = abs(log[k]) - certain[k]
     largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
     return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
@@ -165,16 +153,6 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
 
 
-def _over_octaves(place: Float[np.ndarray, " m"], certain: Float[np.ndarray, " m"]) -> float:
-    """The largest of the medians over octaves; of an even number of places the lower one."""
-    almost = 1.0 + 1e-6
-    found = 0.0
-    for start in place[2.0 * place <= place[-1] * almost]:
-        inside = np.sort(certain[(place >= start) & (place <= 2.0 * start * almost)])
-        found = max(found, float(inside[(len(inside) - 1) // 2]))
-    return found
-
-
 def spectral_misfit(
     frequency: Float[np.ndarray, " m"],
     level: Float[np.ndarray, " m"],
@@ -183,23 +161,19 @@ def spectral_misfit(
 ) -> Misfit:
     """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
 
-    Args:
-        frequency: middle of each bin [Hz].
-        level, mean: measured and expected level of each.
-        dof: degrees of freedom of the levels; those without any do not count.
+    Each level is of a bin about its frequency [Hz]; those without degrees of freedom do not count.
     """
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
     part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
-    total, power, place = (np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency)))
-    there = total > 0.0
-    total, power, place = total[there], power[there], place[there]
+    sums = np.array([np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency))])
+    total, power, place = sums[:, sums[0] > 0.0]
     return misfit_of(np.exp(place / total), np.sqrt(power / total), total, "Hz")
 
 
 def deviation(relative: float) -> str:
     """A relative deviation in words: "47 %", or a large one as a factor in either direction, "×18"."""
-    factor = max(1.0 + relative, 1.0 / max(1.0 + relative, 1e-300))
+    factor = np.exp(abs(np.log(max(1.0 + relative, 1e-300))))
     if factor < _FACTOR:
         return percent(abs(relative))
     return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
@@ -247,67 +221,35 @@ class AxisEstimates:
         return pd.DataFrame(rows, columns=list(self.COLUMNS)).astype({"upper_limit_95": float})
 
     def __repr__(self) -> str:
-        names: dict[bool, list[str]] = {True: [], False: []}
-        for c in self.coefficients.values():
-            names[c.detected].append(f"{c.title} {c.in_unit().describe()}" if c.detected else c.title)
-        absent = f"; not detected: {', '.join(names[False])}" if names[False] else ""
-        found = ", ".join(names[True]) or "nothing detected"
-        return f"<{type(self).__name__} {self.axis.name}: {found}{absent};\n {self.verdict}>"
+        of = self.coefficients.values()
+        found = ", ".join(f"{c.title} {c.in_unit().describe()}" for c in of if c.detected)
+        absent = ", ".join(c.title for c in of if not c.detected)
+        shown = (found or "nothing detected") + (f"; not detected: {absent}" if absent else "")
+        return f"<{type(self).__name__} {self.axis.name}: {shown};\n {self.verdict}>"
 
 
-def further_terms(template: Model) -> tuple[str, ...]:
-    """Labels of a model's terms that are neither basic ones nor Markov processes, and of its response."""
-    kinds = {type(term) for term in basic_terms()} | {Markov}
-    labels = zip(template.term_labels, template.terms, strict=True)
-    response = () if template.response is None else (template.response.name(),)
-    return (*(label for label, term in labels if type(term) not in kinds), *response)
-
-
-def correction_of(
-    template: Model, found: Model, after: Estimate, before: Estimate | None, bandwidth: Estimate | None
-) -> str:
-    """Words such as "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: … 2.41 → 2.27 deg/√h".
-
-    Args:
-        template: the model that was fitted.
-        found: the model with its values.
-        after, before: N of this fit and of the fit without correction.
-        bandwidth: of the response, if there is one.
-    """
-    causes = _bandwidth(found, bandwidth)
-    causes += _places(found, Resonance, "resonance") + _places(found, Sinusoid, "spectral line")
-    if not causes:
-        several = sum(isinstance(term, Markov) for term in template.terms) > 1
-        causes = ["Markov processes of several correlation times" if several else "a Markov process"]
-    text = f"corrected for {_listed(causes)}"
-    if before is None or not (after.value > 0.0 and before.value > 0.0):
-        return text
-    new, old = after.in_unit(), before.in_unit()
-    return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
-
-
-def _bandwidth(found: Model, estimate: Estimate | None) -> list[str]:
-    """The response in words: its bandwidth, a limit of it, or that the data do not determine it."""
-    if found.response is None or estimate is None:
-        return []
-    if np.isfinite(estimate.std) or estimate.held:
-        return [f"a {plain(found.response.half_power, 3)} Hz bandwidth"]
-    for side, limit in (("above", estimate.lower_limit), ("below", estimate.upper_limit)):
-        # A limit far from the value says nothing.
-        if limit is not None and 1.0 / _NEAR < limit / found.response.half_power < _NEAR:
-            return [f"a bandwidth {side} {plain(limit, 3)} Hz"]
-    return ["a filter of undetermined bandwidth"]
-
-
-def _places(found: Model, kind: type[Resonance] | type[Sinusoid], name: str) -> list[str]:
-    """Frequencies of the terms of one kind in words, at most three of them."""
-    terms = [term for term in found.terms if isinstance(term, kind)]
-    if not terms:
-        return []
-    strongest = sorted(terms, key=lambda term: -float(term.amplitude or 0.0))[:_NAMED]
-    places = _listed([plain(f, 3) for f in sorted(float(term.frequency or 0.0) for term in strongest)])
-    more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
-    return [f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}"]
+def _causes(result: AxisFit, template: Model) -> list[str]:
+    """What an axis's own model corrects the plain terms for, in words."""
+    response, causes = result.model.response, []
+    if response is not None:
+        bandwidth = result[f"{response.name()}_bandwidth"]
+        sign, limit = bandwidth.limit
+        if np.isfinite(bandwidth.std) or bandwidth.held:
+            causes = [f"a {plain(response.half_power, 3)} Hz bandwidth"]
+        elif limit and 1.0 / _NEAR < limit / response.half_power < _NEAR:
+            causes = [f"a bandwidth {'below' if sign == '<' else 'above'} {plain(limit, 3)} Hz"]
+        else:
+            # A limit far from the value says nothing.
+            causes = ["a filter of undetermined bandwidth"]
+    for kind, name in ((Resonance, "resonance"), (Sinusoid, "spectral line")):
+        terms: list[Any] = [term for term in result.model.terms if isinstance(term, kind)]
+        if terms:
+            strongest = sorted(terms, key=lambda term: -term.amplitude)[:_NAMED]
+            places = _listed([plain(f, 3) for f in sorted(term.frequency for term in strongest)])
+            more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
+            causes.append(f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}")
+    several = sum(isinstance(term, Markov) for term in template.terms) > 1
+    return causes or ["Markov processes of several correlation times" if several else "a Markov process"]
 
 
 def _listed(words: Sequence[str]) -> str:
@@ -365,29 +307,23 @@ class AxisFit(ByValue, AxisEstimates):
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "coefficient",
-        "value",
-        "std",
-        "lower_95",
-        "upper_95",
-        "unit",
-        "detected",
-        "upper_limit_95",
-        "measured",
+        *("axis", "coefficient", "value", "std", "lower_95", "upper_95"),
+        *("unit", "detected", "upper_limit_95", "measured"),
     )
     ERROR: ClassVar[type[AllanjaxError]] = FitError
 
     axis: Axis
     converged: bool
     reason: str
-    chi2: float
-    dof: int
-    p_value: float
-    discrepancy: float
-    _coefficients: Mapping[str, Estimate]
-    _covariance: Float[np.ndarray, "params params"]
-    _model: Model
+    chi2: float = np.nan
+    dof: int = 0
+    p_value: float = np.nan
+    discrepancy: float = np.nan
+    _coefficients: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
+    _covariance: Float[np.ndarray, "params params"] = dataclasses.field(
+        default_factory=lambda: np.zeros((0, 0))
+    )
+    _model: Model = dataclasses.field(default_factory=lambda: Model(()))
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
     allan_misfit: Misfit | None = None
@@ -404,10 +340,9 @@ class AxisFit(ByValue, AxisEstimates):
     def __post_init__(self) -> None:
         if not self.converged:
             # The numbers are meaningless, and no file contains them.
-            nothing = {"_coefficients": {}, "_covariance": np.zeros((0, 0)), "_model": Model(())}
-            nothing |= dict.fromkeys(("chi2", "p_value", "discrepancy"), np.nan)
-            for name, value in nothing.items():
-                object.__setattr__(self, name, value)
+            nothing = AxisFit(self.axis, True, "")
+            for name in ("chi2", "p_value", "discrepancy", "_coefficients", "_covariance", "_model"):
+                object.__setattr__(self, name, getattr(nothing, name))
 
     def _checked(self) -> None:
         if not self.converged:
@@ -451,20 +386,24 @@ class AxisFit(ByValue, AxisEstimates):
 
     def widened(self, factor: float) -> AxisFit:
         """A copy whose standard deviations are larger by a factor, with intervals and limits to match."""
+        return self._scaled(lambda c: factor, factor)
+
+    def _scaled(self, factor: Callable[[Estimate], float], widening: float = 1.0) -> AxisFit:
+        by = np.array([factor(c) for c in self._coefficients.values()])
+        found = zip(self._coefficients.items(), by.tolist(), strict=True)
         return dataclasses.replace(
             self,
-            _coefficients={label: c.widened(factor) for label, c in self._coefficients.items()},
-            _covariance=self._covariance * factor**2,
-            plain=None if self.plain is None else self.plain.widened(factor),
-            widening=self.widening * factor,
+            _coefficients={label: c.widened(x) for (label, c), x in found},
+            _covariance=self._covariance * np.outer(by, by),
+            plain=None if self.plain is None else self.plain._scaled(factor, widening),
+            widening=self.widening * widening,
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
         """A copy with intervals widened for errors of the record.
 
-        Args:
-            share: relative error of the Allan deviation, and thus of every amplitude.
-            foreign: density of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
+        `share` is the relative error of the Allan deviation, and thus of every amplitude; `foreign` a density
+        of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
         """
 
         def factor(c: Estimate) -> float:
@@ -474,19 +413,13 @@ class AxisFit(ByValue, AxisEstimates):
             more = c.value - np.sqrt(max(c.value**2 - foreign**2, 0.0)) if white else 0.0
             return float(np.sqrt(1.0 + ((share * c.value) ** 2 + more**2) / c.std**2))
 
-        if not self.converged or share == foreign == 0.0:
-            return self
-        found = {label: c.widened(factor(c)) for label, c in self._coefficients.items()}
-        plain = None if self.plain is None else self.plain.allowing(share, foreign)
-        return dataclasses.replace(self.with_estimates(found), plain=plain)
+        return self if share == foreign == 0.0 else self._scaled(factor)
 
     def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
-        """A copy with these estimates of its coefficients, and a covariance rescaled to their standard
-        deviations."""
+        """A copy with these estimates, and a covariance rescaled to their standard deviations."""
         pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
         by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
-        covariance = self._covariance * by[:, None] * by
-        return dataclasses.replace(self, _coefficients=found, _covariance=covariance)
+        return dataclasses.replace(self, _coefficients=found, _covariance=self._covariance * by[:, None] * by)
 
     @property
     def coefficients(self) -> Mapping[str, Estimate]:
@@ -512,17 +445,28 @@ class AxisFit(ByValue, AxisEstimates):
     @property
     def further(self) -> tuple[str, ...]:
         """Labels of the filter, the resonances and the lines for which the plain terms were corrected."""
-        return () if self.own_template is None else further_terms(self.own_template)
+        if (own := self.own_template) is None:
+            return ()
+        kinds = {type(term) for term in basic_terms()} | {Markov}
+        terms = zip(own.term_labels, own.terms, strict=True)
+        response = () if own.response is None else (own.response.name(),)
+        return (*(label for label, term in terms if type(term) not in kinds), *response)
 
     @property
     def correction(self) -> str:
-        """What the plain terms were corrected for, and by how much; "" without a correction."""
+        """What the plain terms were corrected for, and by how much; "" without a correction.
+
+        E.g. "corrected for a 28 Hz bandwidth and a resonance at 20 Hz: N 2.41 → 2.27 deg/√h".
+        """
         if self.own_template is None or not self.converged:
             return ""
-        before = self.plain["angle_random_walk"] if self.plain is not None and self.plain.converged else None
-        response = self.own_template.response
-        bandwidth = None if response is None else self[f"{response.name()}_bandwidth"]
-        return correction_of(self.own_template, self.model, self["angle_random_walk"], before, bandwidth)
+        text = f"corrected for {_listed(_causes(self, self.own_template))}"
+        if self.plain is None or not self.plain.converged:
+            return text
+        old, new = (fit["angle_random_walk"].in_unit() for fit in (self.plain, self))
+        if not (old.value > 0.0 and new.value > 0.0):
+            return text
+        return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
     @property
     def term_labels(self) -> tuple[str, ...]:
@@ -530,9 +474,8 @@ class AxisFit(ByValue, AxisEstimates):
 
         Raises FitError if the fit did not converge.
         """
-        there = [
-            c.term for c in self.coefficients.values() if c.is_amplitude and np.isfinite(c.value) and c.value
-        ]
+        amplitudes = (c for c in self.coefficients.values() if c.is_amplitude)
+        there = [c.term for c in amplitudes if np.isfinite(c.value) and c.value]
         # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
         white = AngleRandomWalk.name()
         return tuple(label for label in there if label != white or white in self.model.term_labels)
@@ -540,8 +483,8 @@ class AxisFit(ByValue, AxisEstimates):
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
         if self._fit is None:
-            raise self.ERROR(
-                f"{self.axis.name}: a figure needs the curve of the fit; use a result taken from a fit"
+            raise FitError(
+                f"{self.axis.name}: a figure needs the curve of a fit; use a result taken from one"
             )
         return self._fit.plot(self.axis.name, path, ax=ax)
 
@@ -612,9 +555,16 @@ class Fit(ByValue, PerAxis[AxisFit]):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the coefficients, the gravest first."""
+        told = warnings_of(self.facts)
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
-        far_off = f"{names}: not a measurement of this sensor, as the model does not fit: {NEXT}"
-        return (*warnings_of(self.facts), *([far_off] if names else []))
+        if not names:
+            return told
+        return (
+            *told,
+            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure, and run "
+            "`allanjax critique FILE` for the cause; --start and --stop select the part at rest, --terms "
+            "selects other terms",
+        )
 
     @property
     def longest_part(self) -> tuple[float, float] | None:
@@ -641,10 +591,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def without_extensions(self) -> Fit:
         """The fit in which axes with a model of their own have the fit of the plain terms."""
-        plain = [r if r.plain is None else r.plain for r in self.results]
-        levels = zip(plain, self.results, strict=True)
+        kept = ("mean", "rms", "not_measured")
         results = tuple(
-            dataclasses.replace(p, mean=r.mean, rms=r.rms, not_measured=r.not_measured) for p, r in levels
+            dataclasses.replace(r.plain or r, **{name: getattr(r, name) for name in kept})
+            for r in self.results
         )
         return dataclasses.replace(self, results=results)
 
@@ -666,9 +616,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
     def __getitem__(self, axis: str) -> AxisFit:
         """The fit of one axis, e.g. `fit["gyro_x"]`."""
-        for dead in self.dead:
-            if axis == dead.axis.name:
-                raise FitError(f"{axis}: no result, {dead.reason}")
+        if reason := next((dead.reason for dead in self.dead if dead.axis.name == axis), None):
+            raise FitError(f"{axis}: no result, {reason}")
         return super().__getitem__(axis)
 
     @property

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import jax
 import numpy as np
@@ -29,7 +28,7 @@ from allanjax.estimate.design import (
 from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Coefficients, coefficients_of, deterministic_coefficients, reported
-from allanjax.estimate.result import AxisFit, Misfit, fitted_model, spectral_misfit, widened
+from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
 from allanjax.estimate.spectral.expected import ExpectedLevels
 from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
 from allanjax.estimate.spectral.powers import power_fits
@@ -166,14 +165,10 @@ def fit_spectrum(
     result = axis_fit(axis, template, active, coefficients, one, dof, misfit)
     result = dataclasses.replace(result, regression=regression, spectrum=spectrum)
     if plateaus:
-        N = coefficients.values["angle_random_walk"]
-        own = {**coefficients.values, N.label: dataclasses.replace(N, value=_root(fit.solution.power[white]))}
-        result = dataclasses.replace(result, _model=fitted_model(template, own, absent(template, active)))
+        alone = template.with_values(angle_random_walk=float(np.sqrt(fit.solution.power[white])))
+        model = extended_model(alone, coefficients.values, absent(template, active))
+        result = dataclasses.replace(result, _model=model)
     return result
-
-
-def _root(power: Any) -> float:
-    return float(np.sqrt(power))
 
 
 def _fit_noise(

@@ -13,7 +13,7 @@ import numpy as np
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.tables import Column, PerAxis, columns_from, printable
+from allanjax.base.tables import Column, Number, PerAxis, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
@@ -241,30 +241,38 @@ class Estimate(ByValue):
         return f"<Estimate {self}>"
 
     @property
-    def _shape_limit(self) -> float | None:
-        """The limit of a detected term's shape."""
-        if self.is_amplitude:
-            return None
-        return self.upper_limit if self.lower_limit is None else self.lower_limit
+    def number(self) -> Number | None:
+        """What a table shows: the value with its error, or a limit; None where it is not determined."""
+        if self.held:
+            return Number(self.value, after=" held")
+        if not self.measured:
+            return Number(self.value, before="(", after=")") if self.value > 0.0 else None
+        sign, limit = self.limit
+        if sign:
+            return None if limit is None else Number(limit, before=f"{sign} ")
+        return Number(self.value, self.std) if np.isfinite(self.std) else None
+
+    @property
+    def limit(self) -> tuple[str, float | None]:
+        """Sign and value of the limit that stands for the value; "" if the value does."""
+        if not self.detected:
+            return "<", self.upper_limit
+        if self.is_amplitude or (self.lower_limit is None and self.upper_limit is None):
+            return "", None
+        return ("<", self.upper_limit) if self.lower_limit is None else (">", self.lower_limit)
 
     def _amount(self) -> str:
         """The value or limit with its unit, and the interval where 1σ does not describe it."""
-        normal = True
+        shown, normal = self.number, True
         if self.held:
             number = plain(self.value)
-        elif not self.measured:
-            if not self.value > 0.0:
-                return "none"
-            number = significant(self.value)
-        elif not self.detected:
-            if self.upper_limit is None:
-                return ""
-            number = significant(self.upper_limit)
-        elif self._shape_limit is not None:
-            number = significant(self._shape_limit)
-        else:
+        elif self.measured and not self.limit[0]:
             normal = self.is_normal
             number = format_with_error(self.value, self.std) if normal else significant(self.value)
+        elif shown is None:
+            return "" if self.measured else "none"
+        else:
+            number = significant(shown.value)
         amount = number if self.unit == "1" else f"{number} {self.unit}"
         bare = (self.parameter is not None and normal) or not self.interval[0] < self.interval[1]
         return amount if bare else f"{amount} (95 %: {self.describe_interval()})"
@@ -284,8 +292,8 @@ class Estimate(ByValue):
                 names = " or ".join(title_of(name, self.axis.sensor) for name in self.rivals)
                 return f"cannot be distinguished from {names} (< {amount}, 95 %)"
             return f"not detected (< {amount}, 95 %)"
-        if self._shape_limit is not None:
-            return f"{'<' if self.lower_limit is None else '>'} {amount} (95 %)"
+        if self.limit[0]:
+            return f"{self.limit[0]} {amount} (95 %)"
         if self.parameter and not self.is_amplitude and np.isnan(self.std):
             return "not determined by these data"
         return f"{amount}; {self.remark}" if self.remark else amount
