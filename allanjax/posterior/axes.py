@@ -1,4 +1,4 @@
-"""Sampling one axis after the other, and marginals of all parameters from the draws.
+"""Posterior of one axis: its chains, and marginals of all parameters from the draws.
 
 `value` is the median, `std` the standard deviation; the central intervals hold 68 and 95 % of the posterior;
 `upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor is below 1/20; otherwise
@@ -15,42 +15,117 @@ terms that the fit did not detect.
 from __future__ import annotations
 
 import dataclasses
-import sys
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Float
-from rich.console import Console
-from rich.progress import Progress, TaskID
+from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.special import logsumexp
 
-from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.wording import percent, plain
-from allanjax.estimate.result import Fit
+from allanjax.base.wording import plain
+from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.model import ModelParameter
-from allanjax.posterior.likelihood import Likelihood, likelihood_of
 from allanjax.posterior.priors import Prior
-from allanjax.posterior.result import AxisPosterior, PosteriorWarning
-from allanjax.posterior.sampling import Chains, Convergence, Target, first_walkers, run
-from allanjax.record.recording import Axis
+from allanjax.posterior.result import AxisPosterior, PosteriorWarning, summary
+from allanjax.posterior.sampling import Options, run
+from allanjax.posterior.target import Target
 
 # An amplitude is detected if the data make zero less credible by this factor.
 _DETECTED = 1.0 / 20.0
 # Below this coordinate, a third of the prior's scale, an amplitude cannot be distinguished from zero.
 _INDISTINGUISHABLE = 0.3
-# Probabilities of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
-_QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
-# Default number of walkers, or four per parameter if that is more.
-_WALKERS = 32
 # Step of an amplitude's coordinate, least number of steps, and number of points between which the density is
 # integrated. The range ends where the density is e^-12 of its maximum.
 _STEP, _STEPS, _DENSE = 0.1, 16, 4001
 _NEGLIGIBLE = 12.0
 # Attempts to translate the draws at one point, until effective draws over draws reach this ratio.
 _CORRECTIONS, _EVEN = 6, 0.5
+
+
+def posterior_of(
+    fit: Fit, name: str, priors: Mapping[str, Prior], options: Options, report: Callable[[int, int], None]
+) -> AxisPosterior:
+    """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
+    target, result = Target(fit, name, priors), fit[name]
+    labels = tuple(target.parameters[i].label for i in target.sampled)
+    # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
+    streams = np.random.SeedSequence([options.seed, fit.axes.index(name)]).generate_state(8)
+    random = np.random.RandomState(streams)
+    chain, found = run(target, random, options, report)
+    tau = found["tau"]
+    if not found["converged"]:
+        worst = int(np.argmax(np.nan_to_num(tau, nan=np.inf)))
+        complaint = (
+            f"{name}: the posterior has not converged in {found['steps']} steps; {labels[worst]} is worst "
+            f"with τ = {plain(tau[worst], 3)} steps and R̂ = {found['r_hat'][worst]:.4f}; allow more steps, "
+            f"e.g. max_steps={4 * options.max_steps}, or give narrower priors"
+        )
+        warnings.warn(complaint, PosteriorWarning, stacklevel=3)
+    y = chain[:: max(1, int(np.nan_to_num(tau).max() / 2.0))].reshape(-1, len(labels))
+    few = y[np.linspace(0, len(y) - 1, options.absent_draws).round().astype(int)]
+    # The density per SI unit, instead of per unit of the coordinates.
+    found["log_probability"] = found["log_probability"] - chain.sum(axis=-1)
+    return AxisPosterior(
+        axis=result.axis,
+        labels=labels,
+        draws=target.values(y)[:, target.sampled],
+        chain=target.values(chain)[..., target.sampled],
+        coefficients=_marginals(target, result, y, few, random),
+        priors={target.parameters[k].label: prior for k, prior in target.priors.items()},
+        rate=fit.curve.rate,
+        duration=fit.curve.n / fit.curve.rate,
+        _template=fit.template,
+        **found,
+    )
+
+
+def _marginals(
+    target: Target,
+    fit: AxisFit,
+    y: Float[np.ndarray, "draws sampled"],
+    few: Float[np.ndarray, "some sampled"],
+    random: np.random.RandomState,
+) -> dict[str, Estimate]:
+    """Marginals of all parameters by label, from the draws of those sampled; `few` are for absent terms."""
+    columns = dict(zip(target.sampled.tolist(), target.values(y)[:, target.sampled].T, strict=True))
+    found, there = dict[str, Estimate](), dict[int, bool]()
+    for i, p in enumerate(target.parameters):
+        c, draws, factor, limit = fit.coefficients.get(p.label), columns.get(i), None, None
+        if c is None or not (c.held or i in target.priors):
+            continue
+        if p.parameter.is_amplitude and not c.held:
+            if draws is None:
+                draws, factor = absent_amplitude(target, i, few, random)
+            else:
+                factor = bayes_factor(target, i, draws)
+            there[p.term], limit = factor < _DETECTED, float(np.quantile(draws, 0.95))
+        if draws is None:
+            # Held, or a shape of an absent term.
+            found[p.label] = dataclasses.replace(c, source="posterior", sampled=False)
+            continue
+        here = there.get(p.term, True)
+        found[p.label] = dataclasses.replace(
+            c,
+            **summary(draws, from_zero=p.parameter.is_amplitude and not here),
+            upper_limit=limit,
+            lower_limit=None,
+            # Draws are of the chosen terms only.
+            detected=here and not c.rivals,
+            bayes_factor=factor,
+            sampled=i in columns,
+        )
+    return found
+
+
+def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
+    """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
+    threshold = -target.origin[index] * np.expm1(_INDISTINGUISHABLE)
+    # A prior without any mass there excludes zero whatever the data say.
+    u = np.geomspace(1e-9, 1.0 - 1e-9, _DENSE)
+    before = np.interp(threshold, target.priors[index].quantile(u), np.log(u), left=np.inf)
+    return float(np.mean(draws < threshold) * np.exp(-before))
 
 
 def absent_amplitude(
@@ -64,22 +139,22 @@ def absent_amplitude(
     includes the prior densities before and after; moving them to their weighted mean, which is followed from
     one c to the next, keeps the weights even.
     """
-    full, prior = target.embedded(y), target.priors[index]
-    for k, p in enumerate(target.likelihood.parameters):
-        if k not in (index, *target.sampled) and p.term == target.likelihood.parameters[index].term:
-            full[:, k] = target.coordinates(target.priors[k].quantile(random.uniform(size=len(y))), k)
-    ends = prior.lower, prior.upper if np.isfinite(prior.upper) else prior.quantile(1.0 - 1e-9)
-    lower, upper = target.coordinates(np.array(ends), index)
+    values, prior, origin = target.values(y), target.priors[index], target.origin[index]
+    for k in target.priors.keys() - {index, *target.sampled.tolist()}:
+        if target.parameters[k].term == target.parameters[index].term:
+            values[:, k] = target.priors[k].quantile(random.uniform(size=len(y)))
+    lower, upper = np.log(prior.quantile(np.array([0.0, 1.0 - 1e-9])) - origin)
     grid = np.arange(lower, upper, min(_STEP, (upper - lower) / _STEPS))
-    of_prior, before = target.log_prior(grid, index), target.log_density(full)
-    log_ratio, shifts, moved = np.full(len(grid), -np.inf), [np.zeros(y.shape[1])] * 2, full.copy()
-    for g, coordinate in enumerate(grid):
-        moved[:, index] = coordinate
+    amplitude = np.maximum(origin + np.exp(grid), prior.lower)
+    before, of_prior = target.log_density(values), target.log_prior(amplitude, index)
+    log_ratio, shifts = np.full(len(grid), -np.inf), [np.zeros(y.shape[1])] * 2
+    for g in range(len(grid)):
+        values[:, index] = amplitude[g]
         # Start from the linear continuation of the last two translations.
         shift = 2.0 * shifts[-1] - shifts[-2]
         for _ in range(_CORRECTIONS):
-            moved[:, target.sampled] = y + shift
-            log_weight = target.log_density(moved) - before
+            values[:, target.sampled] = target.values(y + shift)[:, target.sampled]
+            log_weight = target.log_density(values) - before
             log_ratio[g] = logsumexp(log_weight) - np.log(len(y))
             if not np.isfinite(log_ratio[g]):
                 shift = shifts[-1]
@@ -89,212 +164,12 @@ def absent_amplitude(
             if 1.0 / np.sum(share**2) > _EVEN * len(y):
                 break
         shifts.append(shift)
-        density = (log_ratio + of_prior)[: g + 1]
-        if density[-1] < density.max() - _NEGLIGIBLE:
+        log_density = (log_ratio + of_prior)[: g + 1]
+        if log_density[-1] < log_density.max() - _NEGLIGIBLE:
             break
-    known = np.isfinite(log_ratio)
-    dense = np.linspace(lower, grid[known][-1], _DENSE)
-    log_density = CubicSpline(grid[known], log_ratio[known])(dense) + target.log_prior(dense, index)
-    density = np.exp(log_density - log_density.max())
-    steps = (density[1:] + density[:-1]) / 2.0
-    probability = np.append(0.0, np.cumsum(steps))
-    even = (np.arange(_DENSE) + 0.5) / _DENSE
-    amplitudes = target.values(np.interp(even, probability / probability[-1], dense), index)
-    total = np.log(probability[-1] * (dense[1] - dense[0])) + log_density.max()
-    return amplitudes, float(np.exp(log_ratio[0] - total))
-
-
-def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
-    """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
-    threshold = target.values(np.array(_INDISTINGUISHABLE), index)
-    # A prior without any mass there excludes zero whatever the data say.
-    u = np.geomspace(1e-9, 1.0 - 1e-9, _DENSE)
-    before = np.interp(threshold, target.priors[index].quantile(u), np.log(u), left=np.inf)
-    return float(np.mean(draws < threshold) * np.exp(-before))
-
-
-def _marginal(
-    p: ModelParameter,
-    axis: Axis,
-    draws: Float[np.ndarray, " draws"],
-    detected: bool,
-    evidence: float | None = None,
-    sampled: bool = True,
-) -> Estimate:
-    """Marginal of a parameter from its draws [SI]; without any it is not determined."""
-    known, one_sided = len(draws) > 0, p.parameter.is_amplitude and not detected
-    quantiles = np.quantile(draws, _QUANTILES).tolist() if known else [np.nan] * len(_QUANTILES)
-    median, low_68, high_68, low_95, high_95, below_68, below_95 = quantiles
-    interval, interval_68 = (low_95, high_95), (low_68, high_68)
-    if one_sided:
-        interval, interval_68 = (0.0, below_95), (0.0, below_68)
-    elif not known:
-        interval = interval_68 = (p.parameter.lower, p.parameter.upper)
-    return Estimate(
-        source="posterior",
-        label=p.label,
-        term=p.term_label,
-        parameter=p.parameter,
-        axis=axis,
-        value=median,
-        std=float(draws.std()) if known else np.nan,
-        interval=interval,
-        interval_68=interval_68,
-        upper_limit=below_95 if p.parameter.is_amplitude else None,
-        detected=detected,
-        bayes_factor=evidence,
-        sampled=sampled,
-    )
-
-
-@dataclasses.dataclass(frozen=True)
-class AxisSampler:
-    """Sampler of a fit's axes, with the checked arguments of `sample`."""
-
-    fit: Fit
-    priors: Mapping[str, Prior]
-    seed: int
-    walkers: int | None
-    convergence: Convergence
-    absent_draws: int
-
-    def __post_init__(self) -> None:
-        if not self.absent_draws >= 2:
-            raise AllanjaxError(f"absent_draws must be at least 2, not {self.absent_draws!r}")
-        if not (isinstance(self.seed, int | np.integer) and self.seed >= 0):
-            raise AllanjaxError(f"seed must be an integer of at least 0, not {self.seed!r}")
-
-    def all_axes(self, names: Sequence[str], progress: bool | None) -> tuple[AxisPosterior, ...]:
-        """Posteriors of the named axes, with a progress bar if wanted."""
-        shown = sys.stderr.isatty() if progress is None else progress
-        results = []
-        with Progress(console=Console(stderr=True), disable=not shown) as bar:
-            for name in names:
-                task = bar.add_task(name, total=None)
-
-                def report(steps: int, expected: int, task: TaskID = task) -> None:
-                    bar.update(task, completed=steps, total=expected)
-
-                results.append(dataclasses.replace(self, fit=self.fit.as_for(name))._one_axis(name, report))
-        return tuple(results)
-
-    def _one_axis(self, name: str, report: Callable[[int, int], None]) -> AxisPosterior:
-        """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
-        likelihood = likelihood_of(self.fit, name)
-        sampled = np.flatnonzero(likelihood.found | (not self.fit.chosen))
-        if not sampled.size:
-            raise FitError(f"{name}: no posterior: the fit detected no term and has no free parameter")
-        target = Target(likelihood, self._all_priors(likelihood), sampled)
-        # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
-        streams = np.random.SeedSequence([self.seed, self.fit.axes.index(name)]).generate_state(8)
-        random = np.random.RandomState(streams)
-        try:
-            start = first_walkers(target, self._walkers(len(sampled)), random)
-        except FitError as error:
-            raise FitError(f"{name}: {error}") from None
-        chains = run(target, start, random, self.convergence, report)
-        if not chains.converged:
-            labels = [likelihood.parameters[i].label for i in sampled]
-            warnings.warn(self._complaint(name, labels, chains), PosteriorWarning, stacklevel=4)
-        return self._result(name, target, chains, random)
-
-    def _all_priors(self, likelihood: Likelihood) -> dict[str, Prior]:
-        """Default priors, overridden by the priors that the user gave."""
-        priors = likelihood.default_priors()
-        for label, prior in self.priors.items():
-            if label not in priors:
-                raise AllanjaxError(
-                    f"priors has {label!r}, which is not a parameter; the parameters are {', '.join(priors)}"
-                )
-            if not isinstance(prior, Prior):
-                raise AllanjaxError(
-                    f"the prior of {label} must be a Prior, e.g. LogUniform(1e-6, 1e-4), not {prior!r}"
-                )
-        return priors | dict(self.priors)
-
-    def _walkers(self, count: int) -> int:
-        """Number of walkers for `count` parameters."""
-        if self.walkers is None:
-            return max(_WALKERS, 4 * count)
-        if self.walkers % 2 or self.walkers < 2 * max(count, 2):
-            raise AllanjaxError(
-                f"walkers must be an even number of at least {2 * max(count, 2)} for {count} parameters, "
-                f"not {self.walkers!r}"
-            )
-        return self.walkers
-
-    def _complaint(self, name: str, labels: Sequence[str], chains: Chains) -> str:
-        """Warning about chains that have not converged, with the worst parameter and the remedy."""
-        wanted, left = self.convergence, len(chains.y)
-        excess = (chains.r_hat - 1.0) / (wanted.max_r_hat - 1.0)
-        lack = [wanted.min_length * chains.tau / left, excess, chains.change / wanted.max_change]
-        worst = int(np.argmax(np.nan_to_num(np.max(lack, axis=0), nan=np.inf)))
-        tau, length = chains.tau[worst], wanted.min_length * chains.tau[worst]
-        return (
-            f"{name}: the posterior has not converged in {chains.steps} steps; {labels[worst]} is worst, "
-            f"with τ = {plain(tau, 3)} steps, {left} of {length:.0f} steps after the burn-in, a last change "
-            f"of τ of {percent(chains.change[worst])} and R̂ = {chains.r_hat[worst]:.4f}; allow more steps, "
-            f"e.g. max_steps={4 * wanted.max_steps}, or give narrower priors"
-        )
-
-    def _result(
-        self, name: str, target: Target, chains: Chains, random: np.random.RandomState
-    ) -> AxisPosterior:
-        """Posterior of one axis from its chains, with the marginals of parameters that were not sampled."""
-        sampled, fit, parameters = target.sampled, self.fit[name], target.likelihood.parameters
-        full = target.embedded(chains.y)
-        chain = target.values(full)[..., sampled]
-        # The density per SI unit, instead of per unit of the coordinates.
-        jacobian = target.log_jacobian(full)[..., sampled].sum(axis=-1)
-        thin = max(1, int(np.nan_to_num(chains.tau).max() / 2.0))
-        y = chains.y[::thin].reshape(-1, len(sampled))
-        draws = chain[::thin].reshape(-1, len(sampled))
-        marginals = self._marginals(target, fit.axis, draws, y, random)
-        for c in fit.coefficients.values():
-            if c.held:
-                marginals[c.label] = dataclasses.replace(c, source="posterior", sampled=False)
-            elif c.rivals:
-                # Draws are of the chosen terms only.
-                marginals[c.label] = dataclasses.replace(marginals[c.label], detected=False, rivals=c.rivals)
-        in_order = [p.label for p in self.fit.template.parameters if p.label in marginals]
-        curve = self.fit.curve
-        return AxisPosterior(
-            axis=fit.axis,
-            labels=tuple(parameters[i].label for i in sampled),
-            draws=draws,
-            chain=chain,
-            log_probability=chains.log_density - jacobian,
-            coefficients={label: marginals[label] for label in in_order},
-            priors=dict(zip((p.label for p in parameters), target.priors, strict=True)),
-            converged=chains.converged,
-            tau=chains.tau,
-            r_hat=chains.r_hat,
-            acceptance=chains.acceptance,
-            steps=chains.steps,
-            rate=curve.rate,
-            duration=curve.n / curve.rate,
-            _template=self.fit.template,
-        )
-
-    def _marginals(
-        self,
-        target: Target,
-        axis: Axis,
-        draws: Float[np.ndarray, "draws sampled"],
-        y: Float[np.ndarray, "draws sampled"],
-        random: np.random.RandomState,
-    ) -> dict[str, Estimate]:
-        """Marginals of all parameters by label, from the draws of those sampled, in SI and in coordinates."""
-        parameters = target.likelihood.parameters
-        by_index = dict(zip(target.sampled.tolist(), draws.T, strict=True))
-        evidence = {i: bayes_factor(target, i, x) for i, x in by_index.items() if target.amplitude[i]}
-        detected = {parameters[i].term: factor < _DETECTED for i, factor in evidence.items()}
-        few = y[np.linspace(0, len(y) - 1, self.absent_draws).round().astype(int)]
-        found = {}
-        for i, p in enumerate(parameters):
-            x, factor, sampled = by_index.get(i, y[:0, 0]), evidence.get(i), i in by_index
-            if target.amplitude[i] and not sampled:
-                x, factor = absent_amplitude(target, i, few, random)
-            is_detected = detected.get(p.term, sampled) if factor is None or sampled else factor < _DETECTED
-            found[p.label] = _marginal(p, axis, x, is_detected, factor, sampled)
-        return found
+    known = np.isfinite(log_density)
+    dense = np.linspace(lower, grid[g], _DENSE)
+    log_density = CubicSpline(grid[: g + 1][known], log_density[known])(dense)
+    mass = cumulative_trapezoid(np.exp(log_density - log_density.max()), dense, initial=0.0)
+    drawn = origin + np.exp(np.interp(np.arange(0.5, _DENSE) / _DENSE, mass / mass[-1], dense))
+    return np.maximum(drawn, prior.lower), float(np.exp(log_ratio[0] - log_density.max()) / mass[-1])
