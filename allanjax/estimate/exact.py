@@ -14,7 +14,7 @@ regression on the amplitude; those of shapes are by the information.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -34,7 +34,7 @@ from allanjax.record.recording import Recording
 
 #: Most samples of a record.
 MOST = 100_000
-# Difference for the derivatives, in units of a power and in ln of shapes; least power, in its unit.
+# Difference for the derivatives, and least power, in units of a power and in ln of shapes.
 _DIFFERENCE, _LEAST = 1e-3, 1e-12
 # Most steps, longest step of a shape in ln, and gain of a step [nats] below which the maximum is reached.
 _STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
@@ -49,8 +49,9 @@ def check_exact(model: Model | None, recording: Recording) -> None:
     """Raise FitError if the exact likelihood cannot be used, with an alternative."""
     whittle = 'use objective="whittle" (--objective whittle)'
     if model is None:
-        needs = 'objective="exact" needs a model, e.g. "N + K" (--terms)'
-        raise FitError(f"{needs}; allanjax.select_terms ranks the terms")
+        raise FitError(
+            'objective="exact" needs a model, e.g. "N + K" (--terms); select_terms ranks the terms'
+        )
     if recording.n > MOST:
         raise FitError(
             f"{recording.name or 'the recording'}: the exact likelihood takes at most {MOST:,} samples, not "
@@ -58,11 +59,11 @@ def check_exact(model: Model | None, recording: Recording) -> None:
         )
     for label, term in zip(model.term_labels, model.terms, strict=True):
         if term.deterministic:
-            only = "but the exact likelihood takes random terms only"
-            raise FitError(f"{label} is deterministic, {only}; {whittle}")
+            raise FitError(
+                f"{label} is deterministic, but the exact likelihood is of random terms; {whittle}"
+            )
         if isinstance(term, PowerLaw) and any(term.is_free(p) for p in term.parameters()[1:]):
-            lacks = f"{label} has no state space with a free exponent"
-            raise FitError(f"{lacks}; hold the exponent, or {whittle}")
+            raise FitError(f"{label} has no state space with a free exponent; hold it, or {whittle}")
 
 
 def fit_exact(
@@ -80,12 +81,9 @@ def fit_exact(
     if at is None:
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
-    solution, inference = problem.inferred(at)
-    (found,) = coefficients_of(
-        template, [start.axis], active[None], solution, inference, recording.n, recording.rate
-    )
-    left_out = {label: c for label, c in start.coefficients.items() if c.term in problem.left_out}
-    values = {**found.values, **left_out}
+    found_at = problem.inferred(at)
+    (found,) = coefficients_of(template, [start.axis], active[None], *found_at, recording.n, recording.rate)
+    values = {k: start[k] if c.term in problem.left_out else c for k, c in found.values.items()}
     inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
     return dataclasses.replace(
         start,
@@ -93,10 +91,6 @@ def fit_exact(
         _covariance=np.nan_to_num(found.covariance),
         _model=fitted_model(template, values, inactive),
     ), True
-
-
-_Rows: TypeAlias = Float[np.ndarray, "points n1"]
-_Grid: TypeAlias = Float[np.ndarray, " grid"]
 
 
 class _Place(NamedTuple):
@@ -110,7 +104,7 @@ class _Place(NamedTuple):
     gain: float
 
     def covariance(self, of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
-        """Covariance of these parameters, the others being known; zero for the others."""
+        """Covariance of these parameters if the others are known."""
         return np.linalg.pinv(self.information * np.outer(of, of), rcond=1e-14, hermitian=True)
 
 
@@ -137,11 +131,11 @@ class _Problem:
         distance = np.where(np.isfinite(value) & ~self.is_power, value - self.origin, 1.0)
         self.start = np.where(self.is_power, value**2 / self.unit, np.log(distance))
         self.lower = np.where(self.is_power, 0.0, self.start - _REACH)
-        highest = np.minimum(self.start + _REACH, np.log(end - self.origin) - _INSIDE)
-        self.upper = np.where(self.is_power, np.inf, np.maximum(highest, self.start))
+        highest = np.maximum(np.log(end - self.origin) - _INSIDE, self.start)
+        self.upper = np.where(self.is_power, np.inf, np.minimum(highest, self.start + _REACH))
 
-    def innovations(self, thetas: Float[np.ndarray, "points p"]) -> tuple[_Rows, _Rows]:
-        """Innovations under models with these parameters, and their variances."""
+    def innovations(self, thetas: Float[np.ndarray, "points p"]) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations [points, n − 1] under models with these parameters, and their variances."""
         shape = self.origin + np.exp(np.where(self.is_power, 0.0, thetas))
         rows = np.where(self.is_power, np.sqrt(np.maximum(thetas, _LEAST) * self.unit), shape).tolist()
         models = [self.template.with_values(**dict(zip(self.labels, row, strict=True))) for row in rows]
@@ -158,15 +152,15 @@ class _Problem:
         columns = np.concatenate([of_e / np.sqrt(s[0]), of_s / s[0] / np.sqrt(2.0)], axis=1).T
         target = np.concatenate([-e[0] / np.sqrt(s[0]), (e[0] ** 2 / s[0] - 1.0) / np.sqrt(2.0)])
         R = np.nan_to_num(np.linalg.qr(np.column_stack([columns, target]), mode="r"))
-        A, step, m = np.zeros((len(R), len(theta))), np.zeros(len(theta)), self.moves
+        m, b, A, step = self.moves, R[:, -1], np.zeros((len(R), len(theta))), np.zeros(len(theta))
         A[:, m] = R[:, :-1]
         longest = np.where(self.is_power, np.inf, _LONGEST)
         low, high = np.maximum(self.lower - theta, -longest), np.minimum(self.upper - theta, longest)
         # Fisher scoring within the bounds.
-        step[m] = lsq_linear(A[:, m], R[:, -1], (low[m], high[m] + 1e-12), "bvls").x
-        score, information = A.T @ R[:, -1], A.T @ A
-        gain = float(score @ step - 0.5 * step @ information @ step)
-        return _Place(theta, float(log_likelihoods(e[:1], s[:1])[0]), score, information, step, gain)
+        step[m] = lsq_linear(A[:, m], b, (low[m], high[m] + 1e-12), "bvls").x
+        gain = float(b @ A @ step - 0.5 * np.sum((A @ step) ** 2))
+        log_likelihood = log_likelihoods(e[:1], s[:1])
+        return _Place(theta, float(log_likelihood[0]), A.T @ b, A.T @ A, step, gain)
 
     def maximum(self) -> _Place | None:
         """Maximum of the likelihood, if it was reached."""
@@ -184,16 +178,15 @@ class _Problem:
         terms, value = len(self.template), at.theta * self.unit
         inside = self.moves & (at.theta > self.lower) & (at.theta < self.upper)
         covariance = at.covariance(inside) * np.outer(self.unit, self.unit)
-        power_at, pivot_at = np.full((2, terms, len(_GRID)), np.nan)
+        tests = np.full((2, terms, len(_GRID)), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
-            power_at[k], pivot_at[k] = self._hypotheses(at, k, inside)
+            tests[:, k] = self._hypotheses(at, k, inside)
         solved: Any = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        found: Any = (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf))
+        found: Any = (covariance, np.zeros(0), *tests, np.full(terms, np.inf))
         # As of several axes.
-        parts: Any = (Solution(*solved), Inference(*found))
-        return jax.tree.map(lambda x: np.asarray(x)[None], parts)
+        return jax.tree.map(lambda x: np.asarray(x)[None], (Solution(*solved), Inference(*found)))
 
-    def _hypotheses(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> tuple[_Grid, _Grid]:
+    def _hypotheses(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "2 grid"]:
         """Hypothetical powers of a term, and signed roots of the likelihood ratio of each.
 
         For an absent term the likelihood is modified to have its maximum at zero: its negative slope there is
@@ -203,11 +196,12 @@ class _Problem:
         sd, here = float(np.sqrt(covariance[k, k])), float(at.theta[k])
         # Down to zero at most.
         v = here + np.where(_GRID < 0.0, min(sd, -here / _GRID[0]), sd) * _GRID
-        moved = (v - here)[:, None] * covariance[k] / sd**2
-        shapes = np.clip(moved, -_LONGEST, _LONGEST)
-        moved = np.where(self.is_power, np.maximum(moved, -0.95 * at.theta), shapes)
-        moved[:, k] = v - here
-        e, s = self.innovations(np.clip(at.theta + moved, self.lower, self.upper))
+        least = np.where(self.is_power, 0.05 * at.theta, at.theta - _LONGEST)
+        most = np.minimum(np.where(self.is_power, np.inf, at.theta + _LONGEST), self.upper)
+        thetas = np.clip(at.theta + (v - here)[:, None] * covariance[k] / sd**2, least, most)
+        thetas[:, k] = v
+        e, s = self.innovations(thetas)
         ratio = np.maximum(2.0 * (at.log_likelihood - log_likelihoods(e, s)), 0.0)
         slope = 0.0 if inside[k] else max(-float(at.score[k]), 0.0) * sd
-        return v * self.unit[k], -np.sign(v - here) * (np.sqrt(ratio + slope**2) - slope)
+        root = np.sqrt(ratio + slope**2) - slope
+        return np.stack([v * self.unit[k], -np.sign(v - here) * root])

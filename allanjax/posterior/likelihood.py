@@ -14,7 +14,7 @@ from scipy.special import i0e
 
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.estimate.axis_fits import ALLAN_CAPACITY
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.design import AllanDesign, free_shapes
 from allanjax.estimate.deterministic import Line, line_columns
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral.expected import ExpectedLevels, in_batches
@@ -26,8 +26,6 @@ _THINNED = 2
 _All: TypeAlias = Float[np.ndarray, " all"]
 _Values: TypeAlias = Float[np.ndarray, "b all"]
 _Logs: TypeAlias = Float[np.ndarray, " b"]
-#: By the index of each amplitude: the one whose power is one standard deviation in these data.
-Scales: TypeAlias = dict[int, float]
 
 
 class WhittleDensity:
@@ -77,8 +75,8 @@ class WhittleDensity:
             total += self._line(line, values[:, place], values[:, place + 1], inverse)
         return total
 
-    def scales(self, values: _All) -> Scales:
-        """Scales of all amplitudes about these values."""
+    def scales(self, values: _All) -> dict[int, float]:
+        """By index, the amplitude of each term whose power is one standard deviation about these values."""
         mean, units = self._mean(values[None])[0], self._levels(values[None, self._own])[0]
         information = np.sum(self._shape * (units / mean) ** 2, axis=1)
         found = dict(zip(self._random.tolist(), (information**-0.25).tolist(), strict=True))
@@ -118,10 +116,10 @@ class AllanDensity:
         rows = np.arange(0, len(curve.cluster_size), _THINNED)
         self._variance = curve.variance[rows, fit.axes.index(result.axis.name)]
         self._error = 2.0 * result.discrepancy
-        kinds = [(k, p.parameter.is_amplitude) for k, p in enumerate(model.parameters)]
-        self._amplitude = [k for k, is_amplitude in kinds if is_amplitude]
-        self._shapes = [k for k, is_amplitude in kinds if model.parameters[k].free and not is_amplitude]
-        self._lower = np.array([model.parameters[k].parameter.lower for k in self._shapes])
+        shapes = free_shapes(model)
+        self._amplitude = [k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude]
+        self._shapes = [model.parameters.index(p) for p in shapes]
+        self._lower = np.array([p.parameter.lower for p in shapes])
         terms, products, means = slice(len(model)), design.constants.products, design.constants.means
         if self._shapes:
             shape = np.log(values[self._shapes] - self._lower)
@@ -143,8 +141,8 @@ class AllanDensity:
         squares = np.sum(score * np.linalg.solve(correlated, score[..., None])[..., 0], axis=1)
         return np.sum(slope, axis=1) - 0.5 * squares - 0.5 * np.linalg.slogdet(correlated)[1]
 
-    def scales(self, values: _All) -> Scales:
-        """Scales of all amplitudes about these values."""
+    def scales(self, values: _All) -> dict[int, float]:
+        """By index, the amplitude of each term whose power is one standard deviation about these values."""
         (units, *_), (mean,), (correlated,) = self._moments(values[None])
         columns = (units / mean).T
         information = np.sum(columns * np.linalg.solve(correlated, columns), axis=0)

@@ -33,10 +33,9 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Number of draws whose curves are evaluated at once, as terms without a closed form need memory.
-_AT_ONCE = 16
-# Number of draws from which curves and derived quantities are computed.
-_DERIVED_DRAWS = 1000
+# Draws whose curves are evaluated at once, as terms without a closed form need memory; and draws from which
+# derived quantities are computed.
+_AT_ONCE, _DERIVED_DRAWS = 16, 1000
 # Numbers of cluster times at which the minimum of a curve is sought: of the curve itself, and of its spline.
 _MINIMUM_POINTS, _DENSE = 200, 4001
 # Usual unit and name of the integrated rate.
@@ -170,13 +169,17 @@ class AxisPosterior(ByValue, AxisEstimates):
     @property
     def _model_of(self) -> Any:
         """Function that makes a model of a draw: terms that were not sampled are left out, held ones stay."""
-        amplitudes = [p for p in self._template.parameters if p.parameter.is_amplitude and p.free]
-        absent = tuple(p.term_label for p in amplitudes if p.label not in self.labels)
+        free = [p for p in self._template.parameters if p.parameter.is_amplitude and p.free]
+        absent = tuple(p.term_label for p in free if p.label not in self.labels)
         return eqx.Partial(_with_draw, self._template, self.labels, absent)
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """An evenly spaced selection of draws; some repeat if there are fewer."""
+        """Evenly spaced draws; some repeat if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
+
+    def _curves(self, at: ArrayLike, count: int, is_psd: bool) -> Float[np.ndarray, "count points"]:
+        points = np.atleast_1d(np.asarray(at, float))
+        return np.asarray(_curves(self._model_of, self._some_draws(count), points, self.rate, is_psd))
 
     def models(self, count: int = 100) -> list[Model]:
         """Models of `count` evenly spaced draws, without the terms that were not sampled."""
@@ -186,13 +189,11 @@ class AxisPosterior(ByValue, AxisEstimates):
         self, cluster_time: ArrayLike, count: int = 300
     ) -> Float[np.ndarray, "draws points"]:
         """Allan deviations [rad/s or m/s²] of the models of `count` draws at cluster times [s]."""
-        at = np.atleast_1d(np.asarray(cluster_time, float))
-        return np.asarray(_curves(self._model_of, self._some_draws(count), at, self.rate, False))
+        return self._curves(cluster_time, count, is_psd=False)
 
     def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "draws points"]:
         """One-sided PSDs with aliases, (rad/s)²/Hz or (m/s²)²/Hz, of `count` draws at frequencies [Hz]."""
-        at = np.atleast_1d(np.asarray(frequency, float))
-        return np.asarray(_curves(self._model_of, self._some_draws(count), at, self.rate, True))
+        return self._curves(frequency, count, is_psd=True)
 
     def bias_instability_minimum(self) -> BiasMinimum:
         """Minimum of the model's Allan deviation between one sample and half the record, and its place.

@@ -20,8 +20,6 @@ from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Prior
 _LINE_RANGE = 1.35
 # The prior of an amplitude extends by at least this factor beyond the fit's.
 _CEILING = 1e2
-# Rows of values that are evaluated at a time, few enough for a core's cache.
-_ROWS = 64
 # Scatter of the first walkers over the fit's standard deviations, and attempts to place them.
 _OVERDISPERSION, _ATTEMPTS = 1.5, 20
 
@@ -103,10 +101,9 @@ class Target:
         with np.errstate(all="ignore"):
             total = np.sum([self.log_prior(values[:, i], i) for i in self.sampled], axis=0)
             # Outside the support the likelihood may be undefined.
-            inside = np.flatnonzero(np.isfinite(total))
-            for first in range(0, len(inside), _ROWS):
-                rows = inside[first : first + _ROWS]
-                total[rows] += self._density(values[rows]) / self.widening**2
+            inside = np.isfinite(total)
+            if inside.any():
+                total[inside] += self._density(values[inside]) / self.widening**2
         return np.where(np.isfinite(total), total, -np.inf)
 
     def __call__(self, y: Float[np.ndarray, "b sampled"]) -> Float[np.ndarray, " b"]:
