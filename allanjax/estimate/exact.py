@@ -81,9 +81,9 @@ def fit_exact(
     if at is None:
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
-    found_at = problem.inferred(at)
-    (found,) = coefficients_of(template, [start.axis], active[None], *found_at, recording.n, recording.rate)
-    values = {k: start[k] if c.term in problem.left_out else c for k, c in found.values.items()}
+    inferred, data = problem.inferred(at), (recording.n, recording.rate)
+    (found,) = coefficients_of(template, [start.axis], active[None], *inferred, *data)
+    values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
     inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
     return dataclasses.replace(
         start,

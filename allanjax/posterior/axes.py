@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 import warnings
 from collections.abc import Callable, Mapping
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -42,6 +43,8 @@ _STEP, _STEPS, _DENSE = 0.1, 16, 4001
 _NEGLIGIBLE = 12.0
 # Attempts to translate the draws at one point, until effective draws over draws reach this ratio.
 _CORRECTIONS, _EVEN = 6, 0.5
+
+_Draws: TypeAlias = Float[np.ndarray, "draws sampled"]
 
 
 def posterior_of(
@@ -82,11 +85,7 @@ def posterior_of(
 
 
 def _marginals(
-    target: Target,
-    fit: AxisFit,
-    y: Float[np.ndarray, "draws sampled"],
-    few: Float[np.ndarray, "some sampled"],
-    random: np.random.RandomState,
+    target: Target, fit: AxisFit, y: _Draws, few: _Draws, random: np.random.RandomState
 ) -> dict[str, Estimate]:
     """Marginals of all parameters by label, from the draws of those sampled; `few` are for absent terms."""
     columns = dict(zip(target.sampled.tolist(), target.values(y)[:, target.sampled].T, strict=True))
@@ -97,9 +96,9 @@ def _marginals(
             continue
         if p.parameter.is_amplitude and not c.held:
             if draws is None:
-                draws, factor = absent_amplitude(target, i, few, random)
+                draws, factor = _absent_amplitude(target, i, few, random)
             else:
-                factor = bayes_factor(target, i, draws)
+                factor = _bayes_factor(target, i, draws)
             there[p.term], limit = factor < _DETECTED, float(np.quantile(draws, 0.95))
         if draws is None:
             # Held, or a shape of an absent term.
@@ -119,7 +118,7 @@ def _marginals(
     return found
 
 
-def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
+def _bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
     """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
     threshold = -target.origin[index] * np.expm1(_INDISTINGUISHABLE)
     # A prior without any mass there excludes zero whatever the data say.
@@ -128,8 +127,8 @@ def bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"])
     return float(np.mean(draws < threshold) * np.exp(-before))
 
 
-def absent_amplitude(
-    target: Target, index: int, y: Float[np.ndarray, "draws sampled"], random: np.random.RandomState
+def _absent_amplitude(
+    target: Target, index: int, y: _Draws, random: np.random.RandomState
 ) -> tuple[Float[np.ndarray, " amplitudes"], float]:
     """Equally probable amplitudes [SI] and Bayes factor of the amplitude with this index, which is zero in y.
 

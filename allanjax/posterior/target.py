@@ -64,7 +64,12 @@ class Target:
             elif p.free and not (result.spectrum is None and _is_deterministic(p, model)):
                 # The Allan variances do not determine the frequency of a line.
                 self.priors[k] = _prior_of_shape(p, float(self.base[k]), fit)
-        self._replace_priors(given)
+        labels = {self.parameters[k].label: k for k in self.priors}
+        for label, prior in given.items():
+            if label not in labels or not isinstance(prior, Prior):
+                wanted = f"give priors such as LogUniform(1e-6, 1e-4), of {', '.join(labels)}"
+                raise AllanjaxError(f"priors has {prior!r} of {label!r}; {wanted}")
+            self.priors[labels[label]] = prior
         found = of_owners(model, np.array([label in result.term_labels for label in model.term_labels], bool))
         self.sampled = np.array([k for k in self.priors if found[self.parameters[k].term] or not fit.chosen])
         if not self.sampled.size:
@@ -74,17 +79,6 @@ class Target:
             self.std[k] = self.widening * (own if own > 0.0 else self.std[k])
             kept = k in self.sampled or not self.parameters[k].parameter.is_amplitude
             self.base[k] = np.clip(self.base[k], prior.lower, prior.upper) if kept else 0.0
-
-    def _replace_priors(self, given: Mapping[str, Prior]) -> None:
-        labels = {self.parameters[k].label: k for k in self.priors}
-        for label, prior in given.items():
-            if label not in labels:
-                known = f"the parameters are {', '.join(labels)}"
-                raise AllanjaxError(f"priors has {label!r}, which is not a parameter; {known}")
-            if not isinstance(prior, Prior):
-                wanted = "a Prior, e.g. LogUniform(1e-6, 1e-4)"
-                raise AllanjaxError(f"the prior of {label} must be {wanted}, not {prior!r}")
-            self.priors[labels[label]] = prior
 
     def values(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch all"]:
         """Values of all parameters [SI] at these coordinates."""
