@@ -68,8 +68,7 @@ def sample(
         FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
     # Imported here because emcee takes long to load.
-    from allanjax.posterior.axes import posterior_of
-    from allanjax.posterior.sampling import Options
+    from allanjax.posterior.sampling import Options, posterior_of
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:
