@@ -25,7 +25,7 @@ from allanjax.base.errors import FitError
 from allanjax.estimate.axis_fits import fit_whittle
 from allanjax.estimate.design import free_shapes
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Inference, coefficients_of
+from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model
@@ -40,9 +40,9 @@ _DIFFERENCE, _LEAST = 1e-3, 1e-12
 _STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
 # Bounds of a shape about its start, and margin from its own upper bound, in ln.
 _REACH, _INSIDE = 4.0, 1e-2
-# Hypothetical powers in standard deviations from the estimate: up to it, and above.
-_BELOW = [-7.0, -5.5, -4.5, -3.5, -3.0, -2.5, -2.0, -1.75, -1.5, -1.0, -0.5, 0.0]
-_GRID = np.array([*_BELOW, 0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
+# Hypothetical powers in standard deviations from the estimate: `ABOVE` from the lowest up to it, and above.
+_LOWEST = -7.0
+_ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
 
 
 def check_exact(model: Model | None, recording: Recording) -> None:
@@ -178,7 +178,7 @@ class _Problem:
         terms, value = len(self.template), at.theta * self.unit
         inside = self.moves & (at.theta > self.lower) & (at.theta < self.upper)
         covariance = at.covariance(inside) * np.outer(self.unit, self.unit)
-        tests = np.full((2, terms, len(_GRID)), np.nan)
+        tests = np.full((2, terms, ABOVE + len(_ABOVE)), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
             tests[:, k] = self._hypotheses(at, k, inside)
         solved: Any = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
@@ -194,8 +194,8 @@ class _Problem:
         """
         covariance = at.covariance(inside | (np.arange(len(inside)) == k))
         sd, here = float(np.sqrt(covariance[k, k])), float(at.theta[k])
-        # Down to zero at most.
-        v = here + np.where(_GRID < 0.0, min(sd, -here / _GRID[0]), sd) * _GRID
+        below = np.linspace(max(here + _LOWEST * sd, 0.0), here, ABOVE)
+        v, places = np.unique([*below, *(here + _ABOVE * sd)], return_inverse=True)
         least = np.where(self.is_power, 0.05 * at.theta, at.theta - _LONGEST)
         most = np.minimum(np.where(self.is_power, np.inf, at.theta + _LONGEST), self.upper)
         thetas = np.clip(at.theta + (v - here)[:, None] * covariance[k] / sd**2, least, most)
@@ -204,4 +204,4 @@ class _Problem:
         ratio = np.maximum(2.0 * (at.log_likelihood - log_likelihoods(e, s)), 0.0)
         slope = 0.0 if inside[k] else max(-float(at.score[k]), 0.0) * sd
         root = np.sqrt(ratio + slope**2) - slope
-        return np.stack([v * self.unit[k], -np.sign(v - here) * root])
+        return np.stack([v * self.unit[k], -np.sign(v - here) * root])[:, places]
