@@ -78,8 +78,8 @@ class LogNormal:
     upper: ClassVar[float] = math.inf
 
     def __post_init__(self) -> None:
-        _require(self, 0.0 < self.median < math.inf, "a finite median above 0")
-        _require(self, 1.0 < self.factor < math.inf, "a finite factor above 1")
+        within = 0.0 < self.median < math.inf and 1.0 < self.factor < math.inf
+        _require(self, within, "a finite median above 0 and a finite factor above 1")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         at, width = np.asarray(x, float), math.log(self.factor)
@@ -106,8 +106,8 @@ class ModifiedLogUniform:
     lower: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
-        _require(self, 0.0 < self.scale < math.inf, "a finite scale above 0")
-        _require(self, 0.0 < self.upper < math.inf, "a finite upper above 0")
+        within = 0.0 < self.scale < math.inf and 0.0 < self.upper < math.inf
+        _require(self, within, "a finite scale and a finite upper above 0")
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         return LogUniform(0.0, self.upper, -self.scale).log_density(x)

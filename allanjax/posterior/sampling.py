@@ -127,12 +127,12 @@ def _run(
 
     Returns coordinates after the burn-in, and fields of `AxisPosterior` that describe the chains.
 
-    Half of the proposals are independent, from a law that adapts in a warm-up, which no result contains; the
-    others are differential evolution, for posteriors that are far from Gaussian.
+    Most proposals are independent, from a law that adapts in a warm-up, which no result contains; the others
+    are differential evolution, for posteriors that are far from Gaussian.
     """
     start = target.first_walkers(wanted.walkers_for(len(target.sampled)), random)
     student, most = StudentMove(start), wanted.max_steps
-    moves = [(student, 0.5), (DEMove(), 0.4), (DESnookerMove(), 0.1)]
+    moves = [(student, 0.6), (DEMove(), 0.3), (DESnookerMove(), 0.1)]
     sampler = emcee.EnsembleSampler(*start.shape, target, moves=moves, vectorize=True)
     state = emcee.State(start, random_state=random.get_state())
     for steps in [min(_WARM_UP, most) // _ROUNDS] * _ROUNDS:
@@ -145,8 +145,8 @@ def _run(
         state = sampler.run_mcmc(state, ahead, skip_initial_state_check=True)
         steps = sampler.iteration
         with np.errstate(invalid="ignore", divide="ignore"):
-            settled = sampler.get_chain(discard=min(burn_in, steps // 2))
-            tau, previous = integrated_time(settled, tol=0, quiet=True), tau
+            settled = target.values(sampler.get_chain(discard=min(burn_in, steps // 2)))
+            tau, previous = integrated_time(settled[..., target.sampled], tol=0, quiet=True), tau
         burn_in = min(int(np.ceil(_BURN_IN * np.nanmax([*tau, 1.0]))), steps // 2)
         chain = sampler.get_chain(discard=burn_in)
         r_hat = np.array([_split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
