@@ -39,8 +39,8 @@ def sample(
     `max_r_hat`.
 
     Default priors are `ModifiedLogUniform` for amplitudes, with the smallest amplitude that these data
-    distinguish from zero as their scale; `LogUniform` in the distance from the lower bound for times,
-    frequencies and numbers; and `Uniform` for frequencies of lines. Supports are far wider than needed.
+    distinguish from zero as their scale, and `LogUniform` in the distance from the lower bound for times,
+    frequencies and numbers. Supports are far wider than needed.
 
     Args:
         fit: a result of `allanjax.fit`.
