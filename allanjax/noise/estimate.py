@@ -55,7 +55,7 @@ class Estimate(ByValue):
             `AxisFit.misfit`): the value is that of the fitted curve; standard deviation and intervals are
             nan, there is no limit, and nothing is detected.
         remark: limitation of the value, e.g. that it lies beyond the record.
-        bayes_factor: for an amplitude's posterior, see `posterior.axes`; else None.
+        bayes_factor: for an amplitude's posterior, see `posterior.sampling`; else None.
         sampled: for a posterior, whether there are draws.
         band, degrees_of_freedom, excess: for a spectrum's N, see `spectrum.psd`; else None.
     """

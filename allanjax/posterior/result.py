@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
+from scipy.interpolate import CubicSpline
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
@@ -32,33 +33,28 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Number of draws whose curves are evaluated at once, as terms without a closed form need memory.
-_AT_ONCE = 16
-# Number of draws from which curves and derived quantities are computed.
-_DERIVED_DRAWS = 1000
-# Number of cluster times at which the minimum of a curve is sought.
-_MINIMUM_POINTS = 200
-_INTEGRAL_UNIT = {"gyro": "deg", "accel": "m/s"}
+# Draws whose curves are evaluated at once, as terms without a closed form need memory; and draws from which
+# derived quantities are computed.
+_AT_ONCE, _DERIVED_DRAWS = 16, 1000
+# Numbers of cluster times at which the minimum of a curve is sought: of the curve itself, and of its spline.
+_MINIMUM_POINTS, _DENSE = 200, 4001
+# Usual unit and name of the integrated rate.
+_INTEGRAL = {"gyro": ("deg", "angle"), "accel": ("m/s", "velocity")}
+# Probabilities of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
+_QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 
 
-def derived(
-    label: str, axis: Axis, usual_unit: str, draws: Float[np.ndarray, " draws"], remark: str = ""
-) -> Estimate:
-    """Estimate of a derived quantity from its posterior draws [SI]: median, σ and intervals."""
-    low, low_68, median, high_68, high = np.quantile(draws, [0.025, 0.16, 0.5, 0.84, 0.975]).tolist()
-    # Draws that agree within rounding do not scatter.
-    std = float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0
-    return Estimate(
-        label=label,
-        axis=axis,
-        value=median,
-        std=std,
-        interval=(low, high),
-        interval_68=(low_68, high_68),
-        usual_unit=usual_unit,
-        source="posterior",
-        remark=remark,
-    )
+def summary(draws: Float[np.ndarray, " draws"], from_zero: bool = False) -> dict[str, Any]:
+    """Median, σ and intervals (perhaps from zero) of posterior draws [SI], as fields of an `Estimate`."""
+    median, low_68, high_68, low, high, below_68, below = np.quantile(draws, _QUANTILES).tolist()
+    return {
+        "source": "posterior",
+        "value": median,
+        # Draws that agree within rounding do not scatter.
+        "std": float(draws.std()) if high - low > 1e-12 * abs(median) else 0.0,
+        "interval": (0.0, below) if from_zero else (low, high),
+        "interval_68": (0.0, below_68) if from_zero else (low_68, high_68),
+    }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -83,73 +79,24 @@ class BiasMinimum(ByValue):
         return f"<BiasMinimum {self}>"
 
 
-def with_draw(
-    template: Model,
-    labels: tuple[str, ...],
-    absent: tuple[str, ...],
-    values: Float[Array, " sampled"] | list[float],
+def _with_draw(
+    template: Model, labels: tuple[str, ...], absent: tuple[str, ...], values: Sequence[Any] | Array
 ) -> Model:
     """The model with these values of the labelled parameters, without the absent terms."""
     return template.with_values(**dict(zip(labels, values, strict=True))).without(absent)
 
 
 @eqx.filter_jit
-def curves(
-    template: Model,
-    labels: tuple[str, ...],
-    absent: tuple[str, ...],
-    draws: Float[ArrayLike, "draws sampled"],
-    at: Float[ArrayLike, " points"],
-    rate: float,
-    kind: Literal["deviation", "density"],
+def _curves(
+    model_of: eqx.Partial, draws: Float[ArrayLike, "draws params"], at: ArrayLike, rate: float, is_psd: bool
 ) -> Float[Array, "draws points"]:
     """Allan deviation at cluster times [s], or one-sided PSD at frequencies [Hz], of every draw's model."""
 
-    def one(values: Float[Array, " sampled"]) -> Float[Array, " points"]:
-        model = with_draw(template, labels, absent, values).sampled(rate)
-        if kind == "deviation":
-            return jnp.sqrt(model.allan_variance(at))
-        return 2.0 * model.sampled_psd(at, rate)
+    def one(values: Float[Array, " params"]) -> Float[Array, " points"]:
+        model = model_of(values).sampled(rate)
+        return 2.0 * model.sampled_psd(at, rate) if is_psd else jnp.sqrt(model.allan_variance(at))
 
     return jax.lax.map(one, draws, batch_size=_AT_ONCE)
-
-
-def lowest_point(
-    axis: Axis,
-    cluster_time: Float[np.ndarray, " points"],
-    deviation: Float[np.ndarray, "draws points"],
-    deviation_unit: str,
-) -> BiasMinimum:
-    """Minimum of each draw's curve on this grid; its height and place are refined by a parabola in
-    logarithms."""
-    x, y = np.log(cluster_time), np.log(deviation)
-    lowest = np.argmin(y, axis=1)
-    last = len(x) - 1
-    k = np.clip(lowest, 1, last - 1)
-    row = np.arange(len(y))
-    # Newton's parabola through the lowest point and its neighbours, which may be unevenly spaced.
-    left, right = x[k - 1] - x[k], x[k + 1] - x[k]
-    slope_left, slope_right = (y[row, k - 1] - y[row, k]) / left, (y[row, k + 1] - y[row, k]) / right
-    curvature = (slope_right - slope_left) / (right - left)
-    slope = slope_left - curvature * left
-    inside = (lowest == k) & (curvature > 0.0)
-    step = np.where(inside, -slope / np.where(inside, 2.0 * curvature, 1.0), 0.0)
-    height = np.where(inside, y[row, k] + step * slope / 2.0, y[row, lowest])
-    place = np.where(inside, x[k] + step, x[lowest])
-    at_start, at_end = float(np.mean(lowest == 0)), float(np.mean(lowest == last))
-    remark_height = remark_place = ""
-    if at_end > 0.5:
-        remark_height = "upper bound: the curve still falls at half the record"
-        remark_place = "lower bound: the curve still falls at half the record"
-    elif at_start > 0.5:
-        remark_height = remark_place = "the curve rises from the first cluster time on"
-    names = "bias-instability minimum", "cluster time of the minimum"
-    return BiasMinimum(
-        derived(names[0], axis, deviation_unit, np.exp(height), remark_height),
-        derived(names[1], axis, "s", np.exp(place), remark_place),
-        at_start,
-        at_end,
-    )
 
 
 class PosteriorWarning(AllanjaxWarning):
@@ -180,17 +127,8 @@ class AxisPosterior(ByValue, AxisEstimates):
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
-        "axis",
-        "coefficient",
-        "median",
-        "std",
-        "lower_68",
-        "upper_68",
-        "lower_95",
-        "upper_95",
-        "unit",
-        "detected",
-        "upper_limit_95",
+        *("axis", "coefficient", "median", "std", "lower_68", "upper_68", "lower_95", "upper_95"),
+        *("unit", "detected", "upper_limit_95"),
     )
 
     axis: Axis
@@ -221,63 +159,71 @@ class AxisPosterior(ByValue, AxisEstimates):
     def verdict(self) -> str:
         """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"
-        text = (
-            f"{state}: {self.chain.shape[1]} × {self.steps:,} steps, τ ≤ {plain(self.tau.max(), 3)}, "
-            f"R̂ ≤ {self.r_hat.max():.4f}"
-        )
+        walkers, tau, r_hat = self.chain.shape[1], plain(self.tau.max(), 3), self.r_hat.max()
+        text = f"{state}: {walkers} × {self.steps:,} steps, τ ≤ {tau}, R̂ ≤ {r_hat:.4f}"
         # Curves and drift are those of the sampled terms, which may not be all terms.
         wanted = [c.title for c in self.coefficients.values() if c.detected and not c.sampled and not c.held]
-        if wanted:
-            text += (
-                f"; the data also call for {' and '.join(wanted)}, which was not sampled; add it to the model"
-            )
-        return text
+        lack = f"the data also call for {' and '.join(wanted)}, which was not sampled; add it to the model"
+        return f"{text}; {lack}" if wanted else text
 
-    # ------------------------------------------------------------------ models and curves
     @property
-    def _absent(self) -> tuple[str, ...]:
-        """Names of the terms that were not sampled; held ones stay in the model."""
-        return tuple(
-            p.term_label
-            for p in self._template.parameters
-            if p.parameter.is_amplitude and p.free and p.label not in self.labels
-        )
+    def _model_of(self) -> Any:
+        """Function that makes a model of a draw: terms that were not sampled are left out, held ones stay."""
+        free = [p for p in self._template.parameters if p.parameter.is_amplitude and p.free]
+        absent = tuple(p.term_label for p in free if p.label not in self.labels)
+        return eqx.Partial(_with_draw, self._template, self.labels, absent)
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """An evenly spaced selection of draws; some repeat if there are fewer."""
+        """Evenly spaced draws; some repeat if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
+
+    def _curves(self, at: ArrayLike, count: int, is_psd: bool) -> Float[np.ndarray, "count points"]:
+        points = np.atleast_1d(np.asarray(at, float))
+        return np.asarray(_curves(self._model_of, self._some_draws(count), points, self.rate, is_psd))
 
     def models(self, count: int = 100) -> list[Model]:
         """Models of `count` evenly spaced draws, without the terms that were not sampled."""
-        draws = self._some_draws(count).tolist()
-        return [with_draw(self._template, self.labels, self._absent, x) for x in draws]
+        return [self._model_of(draw) for draw in self._some_draws(count).tolist()]
 
     def deviation_curves(
         self, cluster_time: ArrayLike, count: int = 300
-    ) -> Float[np.ndarray, "count points"]:
+    ) -> Float[np.ndarray, "draws points"]:
         """Allan deviations [rad/s or m/s²] of the models of `count` draws at cluster times [s]."""
-        return self._curves(cluster_time, count, "deviation")
+        return self._curves(cluster_time, count, is_psd=False)
 
-    def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "count points"]:
+    def density_curves(self, frequency: ArrayLike, count: int = 300) -> Float[np.ndarray, "draws points"]:
         """One-sided PSDs with aliases, (rad/s)²/Hz or (m/s²)²/Hz, of `count` draws at frequencies [Hz]."""
-        return self._curves(frequency, count, "density")
+        return self._curves(frequency, count, is_psd=True)
 
-    def _curves(self, at: ArrayLike, count: int, kind: Any) -> Float[np.ndarray, "count points"]:
-        points = np.atleast_1d(np.asarray(at, float))
-        draws = self._some_draws(count)
-        return np.asarray(curves(self._template, self.labels, self._absent, draws, points, self.rate, kind))
-
-    # ------------------------------------------------------------------ derived quantities
     def bias_instability_minimum(self) -> BiasMinimum:
         """Minimum of the model's Allan deviation between one sample and half the record, and its place.
 
         If the curve still falls at half the record in most draws, the minimum is marked as an upper bound.
         """
-        largest = max(self.duration * self.rate / 2.0, 3.0)
-        sizes = np.unique(np.rint(np.geomspace(1.0, np.floor(largest), _MINIMUM_POINTS)))
-        time = sizes / self.rate
+        largest = np.floor(max(self.duration * self.rate / 2.0, 3.0))
+        time = np.unique(np.rint(np.geomspace(1.0, largest, _MINIMUM_POINTS))) / self.rate
+        curves = CubicSpline(np.log(time), np.log(self.deviation_curves(time, _DERIVED_DRAWS)), axis=1)
+        dense = np.linspace(np.log(time[0]), np.log(time[-1]), _DENSE)
+        logs = curves(dense)
+        lowest = np.argmin(logs, axis=1)
+        at_start, at_end = float(np.mean(lowest == 0)), float(np.mean(lowest == _DENSE - 1))
+        remarks = "", ""
+        if at_end > 0.5:
+            still = "bound: the curve still falls at half the record"
+            remarks = f"upper {still}", f"lower {still}"
+        elif at_start > 0.5:
+            remarks = ("the curve rises from the first cluster time on",) * 2
         unit = default_coefficient_unit(self.axis.sensor, 0.0)
-        return lowest_point(self.axis, time, self.deviation_curves(time, _DERIVED_DRAWS), unit)
+        height, place = np.exp(logs.min(axis=1)), np.exp(dense[lowest])
+        return BiasMinimum(
+            self._derived("bias-instability minimum", unit, height, remarks[0]),
+            self._derived("cluster time of the minimum", "s", place, remarks[1]),
+            at_start,
+            at_end,
+        )
+
+    def _derived(self, label: str, unit: str, draws: Float[np.ndarray, " draws"], remark: str) -> Estimate:
+        return Estimate(axis=self.axis, label=label, usual_unit=unit, remark=remark, **summary(draws))
 
     def predicted_drift(self, times: Sequence[float] = (60.0, 600.0, 3600.0)) -> dict[float, Estimate]:
         """1-σ error of the integrated rate (angle or velocity) after each time t [s].
@@ -293,20 +239,13 @@ class AxisPosterior(ByValue, AxisEstimates):
         if not (np.all(np.isfinite(t)) and np.all(t > 0.0)):
             raise AllanjaxError(f"times must be positive and finite, not {times!r}")
         errors = np.sqrt(2.0) * t * self.deviation_curves(t, _DERIVED_DRAWS)
-        unit = _INTEGRAL_UNIT[self.axis.sensor]
-        word = "angle" if self.axis.sensor == "gyro" else "velocity"
-        return {
-            float(time): derived(
-                f"{word} error after {duration(float(time))}",
-                self.axis,
-                unit,
-                error,
-                "extrapolated beyond the record" if 2.0 * time > self.duration else "",
-            )
-            for time, error in zip(t, errors.T, strict=True)
-        }
+        unit, word = _INTEGRAL[self.axis.sensor]
+        drift = {}
+        for time, error in zip(t.tolist(), errors.T, strict=True):
+            remark = "extrapolated beyond the record" if 2.0 * time > self.duration else ""
+            drift[time] = self._derived(f"{word} error after {duration(time)}", unit, error, remark)
+        return drift
 
-    # ------------------------------------------------------------------ other programs and pictures
     def to_arviz(self) -> Any:
         """Convert the chain to ArviZ's InferenceData (DataTree since ArviZ 1.0), one chain per walker, in SI.
 
@@ -318,23 +257,15 @@ class AxisPosterior(ByValue, AxisEstimates):
         try:
             import arviz
         except ImportError as error:
-            raise AllanjaxError(
-                'ArviZ is not installed; install it with pip install "allanjax[arviz]"'
-            ) from error
-        prior = sum(
-            np.asarray(self.priors[label].log_density(self.chain[:, :, i]))
-            for i, label in enumerate(self.labels)
-        )
-        groups = {
-            "posterior": {label: self.chain[:, :, i].T for i, label in enumerate(self.labels)},
-            "sample_stats": {
-                "lp": self.log_probability.T,
-                "log_likelihood_total": (self.log_probability - prior).T,
-            },
-        }
-        if int(arviz.__version__.split(".")[0]) >= 1:
-            return arviz.from_dict(groups)
-        return arviz.from_dict(**groups)
+            install = 'install it with pip install "allanjax[arviz]"'
+            raise AllanjaxError(f"ArviZ is not installed; {install}") from error
+        columns = {label: self.chain[:, :, i] for i, label in enumerate(self.labels)}
+        prior = np.sum([self.priors[label].log_density(x) for label, x in columns.items()], axis=0)
+        stats = {"lp": self.log_probability, "log_likelihood_total": self.log_probability - prior}
+        groups = {"posterior": columns, "sample_stats": stats}
+        groups = {name: {label: x.T for label, x in of.items()} for name, of in groups.items()}
+        takes_groups = int(arviz.__version__.split(".")[0]) >= 1
+        return arviz.from_dict(groups) if takes_groups else arviz.from_dict(**groups)
 
     @presented
     def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:

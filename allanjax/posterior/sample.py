@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+
+from rich.console import Console
+from rich.progress import Progress, TaskID
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.result import Fit
@@ -34,10 +38,14 @@ def sample(
     rank-normalized split R̂ over the walkers (Vehtari et al. 2021, Bayesian Analysis 16:667) is below
     `max_r_hat`.
 
+    Default priors are `ModifiedLogUniform` for amplitudes, with the smallest amplitude that these data
+    distinguish from zero as their scale, and `LogUniform` in the distance from the lower bound for times,
+    frequencies and numbers. Supports are far wider than needed.
+
     Args:
         fit: a result of `allanjax.fit`.
         axes: names of the axes to sample; all by default.
-        priors: priors by label, in SI, that replace those of `default_priors` in every axis, e.g.
+        priors: priors by label, in SI, that replace the default ones in every axis, e.g.
             `{"rate_random_walk": LogUniform(1e-6, 1e-4)}`.
         seed: the same seed gives the same draws of an axis, independently of the other axes.
         walkers: an even number, at least twice the number of sampled parameters; by default 32, or four per
@@ -60,22 +68,25 @@ def sample(
         FitError: the fit of an axis failed, or the posterior has no density anywhere.
     """
     # Imported here because emcee takes long to load.
-    from allanjax.posterior.axes import AxisSampler
-    from allanjax.posterior.sampling import Convergence
+    from allanjax.posterior.sampling import Options, posterior_of
 
     names = (axes,) if isinstance(axes, str) else tuple(fit.axes if axes is None else axes)
     if not names:
         raise AllanjaxError(f"name at least one axis to sample, of {', '.join(fit.axes)}")
     for name in names:
+        why = f"{fit[name].verdict}; allanjax.critique looks for the cause"
         if not fit[name].converged:
-            raise FitError(
-                f"{name}: no posterior: the fit failed ({fit[name].reason}); sample the others with axes=[…]"
-            )
-        if not fit[name].measured:
-            raise FitError(
-                f"{name}: no posterior: {fit[name].verdict}; allanjax.critique looks for the cause; "
-                "sample the others with axes=[…]"
-            )
-    convergence = Convergence(max_steps, min_length, max_change, max_r_hat)
-    sampler = AxisSampler(fit, dict(priors or {}), seed, walkers, convergence, absent_draws)
-    return Posterior(fit, sampler.all_axes(names, progress))
+            why = f"the fit failed ({fit[name].reason})"
+        if not (fit[name].converged and fit[name].measured):
+            raise FitError(f"{name}: no posterior: {why}; sample the others with axes=[…]")
+    options = Options(seed, walkers, max_steps, min_length, max_change, max_r_hat, absent_draws)
+    shown, results = sys.stderr.isatty() if progress is None else progress, []
+    with Progress(console=Console(stderr=True), disable=not shown) as bar:
+        for name in names:
+            task = bar.add_task(name, total=None)
+
+            def report(steps: int, expected: int, task: TaskID = task) -> None:
+                bar.update(task, completed=steps, total=expected)
+
+            results.append(posterior_of(fit.as_for(name), name, dict(priors or {}), options, report))
+    return Posterior(fit, tuple(results))

@@ -1,284 +1,304 @@
-"""Markov chain Monte Carlo: emcee's ensemble of walkers for the coefficients of one axis.
+"""Markov chain Monte Carlo of one axis by emcee's ensemble of walkers, and marginals of all parameters.
 
-Coordinates are those in which the default priors are uniform: ln(1 + c/scale) of an amplitude c,
-ln(x − lower bound) of a time, frequency or number, and the frequency itself of a line.
+`value` is the median, `std` the standard deviation; the central intervals hold 68 and 95 % of the posterior;
+`upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor is below 1/20; otherwise
+its intervals begin at zero, and `interval` ends at `upper_limit`.
+
+The `bayes_factor` of an amplitude is the posterior over the prior probability of values that cannot be
+distinguished from zero (up to a third of the prior's scale; for terms not sampled, zero itself): the factor
+by which the data change the odds of the term's absence (Savage's density ratio; Dickey 1971, Ann. Math.
+Stat. 42:204). Under the default prior it is 1/20 if the squared amplitude is 3.5 to 3.8 standard deviations
+above zero. It is 0 under a prior that excludes zero. Amplitudes without draws (`sampled` is False) belong to
+terms that the fit did not detect.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import emcee
 import numpy as np
+from emcee.autocorr import integrated_time
 from emcee.moves import DEMove, DESnookerMove, RedBlueMove
-from jaxtyping import Float, Int
+from jaxtyping import Float
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp, ndtri
+from scipy.stats import rankdata
 
-from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.posterior.likelihood import Likelihood
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import plain
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.noise.estimate import Estimate
 from allanjax.posterior.priors import Prior
+from allanjax.posterior.result import AxisPosterior, PosteriorWarning, summary
+from allanjax.posterior.target import Target
 
-# Steps in which the proposals adapt, and steps before the convergence of the chain is first checked.
-_WARM_UP, _FIRST_BLOCK = 100, 200
+# Steps in which the proposals adapt, in how many rounds, and steps before convergence is first checked.
+_WARM_UP, _ROUNDS, _FIRST_BLOCK = 100, 4, 200
 # Length of the burn-in, in autocorrelation times.
 _BURN_IN = 5.0
-# Scatter of the first walkers over the fit's standard deviations.
-_OVERDISPERSION = 1.5
-# Attempts to place a walker; the later half are draws from the priors.
-_ATTEMPTS = 40
 # Degrees of freedom of the proposed Student law, with tails heavier than those of any posterior seen here.
-_STUDENT_DOF = 4.0
+_DOF = 4.0
+# An amplitude is detected if the data make zero less credible by this factor.
+_DETECTED = 1.0 / 20.0
+# Below this coordinate, a third of the prior's scale, an amplitude cannot be distinguished from zero.
+_INDISTINGUISHABLE = 0.3
+# Step of an amplitude's coordinate, least number of steps, and number of points between which the density is
+# integrated. The range ends where the density is e^-12 of its maximum.
+_STEP, _STEPS, _DENSE = 0.1, 16, 4001
+_NEGLIGIBLE = 12.0
+# Attempts to translate the draws at one point, until effective draws over draws reach this ratio.
+_CORRECTIONS, _EVEN = 6, 0.5
+
+_Draws: TypeAlias = Float[np.ndarray, "draws sampled"]
 
 
-class Target:
-    """Log-posterior of the parameters `sampled` of one axis, by index, the others being kept at `base`.
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Arguments of `sample`, checked."""
 
-    Attributes:
-        likelihood, priors: of all free parameters.
-        amplitude, line: which parameters are amplitudes, and frequencies of lines.
-        scale, origin: of the coordinates.
-        base: coordinates where amplitudes that are not sampled are 0, and shapes at their start.
-    """
+    seed: int
+    walkers: int | None
+    max_steps: int
+    min_length: float
+    max_change: float
+    max_r_hat: float
+    absent_draws: int
 
-    def __init__(
-        self, likelihood: Likelihood, priors: Mapping[str, Prior], sampled: Int[np.ndarray, " sampled"]
-    ) -> None:
-        parameters = likelihood.parameters
-        self.likelihood, self.sampled = likelihood, sampled
-        self.priors = tuple(priors[p.label] for p in parameters)
-        kinds = np.array([p.parameter.kind for p in parameters])
-        self.amplitude, self.line = kinds == "amplitude", kinds == "line"
-        self.scale = np.where(self.amplitude, likelihood.prior_scale, 1.0)
-        self.origin = np.array([p.parameter.lower for p in parameters])
-        start = np.clip(likelihood.start, *np.array([(p.lower, p.upper) for p in self.priors], float).T)
-        absent = self.amplitude & ~np.isin(np.arange(len(kinds)), sampled)
-        self.base = self.coordinates(np.where(absent, 0.0, start))
+    def __post_init__(self) -> None:
+        least = {
+            "seed": -1,
+            "max_steps": 9,
+            "absent_draws": 1,
+            "min_length": 0,
+            "max_change": 0,
+            "max_r_hat": 1,
+        }
+        for name, bound in least.items():
+            if not getattr(self, name) > bound:
+                raise AllanjaxError(f"{name} must be above {bound}, not {getattr(self, name)!r}")
 
-    def values(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
-        """Values in SI at coordinates [..., params], or at those of the parameter with index `at`."""
-        line = self.line[at]
-        exponent = np.where(line, 0.0, y)
-        others = np.where(line, y, self.origin[at] + np.exp(exponent))
-        return np.where(self.amplitude[at], self.scale[at] * np.expm1(exponent), others)
-
-    def coordinates(self, values: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
-        """Coordinates of values in SI, the inverse of `values`."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            others = np.where(self.line[at], values, np.log(values - self.origin[at]))
-            return np.where(self.amplitude[at], np.log1p(values / self.scale[at]), others)
-
-    def log_jacobian(self, y: Float[np.ndarray, ...], at: Any = slice(None)) -> Float[np.ndarray, ...]:
-        """Logarithm of the derivative of each value by its coordinate."""
-        return np.where(self.line[at], 0.0, y + np.log(self.scale[at]))
-
-    def log_prior(self, y: Float[np.ndarray, ...], index: int) -> Float[np.ndarray, ...]:
-        """Logarithm of the prior density of one of the coordinates; −inf outside its support."""
-        with np.errstate(over="ignore"):
-            density = self.priors[index].log_density(self.values(y, index))
-        return np.asarray(density) + self.log_jacobian(y, index)
-
-    def embedded(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch params"]:
-        """Coordinates of all parameters, given those that are sampled."""
-        full = np.broadcast_to(self.base, (*y.shape[:-1], len(self.base))).copy()
-        full[..., self.sampled] = y
-        return full
-
-    def log_density(self, full: Float[np.ndarray, "k params"]) -> Float[np.ndarray, " k"]:
-        """Log-likelihood plus log prior density of the sampled coordinates; −inf outside the support."""
-        total = np.sum([self.log_prior(full[:, i], i) for i in self.sampled], axis=0)
-        # Outside the support the likelihood may be undefined.
-        allowed = np.isfinite(total)
-        if allowed.any():
-            total[allowed] += self.likelihood(self.values(full[allowed]))
-        return np.where(allowed & ~np.isnan(total), total, -np.inf)
-
-    def __call__(self, y: Float[np.ndarray, "k sampled"]) -> Float[np.ndarray, " k"]:
-        """Log-posterior density of the sampled coordinates."""
-        return self.log_density(self.embedded(y))
+    def walkers_for(self, count: int) -> int:
+        """Number of walkers for `count` parameters."""
+        least = 2 * max(count, 2)
+        walkers = max(32, 2 * least) if self.walkers is None else self.walkers
+        if walkers % 2 or walkers < least:
+            allowed = f"an even number of at least {least} for {count} parameters"
+            raise AllanjaxError(f"walkers must be {allowed}, not {walkers!r}")
+        return walkers
 
 
 class StudentMove(RedBlueMove):
     """Independence proposal: a Student t law with mean and covariance of earlier points.
 
-    These are the other half of the ensemble until `adapt` is called. If the posterior is nearly Gaussian in
-    these coordinates, most of the proposals are accepted, each as good as a new draw; heavy tails keep the
-    acceptance bounded.
+    If the posterior is nearly Gaussian in these coordinates, most of the proposals are accepted, each as good
+    as a new draw; heavy tails keep the acceptance bounded.
     """
 
-    points: Float[np.ndarray, "k d"] | None = None
+    def __init__(self, points: _Draws) -> None:
+        # All walkers move at once.
+        super().__init__(nsplits=1)
+        self.adapt(points)
+
+    def adapt(self, points: _Draws) -> None:
+        """Propose the law of these points."""
+        self._mean, covariance = points.mean(axis=0), np.atleast_2d(np.cov(points.T))
+        # With few walkers in many dimensions, some directions may have no scatter.
+        self._L = np.linalg.cholesky(covariance + np.diag(1e-6 * np.diag(covariance) + 1e-20))
 
     def get_proposal(
-        self,
-        sample: Float[np.ndarray, "k d"],
-        complement: list[Float[np.ndarray, "m d"]],
-        random: np.random.RandomState,
-    ) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, " k"]]:
-        others = np.concatenate(complement) if self.points is None else self.points
+        self, sample: _Draws, _: list[_Draws], random: np.random.RandomState
+    ) -> tuple[_Draws, Float[np.ndarray, " k"]]:
         k, d = sample.shape
-        covariance = np.cov(others.T).reshape(d, d)
-        # With few walkers in many dimensions, some directions may have no scatter.
-        covariance += np.diag(1e-6 * np.diag(covariance) + 1e-20)
-        L = np.linalg.cholesky(covariance)
-        stretch = np.sqrt(_STUDENT_DOF / random.chisquare(_STUDENT_DOF, k))
-        new = stretch[:, None] * random.standard_normal((k, d))
-        old = np.linalg.solve(L, (sample - others.mean(axis=0)).T).T
-
-        def log_density(z: Float[np.ndarray, "k d"]) -> Float[np.ndarray, " k"]:
-            return -0.5 * (_STUDENT_DOF + d) * np.log1p(np.sum(z**2, axis=1) / _STUDENT_DOF)
-
-        return others.mean(axis=0) + new @ L.T, log_density(old) - log_density(new)
+        new = random.standard_normal((k, d)) * np.sqrt(_DOF / random.chisquare(_DOF, (k, 1)))
+        old = np.linalg.solve(self._L, (sample - self._mean).T).T
+        tail, was = (np.log1p(np.sum(z**2, axis=1) / _DOF) for z in (new, old))
+        return self._mean + new @ self._L.T, 0.5 * (_DOF + d) * (tail - was)
 
 
-@dataclasses.dataclass(frozen=True)
-class Convergence:
-    """Criteria of convergence: length of the chain in autocorrelation times τ, relative change of τ, R̂."""
-
-    max_steps: int
-    min_length: float
-    max_change: float
-    max_r_hat: float
-
-    def __post_init__(self) -> None:
-        if not self.max_steps >= 10:
-            raise AllanjaxError(f"max_steps must be at least 10, not {self.max_steps!r}")
-        for name, bound in (("min_length", 0.0), ("max_change", 0.0), ("max_r_hat", 1.0)):
-            if not getattr(self, name) > bound:
-                raise AllanjaxError(f"{name} must be above {bound:g}, not {getattr(self, name)!r}")
-
-
-@dataclasses.dataclass(frozen=True)
-class Chains:
-    """Chains of the walkers after the burn-in, in coordinates.
-
-    `tau`, `change` and `r_hat` are per parameter; `change` is that of τ since the last check.
-    """
-
-    y: Float[np.ndarray, "steps walkers sampled"]
-    log_density: Float[np.ndarray, "steps walkers"]
-    tau: Float[np.ndarray, " sampled"]
-    change: Float[np.ndarray, " sampled"]
-    r_hat: Float[np.ndarray, " sampled"]
-    acceptance: float
-    steps: int
-    converged: bool
-
-
-def run(
-    target: Target,
-    start: Float[np.ndarray, "walkers sampled"],
-    random: np.random.RandomState,
-    wanted: Convergence,
-    report: Callable[[int, int], None],
-) -> Chains:
+def _run(
+    target: Target, random: np.random.RandomState, wanted: Options, report: Callable[[int, int], None]
+) -> tuple[Float[np.ndarray, "steps walkers sampled"], dict[str, Any]]:
     """Run the ensemble until it has converged, or for `max_steps`; `report` gets steps done and expected.
+
+    Returns coordinates after the burn-in, and fields of `AxisPosterior` that describe the chains.
 
     Most proposals are independent, from a law that adapts in a warm-up, which no result contains; the others
     are differential evolution, for posteriors that are far from Gaussian.
     """
-    student = StudentMove()
+    start = target.first_walkers(wanted.walkers_for(len(target.sampled)), random)
+    student, most = StudentMove(start), wanted.max_steps
     moves = [(student, 0.6), (DEMove(), 0.3), (DESnookerMove(), 0.1)]
     sampler = emcee.EnsembleSampler(*start.shape, target, moves=moves, vectorize=True)
-    sampler.random_state = random.get_state()
     state = emcee.State(start, random_state=random.get_state())
-    warm_up = min(_WARM_UP, wanted.max_steps)
-    state = sampler.run_mcmc(state, warm_up, skip_initial_state_check=True)
-    student.points = sampler.get_chain(discard=warm_up // 2, flat=True)
+    for steps in [min(_WARM_UP, most) // _ROUNDS] * _ROUNDS:
+        state = sampler.run_mcmc(state, steps, skip_initial_state_check=True)
+        student.adapt(sampler.get_chain(discard=sampler.iteration // 2, flat=True))
     sampler.reset()
-    tau = np.full(start.shape[1], np.nan)
-    expected = _FIRST_BLOCK
+    tau, burn_in, expected = np.full(start.shape[1], np.nan), _FIRST_BLOCK // 4, _FIRST_BLOCK
     while True:
-        done = sampler.iteration
-        state = sampler.run_mcmc(state, min(expected, wanted.max_steps) - done, skip_initial_state_check=True)
+        ahead = min(expected, most) - sampler.iteration
+        state = sampler.run_mcmc(state, ahead, skip_initial_state_check=True)
         steps = sampler.iteration
-        tau, previous = _autocorrelation_time(sampler.get_chain(), tau), tau
+        with np.errstate(invalid="ignore", divide="ignore"):
+            settled = target.values(sampler.get_chain(discard=min(burn_in, steps // 2)))
+            tau, previous = integrated_time(settled[..., target.sampled], tol=0, quiet=True), tau
         burn_in = min(int(np.ceil(_BURN_IN * np.nanmax([*tau, 1.0]))), steps // 2)
         chain = sampler.get_chain(discard=burn_in)
-        change = np.abs(tau / previous - 1.0)
-        r_hat = np.array([split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
-        long_enough = len(chain) > wanted.min_length * tau
-        converged = bool(np.all(long_enough & (change < wanted.max_change) & (r_hat < wanted.max_r_hat)))
-        # R̂² − 1 is inversely proportional to the length.
-        lack = max(1.0, np.nan_to_num(np.max((r_hat**2 - 1.0) / (wanted.max_r_hat**2 - 1.0)), nan=1.0))
-        expected_length = burn_in + max(
-            1.1 * wanted.min_length * np.nanmax([*tau, 1.0]), 1.1 * lack * len(chain)
-        )
-        expected = int(np.clip(expected_length, 1.2 * steps, 2.0 * steps))
-        report(steps, steps if converged else min(expected, wanted.max_steps))
-        if converged or steps >= wanted.max_steps:
-            return Chains(
-                y=chain,
-                log_density=sampler.get_log_prob(discard=burn_in),
-                tau=tau,
-                change=change,
-                r_hat=r_hat,
-                acceptance=float(sampler.acceptance_fraction.mean()),
-                steps=steps,
-                converged=converged,
-            )
+        r_hat = np.array([_split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
+        enough = (len(chain) > wanted.min_length * tau) & (abs(tau / previous - 1.0) < wanted.max_change)
+        converged = bool(np.all(enough & (r_hat < wanted.max_r_hat)))
+        if converged or steps >= most:
+            report(steps, steps)
+            found = {"tau": tau, "r_hat": r_hat, "steps": steps, "converged": converged}
+            found["acceptance"] = float(sampler.acceptance_fraction.mean())
+            return chain, found | {"log_probability": sampler.get_log_prob(discard=burn_in)}
+        length = burn_in + 1.1 * wanted.min_length * np.nanmax([*tau, 1.0])
+        expected = int(np.clip(length, 1.2 * steps, 2.0 * steps))
+        report(steps, min(expected, most))
 
 
-def _autocorrelation_time(
-    chain: Float[np.ndarray, "steps walkers sampled"], previous: Float[np.ndarray, " sampled"]
-) -> Float[np.ndarray, " sampled"]:
-    """Autocorrelation time of each parameter after a burn-in by the previous one; NaN if unknown."""
-    known = np.isfinite(previous)
-    burn_in = int(_BURN_IN * previous[known].max()) if known.any() else len(chain) // 4
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return emcee.autocorr.integrated_time(chain[min(burn_in, len(chain) // 2) :], tol=0, quiet=True)
-
-
-def split_r_hat(chain: Float[np.ndarray, "steps walkers"]) -> float:
+def _split_r_hat(chain: Float[np.ndarray, "steps walkers"]) -> float:
     """Rank-normalized split R̂ of one parameter, the larger one of bulk and tails.
 
     Vehtari, Gelman, Simpson, Carpenter & Bürkner (2021), Bayesian Analysis 16:667. NaN for a constant chain.
     """
-    from scipy.special import ndtri
-    from scipy.stats import rankdata
-
     half = len(chain) // 2
     halves = np.concatenate([chain[:half], chain[-half:]], axis=1)
-
-    def r_hat(x: Float[np.ndarray, "half chains"]) -> float:
+    found = []
+    for x in (halves, np.abs(halves - np.median(halves))):
         z = ndtri((rankdata(x).reshape(x.shape) - 0.375) / (x.size + 0.25))
-        within = z.var(axis=0, ddof=1).mean()
-        if not within > 0.0:
-            return float("nan")
-        return float(np.sqrt((half - 1) / half + z.mean(axis=0).var(ddof=1) / within))
-
-    return max(r_hat(halves), r_hat(np.abs(halves - np.median(halves))))
+        within, between = z.var(axis=0, ddof=1).mean(), z.mean(axis=0).var(ddof=1)
+        found.append(np.sqrt((half - 1) / half + between / within) if within > 0.0 else np.nan)
+    return float(max(found))
 
 
-def first_walkers(
-    target: Target, walkers: int, random: np.random.RandomState
-) -> Float[np.ndarray, "walkers sampled"]:
-    """Start of the walkers: a cloud around the fit, a little wider than its errors, inside the support.
+def posterior_of(
+    fit: Fit, name: str, priors: Mapping[str, Prior], options: Options, report: Callable[[int, int], None]
+) -> AxisPosterior:
+    """Posterior of an axis whose model is the fit's; `report` gets the steps done and expected."""
+    target, result = Target(fit, name, priors), fit[name]
+    labels = tuple(target.parameters[i].label for i in target.sampled)
+    # Each axis has random numbers of its own, so that its draws do not depend on the other axes.
+    streams = np.random.SeedSequence([options.seed, fit.axes.index(name)]).generate_state(8)
+    random = np.random.RandomState(streams)
+    chain, found = _run(target, random, options, report)
+    tau = found["tau"]
+    if not found["converged"]:
+        worst = int(np.argmax(np.nan_to_num(tau, nan=np.inf)))
+        complaint = (
+            f"{name}: the posterior has not converged in {found['steps']} steps; {labels[worst]} is worst "
+            f"with τ = {plain(tau[worst], 3)} steps and R̂ = {found['r_hat'][worst]:.4f}; allow more steps, "
+            f"e.g. max_steps={4 * options.max_steps}, or give narrower priors"
+        )
+        warnings.warn(complaint, PosteriorWarning, stacklevel=3)
+    y = chain[:: max(1, int(np.nan_to_num(tau).max() / 2.0))].reshape(-1, len(labels))
+    few = y[np.linspace(0, len(y) - 1, options.absent_draws).round().astype(int)]
+    # The density per SI unit, instead of per unit of the coordinates.
+    found["log_probability"] = found["log_probability"] - chain.sum(axis=-1)
+    return AxisPosterior(
+        axis=result.axis,
+        labels=labels,
+        draws=target.values(y)[:, target.sampled],
+        chain=target.values(chain)[..., target.sampled],
+        coefficients=_marginals(target, result, y, few, random),
+        priors={target.parameters[k].label: prior for k, prior in target.priors.items()},
+        rate=fit.curve.rate,
+        duration=fit.curve.n / fit.curve.rate,
+        _template=fit.template,
+        **found,
+    )
 
-    Raises FitError if the posterior is zero there and at all draws from the priors.
+
+def _marginals(
+    target: Target, fit: AxisFit, y: _Draws, few: _Draws, random: np.random.RandomState
+) -> dict[str, Estimate]:
+    """Marginals of all parameters by label, from the draws of those sampled; `few` are for absent terms."""
+    columns = dict(zip(target.sampled.tolist(), target.values(y)[:, target.sampled].T, strict=True))
+    found, there = dict[str, Estimate](), dict[int, bool]()
+    for i, p in enumerate(target.parameters):
+        c, draws, factor, limit = fit.coefficients.get(p.label), columns.get(i), None, None
+        if c is None or not (c.held or i in target.priors):
+            continue
+        if p.parameter.is_amplitude and not c.held:
+            if draws is None:
+                draws, factor = _absent_amplitude(target, i, few, random)
+            else:
+                factor = _bayes_factor(target, i, draws)
+            there[p.term], limit = factor < _DETECTED, float(np.quantile(draws, 0.95))
+        if draws is None:
+            # Held, or a shape of an absent term.
+            found[p.label] = dataclasses.replace(c, source="posterior", sampled=False)
+            continue
+        here = there.get(p.term, True)
+        found[p.label] = dataclasses.replace(
+            c,
+            **summary(draws, from_zero=p.parameter.is_amplitude and not here),
+            upper_limit=limit,
+            lower_limit=None,
+            # Draws are of the chosen terms only.
+            detected=here and not c.rivals,
+            bayes_factor=factor,
+            sampled=i in columns,
+        )
+    return found
+
+
+def _bayes_factor(target: Target, index: int, draws: Float[np.ndarray, " draws"]) -> float:
+    """Posterior over prior probability of an amplitude [SI] indistinguishable from zero; 0 if excluded."""
+    threshold = -target.origin[index] * np.expm1(_INDISTINGUISHABLE)
+    # A prior without any mass there excludes zero whatever the data say.
+    u = np.geomspace(1e-9, 1.0 - 1e-9, _DENSE)
+    before = np.interp(threshold, target.priors[index].quantile(u), np.log(u), left=np.inf)
+    return float(np.mean(draws < threshold) * np.exp(-before))
+
+
+def _absent_amplitude(
+    target: Target, index: int, y: _Draws, random: np.random.RandomState
+) -> tuple[Float[np.ndarray, " amplitudes"], float]:
+    """Equally probable amplitudes [SI] and Bayes factor of the amplitude with this index, which is zero in y.
+
+    p(c | data) ∝ p(c) ∫ L(θ, c) p(θ) dθ ∝ p(c)·mean_i [L(θ_i, c)/L(θ_i, 0)] over draws θ_i of the others at c
+    = 0; a shape of the term itself is drawn from its prior. The larger c, the farther the posterior of the
+    others moves from their draws. The mean is invariant under any translation of the draws if the ratio
+    includes the prior densities before and after; moving them to their weighted mean, which is followed from
+    one c to the next, keeps the weights even.
     """
-    at = target.sampled
-    start, scatter = target.likelihood.start[at], target.likelihood.scatter[at]
-    centre = target.base[at]
-    with np.errstate(all="ignore"):
-        spread = scatter / np.exp(target.log_jacobian(target.base)[at])
-    # The coordinate of a line is in Hz; all others are logarithms.
-    reach = np.where(target.line[at], np.abs(start), 1.0)
-    spread = np.where(np.isfinite(spread) & (spread > 0.0), np.minimum(spread, reach), 0.1 * reach)
-    priors = [target.priors[i] for i in at]
-    lower, upper = np.array([(p.lower, p.upper) for p in priors], float).T
-    # The cloud shrinks in case the fit's standard deviations are too large; finally, draws from the priors.
-    shrinks = np.repeat(0.5 ** np.minimum(np.arange(_ATTEMPTS), 10), walkers)[:, None]
-    y = centre + _OVERDISPERSION * spread * shrinks * random.standard_normal((len(shrinks), len(at)))
-    values = target.values(target.embedded(np.where(target.amplitude[at], abs(y), y)))
-    drawn = np.stack([p.quantile(random.uniform(size=len(y))) for p in priors], axis=1)
-    outside = (values[:, at] < lower) | (values[:, at] > upper)
-    outside[len(y) // 2 :] = True
-    values[:, at] = np.where(outside, drawn, values[:, at])
-    y = target.coordinates(values)[:, at]
-    # As many as needed, mostly one block.
-    cloud = np.empty((0, len(at)))
-    for block in np.split(y, _ATTEMPTS):
-        cloud = np.concatenate([cloud, block[np.isfinite(target(block))]])
-        if len(cloud) >= walkers:
-            return cloud[:walkers]
-    raise FitError("the posterior has no density near the fit or within the priors; check the priors")
+    values, prior, origin = target.values(y), target.priors[index], target.origin[index]
+    for k in target.priors.keys() - {index, *target.sampled.tolist()}:
+        if target.parameters[k].term == target.parameters[index].term:
+            values[:, k] = target.priors[k].quantile(random.uniform(size=len(y)))
+    lower, upper = np.log(prior.quantile(np.array([0.0, 1.0 - 1e-9])) - origin)
+    grid = np.arange(lower, upper, min(_STEP, (upper - lower) / _STEPS))
+    amplitude = np.maximum(origin + np.exp(grid), prior.lower)
+    before, of_prior = target.log_density(values), target.log_prior(amplitude, index)
+    log_ratio, shifts = np.full(len(grid), -np.inf), [np.zeros(y.shape[1])] * 2
+    for g in range(len(grid)):
+        values[:, index] = amplitude[g]
+        # Start from the linear continuation of the last two translations.
+        shift = 2.0 * shifts[-1] - shifts[-2]
+        for _ in range(_CORRECTIONS):
+            values[:, target.sampled] = target.values(y + shift)[:, target.sampled]
+            log_weight = target.log_density(values) - before
+            log_ratio[g] = logsumexp(log_weight) - np.log(len(y))
+            if not np.isfinite(log_ratio[g]):
+                shift = shifts[-1]
+                continue
+            share = np.exp(log_weight - log_ratio[g]) / len(y)
+            shift = shift + share @ y - y.mean(axis=0)
+            if 1.0 / np.sum(share**2) > _EVEN * len(y):
+                break
+        shifts.append(shift)
+        log_density = (log_ratio + of_prior)[: g + 1]
+        if log_density[-1] < log_density.max() - _NEGLIGIBLE:
+            break
+    known = np.isfinite(log_density)
+    dense = np.linspace(lower, grid[g], _DENSE)
+    log_density = CubicSpline(grid[: g + 1][known], log_density[known])(dense)
+    mass = cumulative_trapezoid(np.exp(log_density - log_density.max()), dense, initial=0.0)
+    drawn = origin + np.exp(np.interp(np.arange(0.5, _DENSE) / _DENSE, mass / mass[-1], dense))
+    return np.maximum(drawn, prior.lower), float(np.exp(log_ratio[0] - log_density.max()) / mass[-1])
