@@ -358,7 +358,7 @@ def _part(
 def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
     """Half-power frequency of the response and its order, and where it begins to matter [Hz]."""
     structure, at = found.structure, FULL
-    place = slice(at.response, at.other_shapes)
+    place = slice(at.response, None)
     covariance = found.covariance[place, place]
     value = _half_power(structure, view.rate)
     slope = np.zeros(2)

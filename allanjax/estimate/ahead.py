@@ -63,22 +63,16 @@ def of_spectra() -> Programs:
     from allanjax.estimate.axis_fits import fit_whittle
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import ranked
-    from allanjax.estimate.spectral.components import CAPACITIES, levels_of
     from allanjax.estimate.spectral.fit import LevelDesign, infer_levels
-    from allanjax.estimate.spectral.model import FULL, Slots, maximize
     from allanjax.noise.terms import basic_terms
     from allanjax.record.recording import Recording
-    from allanjax.spectrum.cosine import Bins
 
     x, model = np.random.default_rng(0).standard_normal((1024, 1)), basic_terms()
     recording = Recording.from_array(x, rate=1.0, gyro_unit="rad/s", names=["gyro"])
     yield lambda: ranked(recording)
     yield lambda: fit_whittle(recording, 0, model, np.ones(len(model), bool), {})
     # The same for many levels and terms.
-    m, terms = CAPACITIES[-1], FULL.columns + 1
-    slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), np.zeros(FULL.components, bool))
-    levels = levels_of(Bins.of(len(x), 1.0), np.zeros((0, 2, 0)), FULL.columns, m)
-    yield lambda: maximize(slots.usual(), slots, levels, np.ones(m))
+    m, terms = 1024, 9
     ones, here = np.ones((terms, m)), np.ones(terms, bool)
     design = LevelDesign.of(ones, np.zeros((terms, m, 1)), np.zeros(1), [0], np.ones(m), np.ones(m))
     at: Any = (np.ones((1, terms)), np.zeros((1, 1)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))

@@ -21,29 +21,15 @@ from allanjax.estimate.design import Design, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.components import (
-    BIQUAD,
-    BUTTERWORTH_1,
-    CAPACITIES,
-    MOVING_AVERAGE,
-    NONE,
-    ONE_POLE,
-    TWO_POLES,
     Levels,
     bandwidths,
     columns_of,
-    levels_of,
+    kind_of,
     padded,
 )
-from allanjax.estimate.spectral.model import (
-    FULL,
-    Layout,
-    Maximum,
-    Others,
-    Slots,
-    maximize,
-)
+from allanjax.estimate.spectral.expected import Others
+from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Slots, maximize
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
@@ -56,7 +42,7 @@ _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
 # Numbers of terms, of free shapes and of levels to which arrays are padded.
-_ROOMS = tuple(zip((8, 24), (8, 32), CAPACITIES, strict=True))
+_ROOMS = ((8, 8, 384), (24, 32, 1024))
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
@@ -109,12 +95,11 @@ class Places(NamedTuple):
         passing = self.inside[:, None] * base
         total = np.asarray(maximum.theta)[self.component] @ (passing / unit)
         for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
-            if at.response <= p < at.other_shapes:
+            if p >= at.response:
                 slope = np.asarray(model.by_response)[p - at.response]
                 by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
                 continue
-            row = p - at.times if p < at.response else len(at.owner) + p - at.other_shapes
-            by_shape[k, :, s] = np.asarray(model.by_shape)[row] * unit[k]
+            by_shape[k, :, s] = np.asarray(model.by_shape)[p - at.times] * unit[k]
             by_shape[k, :, s] += base[k] if p == self._time[k] else 0.0
         return base, by_shape
 
@@ -144,23 +129,24 @@ class Arrangement(NamedTuple):
     def of(cls, model: Model, bins: Bins) -> Arrangement:
         """Arrangement of a model for the levels of these bins."""
         model = model.sampled(bins.rate)
-        kind, layout = _kinds(model)
+        kind = _kinds(model)
         others = np.flatnonzero(kind == _OTHER)
         own = [p for p in model.parameters if p.free and p.term in others and not p.parameter.is_amplitude]
-        layout = layout._replace(others=len(others), shapes=len(own))
+        columns = max(int(np.sum(kind == _COLUMN)), FULL.columns)
+        layout = Layout(columns, others=len(others), shapes=len(own))
         first = np.array([0, layout.first_markov, layout.first_oscillator, layout.first_other])
         before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
         component = first[kind] + before
-        columns = columns_of([model.terms[k] for k in np.flatnonzero(kind == _COLUMN)], bins)
-        levels = levels_of(bins, columns, layout.columns)
+        fixed = [model.terms[k] for k in np.flatnonzero(kind == _COLUMN)]
+        levels = Levels.of(bins, columns_of(fixed, bins))
         inside = np.zeros(layout.components, bool)
         inside[component] = model.inside or False
         further = None
         if own:
             shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
             terms = tuple(model.terms[k] for k in others)
-            further = Others.of(terms, shapes, bins, len(levels.shape))
-        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), further)
+            further = Others.of(terms, shapes, bins)
+        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, kind_of(model.response), further)
 
         def place(p: ModelParameter) -> tuple[int, float]:
             """Parameter of one of the model's shapes, and its offset."""
@@ -213,14 +199,12 @@ class Arrangement(NamedTuple):
         return np.concatenate([free & active, owned])
 
 
-def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
-    """Kind of each term, and a layout that holds all; terms beyond its slots count as others."""
+def _kinds(model: Model) -> Int[np.ndarray, " terms"]:
+    """Kind of each term; terms beyond the slots of their kind count as others."""
     kind = np.array([_kind(term) for term in model.terms], int)
-    layout = FULL
-    for k in (_MARKOV, _OSCILLATOR):
-        kind[np.flatnonzero(kind == k)[layout[k] :]] = _OTHER
-    columns = -(-np.sum(kind == _COLUMN) // layout.columns) * layout.columns
-    return kind, layout._replace(columns=max(int(columns), layout.columns))
+    for k, slots in ((_MARKOV, FULL.markovs), (_OSCILLATOR, FULL.oscillators)):
+        kind[np.flatnonzero(kind == k)[slots:]] = _OTHER
+    return kind
 
 
 def _kind(term: NoiseTerm) -> int:
@@ -231,16 +215,6 @@ def _kind(term: NoiseTerm) -> int:
     if isinstance(term, Markov) and term.has_free_amplitude:
         return _MARKOV
     return _OSCILLATOR if isinstance(term, Resonance) else _OTHER
-
-
-def _response(model: Model) -> int:
-    """Kind of response of a model."""
-    if model.response is None:
-        return NONE
-    if isinstance(model.response, Butterworth):
-        return BUTTERWORTH_1 + model.response.order - 1
-    kinds = {LowPass1: ONE_POLE, LowPass2: TWO_POLES, MovingAverage: MOVING_AVERAGE, Biquad: BIQUAD}
-    return kinds[type(model.response)]
 
 
 class LevelDesign(Design):
@@ -411,8 +385,7 @@ def fit_levels(
         noise: rough levels of the noise [rate²].
     """
     levels = arrangement.levels
-    dof, capacity = 2.0 * levels.shape, len(levels.shape)
-    noise, per_octave = padded(noise, capacity, 1.0), padded(arrangement.per_octave, capacity, 1.0)
+    dof, per_octave = 2.0 * levels.shape, arrangement.per_octave
     fit = _maximum(arrangement, free, active, np.asarray(power), np.asarray(shape), noise, 1.0)
     parameters = np.sum(arrangement.estimated(free, active))
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - parameters, 1.0)

@@ -115,10 +115,8 @@ def promised(
     mean, maximum = now.mean[:m], now.maximum
     relative = rows / mean
     g = relative @ (k * (y / mean - 1.0))
-    moved = np.ones(FULL.parameters)
-    moved[: FULL.components] = now.structure.power + np.asarray(maximum.scale)
     interior = np.flatnonzero(np.asarray(maximum.interior))
-    slope = maximum.model.slope(now.structure.power, FULL)[interior, :m] / mean * moved[interior, None]
+    slope = maximum.slope[interior]
     F = np.asarray(maximum.information)[np.ix_(interior, interior)]
     size = 1.0 / np.sqrt(np.maximum(np.diag(F), 1e-12))
     cross = (relative * k) @ (slope * size[:, None]).T

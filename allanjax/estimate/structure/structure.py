@@ -18,8 +18,6 @@ from allanjax.estimate.spectral.components import (
     Levels,
     bandwidths,
     columns_of,
-    levels_of,
-    padded,
 )
 from allanjax.estimate.spectral.model import FULL, Maximum, Slots, covariance, maximize
 from allanjax.noise.model import Model
@@ -285,7 +283,7 @@ class Spectrum:
         """
         terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
         terms += [] if further is None else [further]
-        levels = levels_of(bins, columns_of(terms, bins), FULL.columns)
+        levels = Levels.of(bins, columns_of(terms, bins))
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
@@ -294,12 +292,12 @@ class Spectrum:
 
     def with_data(self, level: Float[np.ndarray, " m"], count: Float[np.ndarray, " m"]) -> Spectrum:
         """Copy with these mean squares [rate²] and numbers of coefficients."""
-        capacity, window = len(self.size), np.ones(7)
+        window = np.ones(7)
         around = np.convolve(count, window, "same")
         smooth = np.convolve(level * count, window, "same") / np.maximum(around, 1e-9)
-        rough = padded(np.maximum(smooth, 1e-300), capacity, 1.0)
+        rough = np.maximum(smooth, 1e-300)
         levels = self.levels.with_data(level, count / (1.0 + 0.5 * count * _ERROR**2))
-        return Spectrum(self.bins, levels, rough, padded(count, capacity, 0.0))
+        return Spectrum(self.bins, levels, rough, count)
 
     @property
     def n(self) -> int:
@@ -384,7 +382,7 @@ class Spectrum:
         widths[at.times : at.frequencies] = np.log(n)
         widths[at.frequencies : at.qualities] = np.log(n / FREQUENCIES)
         widths[at.qualities : at.response] = 4.0 * _DECADES
-        widths[at.response : at.other_shapes] = 2.0 * _DECADES, np.log(20.0)
+        widths[at.response :] = 2.0 * _DECADES, np.log(20.0)
         free = np.asarray(found.interior)
         D = widths[free] / np.sqrt(2.0 * np.pi)
         F = np.asarray(found.information)[np.ix_(free, free)]
