@@ -321,8 +321,8 @@ def _held_out(
     gains = np.zeros(len(groups))
     for fold in folds:
         mine, other = (
-            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).weighed_like(
-                spectrum
+            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).with_error(
+                spectrum.error
             )
             for half in (fold, ~fold)
         )

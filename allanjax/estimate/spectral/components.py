@@ -159,7 +159,7 @@ def columns_of(terms: Sequence[NoiseTerm], bins: Bins) -> Float[np.ndarray, "ter
     return found
 
 
-def _sums(levels: Levels, pole: Num[np.ndarray, "... 1 1"]) -> tuple[Any, Any, Any]:
+def _sums(levels: Levels, pole: Any) -> tuple[Any, Any, Any]:
     """1 − Q and 1/D, and what the ends contribute times D², of values with Q = e^{pole·interval}."""
     M, n, s = levels.interval, levels.length, levels.square
     y = -np.expm1(pole * M)
@@ -167,7 +167,7 @@ def _sums(levels: Levels, pole: Num[np.ndarray, "... 1 1"]) -> tuple[Any, Any, A
     return y, 1.0 / (y**2 + 4.0 * (1.0 - y) * s), ends
 
 
-def _squares(levels: Levels, pole: Num[np.ndarray, "... 1 1"]) -> Num[np.ndarray, "... 2 m"]:
+def _squares(levels: Levels, pole: Any) -> Num[np.ndarray, "... 2 m"]:
     """Expected squares at the nodes of e^{pole·|t|}: averaged over samples if real, else read at them."""
     M, oscillates = levels.interval, np.iscomplexobj(pole)
     r_0, r_1 = mean_lags(pole, M)[:2] if oscillates else averaged_lags(-pole * M)
@@ -175,14 +175,14 @@ def _squares(levels: Levels, pole: Num[np.ndarray, "... 1 1"]) -> Num[np.ndarray
     return r_0 + r_1 * (2.0 * (y - 2.0 * levels.square) - ends * inverse) * inverse
 
 
-def _with_slope(levels: Levels, pole: Num[np.ndarray, "... 1 1"]) -> tuple[Any, Any]:
+def _with_slope(levels: Levels, pole: Any) -> tuple[Any, Any]:
     """`_squares` and their derivative by the pole."""
     step = -_STEP * pole.real
     value, above, below = _squares(levels, np.stack([pole, pole + step, pole - step]))
     return value, (above - below) / (2.0 * step)
 
 
-def markov(levels: Levels, time: Float[np.ndarray, "... 1 1"]) -> Float[np.ndarray, "... 2 m"]:
+def markov(levels: Levels, time: Any) -> Float[np.ndarray, "... 2 m"]:
     """Expected squares at the nodes of Markov processes of variance 1 with these correlation times."""
     return _squares(levels, -1.0 / time)
 
@@ -194,9 +194,7 @@ def markov_and_slope(levels: Levels, shape: Float[np.ndarray, " k"]) -> tuple[An
     return value, -pole * slope
 
 
-def oscillator(
-    levels: Levels, frequency: Float[np.ndarray, "... 1 1"], quality: Float[np.ndarray, "... 1 1"]
-) -> Float[np.ndarray, "... 2 m"]:
+def oscillator(levels: Levels, frequency: Any, quality: Any) -> Float[np.ndarray, "... 2 m"]:
     """Expected squares at the nodes of oscillators of variance 1."""
     root = np.sqrt(4.0 * quality**2 - 1.0)
     return np.real((1.0 - 1j / root) * _squares(levels, frequency / (2.0 * quality) * (-1.0 + 1j * root)))
@@ -262,8 +260,6 @@ def passed(levels: Levels, response: Any, rate: float = 1.0) -> Float[np.ndarray
     if isinstance(response, MovingAverage):
         return power + _ends_of_mean(levels, HALF_POWER * rate / response.bandwidth)
     w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim)) for x in response.poles(rate))
-    if not np.any(w.imag):
-        w, c = w.real, c.real
     y, inverse, ends = _sums(levels, np.log(w))
     # Of means of M samples the first lag is that of samples times the square of (1 − w^M)/(M(1 − w)).
     first = c * w * (y / (levels.interval * (1.0 - w))) ** 2

@@ -7,21 +7,15 @@ by fits of all powers with the shapes held, many models at a time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.estimate.spectral.components import NONE, Levels, markov, oscillator, passed
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.structure import (
-    FURTHER,
-    LOWEST,
-    Fitted,
-    Spectrum,
-    Structure,
-    response_of,
-)
-from allanjax.noise.numerics import averaged_lags
+from allanjax.estimate.structure.structure import LINE, LOWEST, Fitted, Spectrum, Structure, response_of
 
 # Narrowest window [coefficients], and the least gain of one [nats].
 _NARROWEST, _WORTH = 8, 4.0
@@ -29,27 +23,45 @@ _NARROWEST, _WORTH = 8, 4.0
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
 
 
-def windows(ratio: Float[np.ndarray, " n-1"], most: int) -> list[tuple[float, float, float]]:
-    """Windows with most excess: middle and width [coefficients] and gain [nats], no two of which overlap."""
-    total = np.concatenate([[0.0], np.cumsum(ratio)])
+class Peak(NamedTuple):
+    """Window of a spectrum with an excess.
+
+    Attributes:
+        gain: of a higher level there [nats].
+        slimness: middle over width.
+        values: frequency [radians per sample], quality factor and power [rate²] of such a resonance.
+    """
+
+    gain: float
+    slimness: float
+    values: tuple[float, float, float]
+
+
+def peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"], most: int) -> list[Peak]:
+    """Windows with most excess over a level of all coefficients, no two of which overlap."""
+    total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
     found: list[tuple[float, float, float]] = []
     width = _NARROWEST
-    while width <= (len(ratio) - LOWEST) // 4:
+    while width <= (n - 1 - LOWEST) // 4:
         step = max(width // 4, 1)
-        excess = (total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]) / width
+        excess = (total[LOWEST + width :: step] - total[LOWEST : n - width : step]) / width
         for k in np.argpartition(-excess, min(4 * most, len(excess) - 1))[: 4 * most]:
-            level = float(excess[k])
-            if level > 1.0:
-                gain = 0.5 * width * (level - 1.0 - np.log(level)) - np.log(len(ratio) / width)
+            if (ratio := float(excess[k])) > 1.0:
+                gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
                 found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
         width *= 2
-    chosen: list[tuple[float, float, float]] = []
+    chosen: list[tuple[float, float]] = []
+    resonances = []
     for gain, middle, wide in sorted(found, reverse=True):
         if gain < _WORTH or len(chosen) == most:
             break
-        if all(abs(middle - other) > 0.5 * (wide + w) for other, w, _ in chosen):
-            chosen.append((middle, wide, gain))
-    return chosen
+        if all(abs(middle - other) > 0.5 * (wide + w) for other, w in chosen):
+            chosen.append((middle, wide))
+            quality = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0)))
+            # The excess is about as large as the level, over the window.
+            values = np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n
+            resonances.append(Peak(gain, middle / wide, values))
+    return resonances
 
 
 def slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:
@@ -66,53 +78,45 @@ def slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:
 
 
 class Units:
-    """Expected levels of components of unit power in the bins of a record, but for what its ends add."""
+    """Expected levels of components of unit power; what several structures have in common, computed once."""
 
-    def __init__(self, spectrum: Spectrum) -> None:
-        (part,) = spectrum.bins.parts
-        self._frequency, self._rate = part.node_frequencies, spectrum.bins.rate
-        self._s = np.sin(np.pi * self._frequency / self._rate) ** 2
-        self._columns = np.asarray(spectrum.levels.columns)[:, :, : len(spectrum.bins.size)]
-        self._passed: dict[tuple[float, ...], Float[np.ndarray, "2 m"]] = {}
+    def __init__(self, levels: Levels) -> None:
+        self._levels = levels
+        self._known: dict[tuple[Any, ...], Any] = {}
 
     def __call__(self, structure: Structure, components: Sequence[int]) -> Float[np.ndarray, "some m"]:
         """Levels of some components of a structure."""
-        passed = self._response(structure)
-        squares = [self._columns[k] if k <= FURTHER else self._slot(structure, k) for k in components]
-        rows = [x * passed if structure.inside[k] else x for x, k in zip(squares, components, strict=True)]
-        return np.mean(rows, axis=1)
+        squares = [self._squares(structure, k) for k in components]
+        if structure.kind != NONE:
+            own = (structure.kind, *structure.bandwidth)
+            response = self._once(own, lambda: passed(self._levels, response_of(structure, 1.0)))
+            squares = [
+                x * response if structure.inside[k] else x for x, k in zip(squares, components, strict=True)
+            ]
+        return np.mean(squares, axis=1)
 
-    def _response(self, structure: Structure) -> Float[np.ndarray, "2 m"]:
-        key = (structure.kind, *structure.bandwidth)
-        if key not in self._passed:
-            response = response_of(structure, self._rate)
-            flat = np.ones_like(self._s)
-            power = flat if response is None else response.power(self._frequency, self._rate)
-            self._passed[key] = np.asarray(power)
-        return self._passed[key]
-
-    def _slot(self, structure: Structure, component: int) -> Float[np.ndarray, "2 m"]:
-        """Squares of a Markov process or an oscillator of variance 1, see `spectral.components`."""
+    def _squares(self, structure: Structure, component: int) -> Float[np.ndarray, "2 m"]:
+        if component < FULL.first_markov:
+            return self._levels.columns[component]
         k = component - FULL.first_oscillator
         if k < 0:
-            x = 1.0 / structure.time(component - FULL.first_markov)
-            weight, y, (first, second) = 1.0, -np.expm1(-x), averaged_lags(x)
-        else:
-            w, Q = structure.frequency(k), structure.quality(k)
-            root = np.sqrt(4.0 * Q**2 - 1.0)
-            second = np.exp(w / (2.0 * Q) * (-1.0 + 1j * root))
-            weight, y, first = 1.0 - 1j / root, 1.0 - second, 1.0
-        D = y**2 + 4.0 * (1.0 - y) * self._s
-        return np.real(weight * (first + second * 2.0 * (y - 2.0 * self._s) / D))
+            time = structure.time(component - FULL.first_markov)
+            return self._once((time,), lambda: markov(self._levels, time))
+        of = structure.frequency(k), structure.quality(k)
+        return self._once(of, lambda: oscillator(self._levels, *of))
+
+    def _once(self, key: tuple[Any, ...], function: Callable[[], Any]) -> Any:
+        if key not in self._known:
+            self._known[key] = function()
+        return self._known[key]
 
 
 def promised(
     spectrum: Spectrum, now: Fitted, rows: Float[np.ndarray, "proposals m"]
 ) -> tuple[Float[np.ndarray, " proposals"], Float[np.ndarray, " proposals"]]:
     """Gain [nats] that the score test promises each component beside a fit, and its power then."""
-    m = rows.shape[1]
-    k, y = np.asarray(spectrum.levels.shape)[:m], np.asarray(spectrum.levels.level)[:m]
-    mean, maximum = now.mean[:m], now.maximum
+    k, y = spectrum.levels.shape, spectrum.levels.level
+    mean, maximum = now.mean, now.maximum
     relative = rows / mean
     g = relative @ (k * (y / mean - 1.0))
     interior = np.flatnonzero(np.asarray(maximum.interior))
