@@ -32,7 +32,14 @@ from allanjax.noise.response import (
     LowPass1,
     LowPass2,
     MovingAverage,
+    Poles,
     Response,
+    apart_from_one,
+    bilinear_poles,
+    biquad_poles,
+    butterworth_poles,
+    one_pole,
+    two_poles,
 )
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
@@ -228,7 +235,7 @@ _CLASSES: dict[int, Any] = {
 }
 
 
-def response_of_kind(kind: int, bandwidth: Any, quality: Any) -> Response:
+def response_of_kind(kind: int, bandwidth: float, quality: float) -> Response:
     """Response of a kind other than none; filters without a quality factor ignore it."""
     if kind >= BUTTERWORTH_1:
         return Butterworth(bandwidth, kind - BUTTERWORTH_1 + 1)
@@ -239,7 +246,7 @@ def kind_of(response: Response | None) -> int:
     """Kind of a response."""
     if isinstance(response, Butterworth):
         return BUTTERWORTH_1 + response.order - 1
-    return next((kind for kind, own in _CLASSES.items() if type(response) is own), NONE)
+    return {None: NONE, **{own: kind for kind, own in _CLASSES.items()}}[response and type(response)]
 
 
 def bandwidths(kind: int) -> tuple[float, float]:
@@ -249,25 +256,44 @@ def bandwidths(kind: int) -> tuple[float, float]:
     return math.exp(-20.0), LARGEST_BANDWIDTH * np.pi if kind >= BIQUAD else math.exp(5.0)
 
 
-def passed(levels: Levels, response: Any, rate: float = 1.0) -> Float[np.ndarray, "... 2 m"]:
-    """Expected squares at the nodes of white noise of unit power after a filter, for samples at `rate` [Hz].
+def _poles(kind: int, wc: Any, Q: Any) -> Poles:
+    """Poles of a filter of a bandwidth [radians per sample interval], see `noise.response`."""
+    if kind == ONE_POLE:
+        return one_pole(wc)
+    if kind == TWO_POLES:
+        return two_poles(wc, Q)
+    tangent = np.tan(np.minimum(wc, LARGEST_BANDWIDTH * np.pi) / 2.0)
+    if kind == BIQUAD:
+        return bilinear_poles(biquad_poles(tangent, Q))
+    order = kind - BUTTERWORTH_1 + 1
+    return bilinear_poles(butterworth_poles(apart_from_one(tangent, order), order))
+
+
+def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
+    """Expected squares at the nodes of white noise of unit power after a filter, of a bandwidth [..., 1, 1].
 
     That is its power response, and what the ends add if the filter has settled when the record begins: about
     1/n of the noise in the pass band, and most of what is left deep in the stop band. The filtered noise has
-    r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1. Parameters may be arrays [..., 1, 1].
+    r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1.
     """
-    power = response.power(levels.angle * rate / (2.0 * np.pi), rate)
-    if isinstance(response, MovingAverage):
-        return power + _ends_of_mean(levels, HALF_POWER * rate / response.bandwidth)
-    w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim)) for x in response.poles(rate))
+    if kind == MOVING_AVERAGE:
+        return _averaged(levels, 2.0 * np.pi * HALF_POWER / wc)
+    w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim)) for x in _poles(kind, wc, Q))
+    s = np.sin(levels.angle / 2.0) ** 2
+    D = (1.0 - w) ** 2 + 4.0 * w * s
+    if kind == TWO_POLES:
+        power = np.sum(np.real(c * (1.0 - w**2) / D), axis=0)
+    else:
+        # Exact deep in the stop band; the bilinear transformation puts zeros at half the sample rate.
+        power = np.real(np.prod((1.0 - w) ** 2 * (1.0 if kind == ONE_POLE else 1.0 - s) / D, axis=0))
     y, inverse, ends = _sums(levels, np.log(w))
     # Of means of M samples the first lag is that of samples times the square of (1 − w^M)/(M(1 − w)).
     first = c * w * (y / (levels.interval * (1.0 - w))) ** 2
     return power - np.sum(np.real(first * ends * inverse**2), axis=0)
 
 
-def _ends_of_mean(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
-    """What the ends add to white noise after a moving average: −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
+def _averaged(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
+    """`passed` of a moving average, with the ends −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
 
     The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
     transform of a stream's means does not notice the ends of a filter that is shorter than those.
@@ -277,26 +303,26 @@ def _ends_of_mean(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
     small = levels.angle * LONGEST < _NEARLY_CONSTANT
     a = np.where(small, 1.0, levels.angle)
     s = np.sin(a / 2.0) ** 2
+    of_ends = np.where(levels.interval == 1.0, -2.0 / levels.length, 0.0)
 
-    def total(m: Any) -> Any:
+    def of(m: Any) -> Any:
         apart = m * np.sin(a) - np.sin(m * a)
         slope = m * (np.cos(a) - np.cos(m * a)) / (4.0 * s) - apart * np.sin(a) / (8.0 * s**2)
-        return np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * np.sin(a)))
+        total = np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * np.sin(a)))
+        return (np.sin(m * levels.angle / 2.0) / np.sin(levels.angle / 2.0)) ** 2 + of_ends * total
 
     more = samples - whole
     norm = (1.0 - more) * whole**2 + more * (whole + 1.0) ** 2
-    both = ((1.0 - more) * total(whole) + more * total(whole + 1.0)) / norm
-    return np.where(levels.interval == 1.0, -2.0 / levels.length * both, 0.0)
+    return ((1.0 - more) * of(whole) + more * of(whole + 1.0)) / norm
 
 
 def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int) -> tuple[Any, Any]:
     """`passed` of a kind of response, and its derivatives by ln ω_c and ln(Q − ½) (2, 2, m)."""
+    slopes = np.zeros((2, *levels.angle.shape))
     if kind == NONE:
-        return np.ones_like(levels.angle), np.zeros((2, *levels.angle.shape))
+        return np.ones_like(levels.angle), slopes
     moves = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    bandwidth, excess = np.exp(shape + _STEP * moves).T[:, :, None, None]
-    count = 5 if kind in SHAPED else 3
-    response = response_of_kind(kind, bandwidth[:count] / (2.0 * np.pi), 0.5 + excess[:count])
-    around = passed(levels, response)
-    slopes = (around[1::2] - around[2::2]) / (2.0 * _STEP)
-    return around[0], np.pad(slopes, ((0, 2 - len(slopes)), (0, 0), (0, 0)))
+    wc, excess = np.exp(shape + _STEP * moves[: 5 if kind in SHAPED else 3]).T[:, :, None, None]
+    around = passed(levels, kind, wc, 0.5 + excess)
+    slopes[: len(around) // 2] = (around[1::2] - around[2::2]) / (2.0 * _STEP)
+    return around[0], slopes

@@ -17,9 +17,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.estimate.spectral.components import (
+    NONE,
     Levels,
     Place,
     columns_of,
+    kind_of,
     markov,
     oscillator,
     padded,
@@ -104,8 +106,7 @@ class ExpectedLevels:
     """
 
     def __init__(self, model: Model, bins: Bins) -> None:
-        self._rate, self._inside = bins.rate, model.inside
-        self._response: Any = model.sampled(bins.rate).response
+        self._rate, self._inside, self._kind = bins.rate, model.inside, kind_of(model.response)
         shapes = [(k, p) for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
         self._shapes = [k for k, _ in shapes]
         #: Places of the free shapes of each term, and last of the response, by their names.
@@ -144,9 +145,10 @@ class ExpectedLevels:
             shapes = np.log(values[:, self._places] - self._lower)
             squares |= zip(self._others, self._directly.squares(shapes, count).swapaxes(0, 1), strict=True)
         response = None
-        if self._response is not None:
-            own = self._response.replace(**self._at(len(self._is_markov), values))
-            response = passed(self._levels, own, self._rate)
+        if self._kind != NONE:
+            at = self._at(len(self._is_markov), values)
+            wc = 2.0 * np.pi * np.asarray(at["bandwidth"]) / self._rate
+            response = passed(self._levels, self._kind, wc, at.get("quality_factor"))
         rows = np.empty((len(values), len(self._is_markov), count))
         for k in range(rows.shape[1]):
             row = squares[k] if k in squares else self._slot(k, values)

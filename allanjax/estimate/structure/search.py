@@ -1,8 +1,8 @@
 """Search for the structure of a spectrum: what it consists of besides the noise terms.
 
 It opens with the best of all responses on a grid, around the peaks that stand out; then adds one component
-after another, each of which is the best of many proposals (`proposals`) and is kept if the evidence of a
-joint fit rises; and at the end takes out what is not needed and swaps what may be another.
+after another; and at the end takes out what is not needed and swaps what may be another. Proposals are ranked by
+fits of all powers with the shapes held, many models at a time, and the best are fitted jointly.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
 spectrum; the order of the trials decides which of them is found. So no resonance may be wider than its
@@ -33,10 +33,10 @@ from allanjax.estimate.spectral.components import (
 )
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.spectral.powers import power_fits
-from allanjax.estimate.structure.proposals import Peak, Units, peaks, promised, slots_to_try
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
+    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     WHITE,
@@ -47,6 +47,10 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
+# Narrowest window of a peak [coefficients], and the least gain of one [nats].
+_NARROWEST, _WORTH = 8, 4.0
+# Oscillators an octave that are proposed, and their quality factors; and number of correlation times.
+_OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
 # Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
 # the expected ones of its two parameters.
 _GAIN, _PREDICTS = 2.0, 3.0
@@ -124,29 +128,20 @@ class Record(NamedTuple):
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
-    spectrum, now = refitted(record, start)
-    last = now.structure
+    (spectrum, now), edited = refitted(record, start), None
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
-    while True:
+    while now is not edited:
         while (found := _grown(record, spectrum, now)) is not None:
             spectrum, now = found
-        # A structure to which only lines were added has had its swaps.
-        if _outline(now.structure, record.n) == _outline(last, record.n):
-            return spectrum, now
-        now = pruned(spectrum, _edited(spectrum, now))
-        last = now.structure
+        if now is not edited:
+            now = edited = pruned(spectrum, _edited(spectrum, now))
+    return spectrum, now
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
     """Resonances of a structure of n samples that are as narrow as lines."""
     return [int(k) for k in structure.oscillators if structure.width(int(k)) < _LINE * np.pi / n]
-
-
-def _outline(structure: Structure, n: int) -> tuple[int, int, int]:
-    """Kind of the response, number of Markov processes, and number of resonances that are not lines."""
-    wide = len(structure.oscillators) - len(narrow(structure, n))
-    return structure.kind, len(structure.markovs), wide
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
@@ -174,7 +169,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     structure, bins = plain.structure, Bins.of(record.n, record.rate, (), 2 * _PER_OCTAVE)
     level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
     around = [_beside(level, f - g) for g in f]
-    for peak in peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
+    for peak in _peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
         if peak.gain > _CLEAR_PEAK and peak.slimness > _SLIM and len(structure.oscillators) < _PEAKS:
             structure = structure.with_oscillator(*peak.values, False) or structure
     spectrum = record.binned(structure)
@@ -182,7 +177,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
     finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
     best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
-    return finer, pruned(finer, best)
+    return finer, pruned(finer, _edited(finer, best))
 
 
 def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> float:
@@ -238,8 +233,7 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     if not every:
         return []
     components = np.flatnonzero(np.any([s.active for s in every], axis=0)).tolist()
-    of, levels = Units(spectrum.levels), spectrum.levels
-    unit = np.stack([of(s, components) for s in every])
+    unit, levels = np.stack([spectrum.units(s, components) for s in every]), spectrum.levels
     # The noise before a response is about what it is without.
     power, used = (np.array([getattr(s, x)[components] for s in every]) for x in ("power", "active"))
     power, loss = power_fits(levels.level, levels.shape, spectrum.rough, unit, power, used)
@@ -275,7 +269,7 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
-            return plain, plain.fit(again.structure) if same else again
+            return plain, plain.fit(again.structure) if same else _edited(plain, again)
     return None
 
 
@@ -283,13 +277,12 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     """Structures with one component more, the most promising first."""
     structure, inside = now.structure, now.structure.kind != NONE
     found = [structure.with_oscillator(*peak.values, inside) for peak in _more_peaks(record, spectrum, now)]
-    proposals = [s for s in found if s] + slots_to_try(structure, spectrum.n, inside)
+    proposals = [s for s in found if s] + _slots_to_try(structure, spectrum.n, inside)
     if inside and not structure.active[OUTSIDE]:
         proposals.append(structure.using(OUTSIDE, 1.0))
     new = [int(np.flatnonzero(s.active & ~structure.active)[0]) for s in proposals]
-    of = Units(spectrum.levels)
-    rows = np.concatenate([of(s, [k]) for s, k in zip(proposals, new, strict=True)])
-    gain, power = promised(spectrum, now, rows)
+    rows = np.concatenate([spectrum.units(s, [k]) for s, k in zip(proposals, new, strict=True)])
+    gain, power = _promised(spectrum, now, rows)
     best = [i for i in np.argsort(-gain)[:_RANKED].tolist() if gain[i] > _HOPEFUL]
     groups = [[proposals[i].using(new[i], float(power[i]))] for i in best]
     if _lacks_response(spectrum, now):
@@ -297,7 +290,48 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     return _ranked(spectrum, groups)[:_TRIED]
 
 
-def _more_peaks(record: Record, spectrum: Spectrum, now: Fitted) -> list[Peak]:
+class _Peak(NamedTuple):
+    """Window of a spectrum with an excess.
+
+    Attributes:
+        gain: of a higher level there [nats].
+        slimness: middle over width.
+        values: frequency [radians per sample], quality factor and power [rate²] of such a resonance.
+    """
+
+    gain: float
+    slimness: float
+    values: tuple[float, float, float]
+
+
+def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"], most: int) -> list[_Peak]:
+    """Windows with most excess over a level of all coefficients, no two of which overlap."""
+    total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
+    found: list[tuple[float, float, float]] = []
+    width = _NARROWEST
+    while width <= (n - 1 - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = (total[LOWEST + width :: step] - total[LOWEST : n - width : step]) / width
+        for k in np.argpartition(-excess, min(4 * most, len(excess) - 1))[: 4 * most]:
+            if (ratio := float(excess[k])) > 1.0:
+                gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
+                found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
+        width *= 2
+    chosen: list[tuple[float, float]] = []
+    resonances = []
+    for gain, middle, wide in sorted(found, reverse=True):
+        if gain < _WORTH or len(chosen) == most:
+            break
+        if all(abs(middle - other) > 0.5 * (wide + w) for other, w in chosen):
+            chosen.append((middle, wide))
+            quality = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0)))
+            # The excess is about as large as the level, over the window.
+            values = np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n
+            resonances.append(_Peak(gain, middle / wide, values))
+    return resonances
+
+
+def _more_peaks(record: Record, spectrum: Spectrum, now: Fitted) -> list[_Peak]:
     """Peaks that are left, but not of a resonance that moves, to which any excess there belongs."""
     structure, n = now.structure, record.n
     level = at_all(spectrum, now)
@@ -307,7 +341,41 @@ def _more_peaks(record: Record, spectrum: Spectrum, now: Fitted) -> list[Peak]:
             low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
             of = slice(max(int(low * n / np.pi), 0), int(high * n / np.pi) + 1)
             squares[of] = level[of]
-    return peaks(squares, level, _MORE_PEAKS)
+    return _peaks(squares, level, _MORE_PEAKS)
+
+
+def _slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:
+    """Structures with one oscillator or Markov process more, of unit power, on a grid of their shapes."""
+    lowest = LOWEST * np.pi / n
+    octaves = np.log2(np.pi / lowest)
+    tried = [
+        structure.with_oscillator(w, Q, 1.0, inside)
+        for w in np.geomspace(lowest, 0.97 * np.pi, int(octaves * _OCTAVE))
+        for Q in _QUALITIES
+    ]
+    tried += [structure.with_markov(time, 1.0) for time in np.geomspace(20.0, n / 4.0, _TIMES)]
+    return [s for s in tried if s is not None]
+
+
+def _promised(
+    spectrum: Spectrum, now: Fitted, rows: Float[np.ndarray, "proposals m"]
+) -> tuple[Float[np.ndarray, " proposals"], Float[np.ndarray, " proposals"]]:
+    """Gain [nats] that the score test promises each component beside a fit, and its power then."""
+    k, y = spectrum.levels.shape, spectrum.levels.level
+    mean, maximum = now.mean, now.maximum
+    relative = rows / mean
+    g = relative @ (k * (y / mean - 1.0))
+    interior = np.flatnonzero(maximum.interior)
+    slope = maximum.slope[interior]
+    F = maximum.information[np.ix_(interior, interior)]
+    size = 1.0 / np.sqrt(np.maximum(np.diag(F), 1e-12))
+    cross = (relative * k) @ (slope * size[:, None]).T
+    alone = relative**2 @ k
+    scaled = F * np.outer(size, size) + 1e-9 * np.eye(len(F))
+    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(scaled, cross.T).T)
+    left = np.maximum(left, 1e-6 * alone)
+    power = np.maximum(g, 0.0) / left
+    return 0.5 * np.maximum(g, 0.0) * power, power
 
 
 def _floor(spectrum: Spectrum) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,9 @@ from allanjax.estimate.spectral.components import (
     Levels,
     bandwidths,
     columns_of,
+    markov,
+    oscillator,
+    passed,
     response_of_kind,
 )
 from allanjax.estimate.spectral.model import FULL, Maximum, Slots, covariance, maximize
@@ -205,26 +209,20 @@ class Fitted(NamedTuple):
         structure: with its most likely values.
         evidence: log evidence [nats], by Laplace's approximation; each component costs as much as odds of
             twenty to one.
+        loss: minus the log-likelihood [nats], prior included.
+        mean: expected levels [rate²].
         maximum: the maximum of the likelihood.
     """
 
     structure: Structure
     evidence: float
+    loss: float
+    mean: Float[np.ndarray, " m"]
     maximum: Maximum
 
     @property
-    def loss(self) -> float:
-        """Minus the log-likelihood [nats], prior included."""
-        return self.maximum.loss
-
-    @property
-    def mean(self) -> Float[np.ndarray, " m"]:
-        """Expected levels [rate²]."""
-        return self.maximum.mean
-
-    @property
     def resonant(self) -> Float[np.ndarray, "oscillators m"]:
-        """Share of each resonance in them."""
+        """Share of each resonance in the levels."""
         of = slice(FULL.first_oscillator, FULL.first_other)
         return self.structure.power[of, None] * self.maximum.model.unit[of] / self.mean
 
@@ -246,6 +244,7 @@ class Spectrum:
         rough: smooth levels, a first guess.
         size: number of coefficients in each level.
         error: square of the relative error of a model in each level.
+        known: expectations that were computed for these bins.
     """
 
     bins: Bins
@@ -253,6 +252,7 @@ class Spectrum:
     rough: Float[np.ndarray, " m"]
     size: Float[np.ndarray, " m"]
     error: Any = _ERROR**2
+    known: dict[tuple[float, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -280,8 +280,11 @@ class Spectrum:
     def with_data(self, level: Float[np.ndarray, " m"], count: Float[np.ndarray, " m"]) -> Spectrum:
         """Copy with these mean squares [rate²] and numbers of coefficients."""
         around, total = (np.convolve(x, np.ones(7), "same") for x in (count, level * count))
-        rough = np.maximum(total / np.maximum(around, 1e-9), 1e-300)
-        return Spectrum(self.bins, self.levels._replace(level=level), rough, count).with_error(_ERROR**2)
+        rough, levels = (
+            np.maximum(total / np.maximum(around, 1e-9), 1e-300),
+            self.levels._replace(level=level),
+        )
+        return dataclasses.replace(self, levels=levels, rough=rough, size=count).with_error(_ERROR**2)
 
     def with_error(self, error: Any) -> Spectrum:
         """Copy for models with these squares of relative errors, of which models are to be compared only."""
@@ -318,13 +321,39 @@ class Spectrum:
         """Minus the log-likelihood of these levels under a fit to others [nats]."""
         return float(self.levels.shape @ (np.log(fitted.mean) + self.levels.level / fitted.mean))
 
+    def units(self, structure: Structure, components: Sequence[int]) -> Float[np.ndarray, "some m"]:
+        """Levels of some components of a structure, of unit power."""
+        squares = [self._squares(structure, k) for k in components]
+        if structure.kind != NONE:
+            own = (structure.kind, *structure.bandwidth)
+            response = self._once(own, lambda: passed(self.levels, *own))
+            inside = structure.inside[components]
+            squares = [x * response if within else x for x, within in zip(squares, inside, strict=True)]
+        return np.mean(squares, axis=1)
+
+    def _squares(self, structure: Structure, component: int) -> Float[np.ndarray, "2 m"]:
+        """Expected squares at the nodes of a component of unit power before the response."""
+        if component < FULL.first_markov:
+            return self.levels.columns[component]
+        if component < FULL.first_oscillator:
+            time = structure.time(component - FULL.first_markov)
+            return self._once((time,), lambda: markov(self.levels, time))
+        k = component - FULL.first_oscillator
+        of = structure.frequency(k), structure.quality(k)
+        return self._once(of, lambda: oscillator(self.levels, *of))
+
+    def _once(self, key: tuple[float, ...], function: Callable[[], Any]) -> Any:
+        if key not in self.known:
+            self.known[key] = function()
+        return self.known[key]
+
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
         """Fit all components jointly."""
         start = np.append(np.where(structure.active, structure.power, 0.0), structure.shape)
         found = maximize(start, self._slots(structure), self.levels, self.rough, tolerance)
         power = np.where(structure.active, found.theta[: FULL.components], 0.0)
         better = dataclasses.replace(structure, power=power, shape=found.theta[FULL.components :])
-        return Fitted(better, self._evidence(found, better), found)
+        return Fitted(better, self._evidence(found, better), found.loss, found.mean, found)
 
     def _slots(self, structure: Structure) -> Slots:
         """What is estimated of a structure, with its bounds and priors."""
