@@ -187,8 +187,12 @@ def expected(theta: Float[np.ndarray, " parameters"], slots: Slots, levels: Leve
     owner = np.concatenate([slot, slot[at.markovs :], own])
     passed, moved = passed_and_slopes(levels, theta[at.response :], slots.kind)
     unit, by_shape, inside = np.zeros((at.components, m)), np.zeros((len(owner), m)), slots.inside
-    unit[component] = np.mean(squares * np.where(inside[component, None, None], passed, 1.0), axis=1)
-    by_shape[shape] = np.mean(slopes * np.where(inside[owner[shape], None, None], passed, 1.0), axis=1)
+    for into, rows, of, values in (
+        (unit, component, component, squares),
+        (by_shape, shape, owner[shape], slopes),
+    ):
+        values = values * np.where(inside[of, None, None], passed, 1.0) if slots.kind else values
+        into[rows] = 0.5 * (values[:, 0] + values[:, 1])
     passing = np.tensordot(power[component] * inside[component], squares, 1)
     return Expected(unit, by_shape, owner, np.mean(moved * passing, axis=1))
 

@@ -1,8 +1,8 @@
 """Search for the structure of a spectrum: what it consists of besides the noise terms.
 
 It opens with the best of all responses on a grid, around the peaks that stand out; then adds one component
-after another; and at the end takes out what is not needed and swaps what may be another. Proposals are ranked by
-fits of all powers with the shapes held, many models at a time, and the best are fitted jointly.
+after another; and at the end takes out what is not needed and swaps what may be another. Proposals are ranked
+by fits of all powers with the shapes held, many models at a time; the best are fitted jointly.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
 spectrum; the order of the trials decides which of them is found. So no resonance may be wider than its
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -135,7 +135,7 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         while (found := _grown(record, spectrum, now)) is not None:
             spectrum, now = found
         if now is not edited:
-            now = edited = pruned(spectrum, _edited(spectrum, now))
+            now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
     return spectrum, now
 
 
@@ -177,7 +177,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
     finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
     best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
-    return finer, pruned(finer, _edited(finer, best))
+    return finer, _settled(finer, plain.structure, pruned(finer, best))
 
 
 def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> float:
@@ -187,7 +187,7 @@ def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> fl
 
 
 def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
-    """Whether there is no response, and levels that are averaged over a fifth of an octave or more deviate."""
+    """Whether there is no response, and levels that are averaged over half an octave or more deviate."""
     excess, deviation = spectrum.levels.shape * (spectrum.levels.level / now.mean - 1.0), 0.0
     for width in (6, 12, 24, 48):
         total, weight = (np.convolve(x, np.ones(width), "valid") for x in (excess, spectrum.levels.shape))
@@ -210,9 +210,17 @@ def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
 def _filtered(
     structures: Iterable[Structure | None], kinds: Sequence[int], widths: Iterable[float]
 ) -> list[list[Structure]]:
-    """Those structures that differ with a response of each bandwidth [radians per sample], by its kind."""
+    """Those structures that differ with each other response of these bandwidths, by its kind."""
     different = {(s.inside[s.active].tobytes(), s.shape.tobytes()): s for s in structures if s}.values()
-    return [[s.with_response(kind, w) for s in different for w in widths] for kind in kinds]
+    return [
+        [
+            s.with_response(kind, w)
+            for s in different
+            for w in widths
+            if kind != s.kind or not np.isclose(w, s.bandwidth[0], 1e-6)
+        ]
+        for kind in kinds
+    ]
 
 
 def _others(structure: Structure, width: float) -> list[list[Structure]]:
@@ -269,7 +277,7 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
-            return plain, plain.fit(again.structure) if same else _edited(plain, again)
+            return plain, _settled(plain, now.structure, plain.fit(again.structure) if same else again)
     return None
 
 
@@ -384,14 +392,29 @@ def _floor(spectrum: Spectrum) -> float:
     return floor if floor < _DEEP * float(np.median(spectrum.rough)) else 0.0
 
 
-def _edited(spectrum: Spectrum, now: Fitted) -> Fitted:
+def _edited(
+    spectrum: Spectrum, now: Fitted, edits: Callable[[Structure], Iterable[list[Structure]]]
+) -> Fitted:
     """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
     while True:
-        tried = _ranked(spectrum, [group for group in _edits(spectrum, now.structure) if group])[:_TRIED]
+        tried = _ranked(spectrum, [group for group in edits(now.structure) if group])[:_TRIED]
         best = functools.reduce(_better, map(spectrum.fit, tried), now)
         if best is now:
             return now
         now = best
+
+
+def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
+    """Fit with the best kind for a new response, and new components inside it or after it."""
+    new, other = now.structure.active & ~before.active, now.structure.kind != before.kind
+    new[: FULL.first_oscillator] = False
+    new[QUANTIZATION] = other
+
+    def edits(structure: Structure) -> Iterator[list[Structure]]:
+        yield from _moved(structure, np.flatnonzero(new))
+        yield from _others(structure, structure.bandwidth[0]) if other else ()
+
+    return _edited(spectrum, now, edits)
 
 
 def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
@@ -400,15 +423,10 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     A wide resonance may be a Markov process, white noise after the response, or the response itself, which a
     quick process may be, too; quantization behind a filter, the shape of that filter, or of a resonance.
     """
-    kind, (width, _) = structure.kind, structure.bandwidth
-    filtered = kind != NONE
+    filtered, (width, _) = structure.kind != NONE, structure.bandwidth
     if filtered:
-        here = (kind, structure.shape[FULL.response - FULL.components])
-        yield from (
-            [s for s in group if (s.kind, s.shape[FULL.response - FULL.components]) != here]
-            for group in _others(structure, width)
-        )
-        yield from ([s] for s in _moved(structure))
+        yield from _others(structure, width)
+        yield from _moved(structure, [QUANTIZATION, *(FULL.first_oscillator + structure.oscillators)])
     rests = []
     if quick := [FULL.first_markov + int(k) for k in structure.markovs if structure.time(int(k)) < _QUICK]:
         rests.append((functools.reduce(Structure.without, quick, structure), width))
@@ -429,14 +447,14 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         yield from _others(rest, width)
 
 
-def _moved(structure: Structure) -> Iterator[Structure]:
-    """Structures with quantization or a resonance inside the response if it is after it, or after it."""
-    for k in [QUANTIZATION, *(FULL.first_oscillator + structure.oscillators).tolist()]:
+def _moved(structure: Structure, components: Iterable[int]) -> Iterator[list[Structure]]:
+    """Structures with one of these components inside the response if it is after it, or after it."""
+    for k in components if structure.kind != NONE else ():
         # Where the response has fallen by nothing yet there is no difference.
         i = k - FULL.first_oscillator
         flat = i >= 0 and structure.frequency(i) < _FLAT * structure.bandwidth[0]
         if structure.active[k] and not (flat and structure.quality(i) > _NARROW):
-            yield structure.placed(k, not structure.inside[k])
+            yield [structure.placed(k, not structure.inside[k])]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
