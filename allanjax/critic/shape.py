@@ -267,7 +267,7 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
         left = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(structure, left)).structure if left else structure
         parts.append(_part(view, found, groups[k], gains[k], held_out[k], partial))
-    return Shape(tuple(parts), structure, model_of(structure, view.rate, further))
+    return Shape(tuple(parts), structure, model_of(structure, view.rate))
 
 
 #: Represents the response among the components of a group.

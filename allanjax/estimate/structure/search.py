@@ -80,8 +80,6 @@ _QUICK = 20.0
 _PER_OCTAVE = 12
 # Quality factor above which a resonance is narrow, and share of the bandwidth up to which a response is flat.
 _NARROW, _FLAT = 8.0, 0.1
-# Number of oscillators that represent one whose frequency drifts.
-_MOVING = 3
 # Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
@@ -284,7 +282,8 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
 def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structure]:
     """Structures with one component more, the most promising first."""
     structure, inside = now.structure, now.structure.kind != NONE
-    found = [structure.with_oscillator(*peak.values, inside) for peak in _more_peaks(record, spectrum, now)]
+    left = _peaks(record.squares, at_all(spectrum, now), _MORE_PEAKS)
+    found = [structure.with_oscillator(*peak.values, inside) for peak in left]
     proposals = [s for s in found if s] + _slots_to_try(structure, spectrum.n, inside)
     if inside and not structure.active[OUTSIDE]:
         proposals.append(structure.using(OUTSIDE, 1.0))
@@ -337,19 +336,6 @@ def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"],
             values = np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n
             resonances.append(_Peak(gain, middle / wide, values))
     return resonances
-
-
-def _more_peaks(record: Record, spectrum: Spectrum, now: Fitted) -> list[_Peak]:
-    """Peaks that are left, but not of a resonance that moves, to which any excess there belongs."""
-    structure, n = now.structure, record.n
-    level = at_all(spectrum, now)
-    squares = record.squares.copy()
-    for k in structure.oscillators:
-        if structure.companions(int(k)) >= _MOVING:
-            low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
-            of = slice(max(int(low * n / np.pi), 0), int(high * n / np.pi) + 1)
-            squares[of] = level[of]
-    return _peaks(squares, level, _MORE_PEAKS)
 
 
 def _slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:

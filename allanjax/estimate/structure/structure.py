@@ -395,15 +395,9 @@ class Spectrum:
         return -found.loss - 0.5 * float(logdet) - PRICE * more
 
 
-def model_of(structure: Structure, rate: float, further: NoiseTerm | None = None) -> Model:
-    """Model with the values of a structure for samples at `rate` [Hz].
-
-    Args:
-        structure: the structure.
-        rate: sample rate [Hz].
-        further: the term whose column it has besides the basic ones, with unit amplitude.
-    """
-    terms = [(term_of(structure, k, rate, further), structure.inside[k]) for k in structure.there]
+def model_of(structure: Structure, rate: float) -> Model:
+    """Model with the values of a structure for samples at `rate` [Hz]."""
+    terms = [(term_of(structure, k, rate), structure.inside[k]) for k in structure.there]
     response = response_of(structure, rate)
     if response is None:
         return Model(tuple(term for term, _ in terms))
@@ -428,14 +422,14 @@ def order_of(structure: Structure) -> int:
     return 2 if structure.kind in SHAPED else 1
 
 
-def term_of(structure: Structure, k: int, rate: float, further: NoiseTerm | None = None) -> NoiseTerm:
+def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
     """Term of component k; before the response if it passes through it."""
     power = float(structure.power[k])
     if k < OUTSIDE:
         return basic_terms()[FIXED[k]].replace(coefficient=float(np.sqrt(power)))
     if k == OUTSIDE:
         return AngleRandomWalk(float(np.sqrt(power)))
-    if k == FURTHER and further is not None:
+    if k == FURTHER and (further := structure.further) is not None:
         return further.replace(**{further.amplitude_parameter().name: float(np.sqrt(power))})
     if k < FULL.first_oscillator:
         time = structure.time(k - FULL.first_markov) / rate
