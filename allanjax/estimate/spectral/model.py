@@ -70,14 +70,7 @@ class Layout:
     def __init__(
         self, columns: int = 8, markovs: int = 4, oscillators: int = 12, others: int = 0, shapes: int = 0
     ) -> None:
-        """Layout with slots for terms without a free shape, for terms of two kinds, and for other terms.
-
-        Args:
-            columns: slots for terms without a free shape.
-            markovs, oscillators: slots for these, whose shapes may be free.
-            others: number of further terms with free shapes.
-            shapes: number of their free shapes.
-        """
+        """Slots for terms without a free shape (columns), two kinds with them, and others with so many."""
         self.columns, self.markovs, self.oscillators = columns, markovs, oscillators
         self.others, self.shapes = others, shapes
         ends = np.cumsum([columns, markovs, oscillators, others]).tolist()
@@ -95,14 +88,9 @@ FULL = Layout()
 class Slots:
     """Components and parameters of a joint spectral model.
 
-    Attributes:
-        layout: numbers of slots.
-        inside: whether each component passes through the response.
-        kind: the kind of response, see `components`.
-        free: which parameters are estimated; the others keep their value.
-        lower, upper: bounds of the parameters, powers not in ln.
-        centre, precision: normal prior of each parameter; a precision of 0 for none.
-        others: terms whose free shapes fit no slot.
+    Components inside pass through the response, of a kind of `components`. Parameters that are not free keep
+    their value; the others have bounds, powers not in ln, and a normal prior, unless its precision is 0.
+    Others are terms whose free shapes fit no slot.
     """
 
     layout: Layout
@@ -124,13 +112,12 @@ class Slots:
         kind: int = NONE,
         others: Others | None = None,
     ) -> Slots:
-        """Slots with the widest bounds and no prior; see `Slots` for the arguments."""
+        """Slots with the widest bounds and no prior."""
         bandwidth = tuple(np.log(bandwidths(kind)))
         bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE, bandwidth, _QUALITY)
         counts = (layout.components, layout.markovs, *[layout.oscillators] * 2, layout.shapes, 1, 1)
         lower, upper = np.repeat(np.array(bounds), counts, axis=0).T.copy()
-        nothing = np.zeros(layout.parameters)
-        return cls(layout, inside, kind, free, lower, upper, nothing, nothing, others)
+        return cls(layout, inside, kind, free, lower, upper, 0.0 * lower, 0.0 * lower, others)
 
     def usual(self) -> Float[np.ndarray, " parameters"]:
         """Parameters with zero powers, and with shapes in the middle of their ranges."""
@@ -142,13 +129,10 @@ class Slots:
 
 
 class Expected(NamedTuple):
-    """Expected levels of components of unit power [rate²], and their derivatives; zero for idle ones.
+    """Expected levels of components of unit power [rate²], zero for idle ones, and their derivatives.
 
-    Attributes:
-        unit: the levels.
-        by_shape: derivatives by the shapes of the components, without those of the response.
-        owner: component of each shape.
-        by_response: derivatives of their sum by bandwidth and quality factor of the response.
+    These are by the shapes, each of which has a component as its owner, and of the sum of all components by
+    bandwidth and quality factor of the response.
     """
 
     unit: Float[np.ndarray, "components m"]

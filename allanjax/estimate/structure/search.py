@@ -93,12 +93,9 @@ _CLEAR = 2.5
 
 
 class Record(NamedTuple):
-    """Spectrum of one record, which can be binned as its resonances require.
+    """Squared cosine coefficients [rate²] of one record, without lines and ramps, and its rate [Hz].
 
-    Attributes:
-        squares: squared cosine coefficients [rate²], without lines and ramps.
-        rate: sample rate [Hz].
-        further: a term whose column is used besides the basic ones.
+    A further term may be used besides the basic ones.
     """
 
     squares: Float[np.ndarray, " n-1"]
@@ -129,12 +126,12 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     (spectrum, now), edited = refitted(record, start), None
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
-    while now is not edited:
+    while True:
         while (found := _grown(record, spectrum, now)) is not None:
             spectrum, now = found
-        if now is not edited:
-            now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
-    return spectrum, now
+        if now is edited:
+            return spectrum, now
+        now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -298,12 +295,9 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
 
 
 class _Peak(NamedTuple):
-    """Window of a spectrum with an excess.
+    """Window of a spectrum with an excess: gain of a higher level there [nats], and middle over width.
 
-    Attributes:
-        gain: of a higher level there [nats].
-        slimness: middle over width.
-        values: frequency [radians per sample], quality factor and power [rate²] of such a resonance.
+    Values are frequency [radians per sample], quality factor and power [rate²] of such a resonance.
     """
 
     gain: float
@@ -325,7 +319,7 @@ def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"],
                 found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
         width *= 2
     chosen: list[tuple[float, float]] = []
-    resonances = []
+    resonances: list[_Peak] = []
     for gain, middle, wide in sorted(found, reverse=True):
         if gain < _WORTH or len(chosen) == most:
             break

@@ -130,11 +130,6 @@ class Structure:
         """Whether two oscillators are so close that they may be one whose frequency drifts."""
         return abs(self.frequency(i) - self.frequency(k)) < _CLOSE * 0.5 * (self.width(i) + self.width(k))
 
-    def companions(self, k: int) -> int:
-        """Number of oscillators in use that are close to one of them, itself included; 0 if that is idle."""
-        used = self.oscillators
-        return sum(self.are_close(int(i), k) for i in used) if k in used else 0
-
     def time(self, k: int) -> float:
         """Correlation time of a Markov process [samples]."""
         return float(np.exp(self.shape[_TIMES + k]))
@@ -203,15 +198,10 @@ class Structure:
 
 
 class Fitted(NamedTuple):
-    """A structure fitted to the levels of a spectrum.
+    """A structure fitted to a spectrum: log evidence and loss [nats], expected levels [rate²].
 
-    Attributes:
-        structure: with its most likely values.
-        evidence: log evidence [nats], by Laplace's approximation; each component costs as much as odds of
-            twenty to one.
-        loss: minus the log-likelihood [nats], prior included.
-        mean: expected levels [rate²].
-        maximum: the maximum of the likelihood.
+    The loss is minus the log-likelihood, prior included. The evidence is Laplace's approximation, where each
+    component costs as much as odds of twenty to one.
     """
 
     structure: Structure
@@ -219,12 +209,6 @@ class Fitted(NamedTuple):
     loss: float
     mean: Float[np.ndarray, " m"]
     maximum: Maximum
-
-    @property
-    def resonant(self) -> Float[np.ndarray, "oscillators m"]:
-        """Share of each resonance in the levels."""
-        of = slice(FULL.first_oscillator, FULL.first_other)
-        return self.structure.power[of, None] * self.maximum.model.unit[of] / self.mean
 
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -238,13 +222,8 @@ class Fitted(NamedTuple):
 class Spectrum:
     """Levels of the cosine spectrum of one record that structures are fitted to.
 
-    Attributes:
-        bins: the bins.
-        levels: the levels, and the expectations of the columns.
-        rough: smooth levels, a first guess.
-        size: number of coefficients in each level.
-        error: square of the relative error of a model in each level.
-        known: expectations that were computed for these bins.
+    Beside these: smooth ones, a first guess; the number of coefficients in each, the square of a model's
+    relative error there, and the expectations of components that were computed for these bins.
     """
 
     bins: Bins
@@ -262,14 +241,7 @@ class Spectrum:
         further: NoiseTerm | None = None,
         weight: Float[np.ndarray, " n-1"] | None = None,
     ) -> Spectrum:
-        """Spectrum of squared coefficients, each with a weight.
-
-        Args:
-            squares: squared cosine coefficients [rate²].
-            bins: the bins.
-            further: a term whose column is used besides the basic ones.
-            weight: weight of each coefficient, 0 or 1; 1 by default.
-        """
+        """Spectrum of squared coefficients [rate²], of weight 0 or 1; with a column for a further term."""
         terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
         terms += [] if further is None else [further]
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
@@ -304,17 +276,23 @@ class Spectrum:
         are just like the model's, and such errors are common to an octave; all of them count once the
         structure is known, as they hide what kind of filter it is.
         """
-        structure, f, resonant = fitted.structure, self.bins.frequency, fitted.resonant
-        near = np.array([structure.companions(k) for k in range(FULL.oscillators)])
+        structure, f, oscillators = (
+            fitted.structure,
+            self.bins.frequency,
+            fitted.structure.oscillators.tolist(),
+        )
+        own = FULL.first_oscillator + fitted.structure.oscillators
+        resonant = structure.power[own, None] * fitted.maximum.model.unit[own] / fitted.mean
+        near = [sum(structure.are_close(i, k) for i in oscillators) for k in oscillators]
         common, hertz = np.zeros(len(f)), self.bins.rate / (2.0 * np.pi)
         if (response := response_of(structure, self.bins.rate)) is not None:
             fallen = -np.log(np.maximum(np.asarray(response.power(f, self.bins.rate)), 1e-300))
             common += (_FILTER * np.maximum(fallen - (0.0 if filters else _DEEP), 0.0)) ** 2
-        for k in structure.oscillators if skirts else ():
+        for k, share in zip(oscillators, resonant, strict=True) if skirts else ():
             beside = abs(f - structure.frequency(k) * hertz) > _BESIDE * structure.width(k) * hertz
-            common += np.where(beside, _SKIRT * resonant[k], 0.0) ** 2
+            common += np.where(beside, _SKIRT * share, 0.0) ** 2
         return self.with_error(
-            (_UNSTEADY * near @ resonant) ** 2 + _ERROR**2 + common * self.bins.per_octave()
+            (_UNSTEADY * np.array(near) @ resonant) ** 2 + _ERROR**2 + common * self.bins.per_octave()
         )
 
     def loss_of(self, fitted: Fitted) -> float:
