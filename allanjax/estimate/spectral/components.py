@@ -196,6 +196,8 @@ def markov(levels: Levels, time: Any) -> Float[np.ndarray, "... 2 m"]:
 
 def markov_and_slope(levels: Levels, shape: Float[np.ndarray, " k"]) -> tuple[Any, Any]:
     """`markov` and its derivative by the shapes, ln T_c."""
+    if not len(shape):
+        return (np.zeros((0, *levels.angle.shape)),) * 2
     pole = -np.exp(-shape)[:, None, None]
     value, slope = _with_slope(levels, pole)
     return value, -pole * slope
@@ -211,6 +213,8 @@ def oscillator_and_slopes(
     levels: Levels, frequency: Float[np.ndarray, " k"], quality: Float[np.ndarray, " k"]
 ) -> tuple[Any, Any, Any]:
     """`oscillator` and its derivatives by the shapes, ln ω_0 and ln(Q − ½)."""
+    if not len(quality):
+        return (np.zeros((0, *levels.angle.shape)),) * 3
     excess = np.exp(quality)[:, None, None]
     Q = 0.5 + excess
     root, decay = np.sqrt(4.0 * Q**2 - 1.0), np.exp(frequency)[:, None, None] / (2.0 * Q)

@@ -16,7 +16,6 @@ the identity.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,7 +128,7 @@ class Slots:
 
 
 class Expected(NamedTuple):
-    """Expected levels of components of unit power [rate²], zero for idle ones, and their derivatives.
+    """Expected levels of components of unit power [rate²], zero for idle slots, and their derivatives.
 
     These are by the shapes, each of which has a component as its owner, and of the sum of all components by
     bandwidth and quality factor of the response.
@@ -148,11 +147,11 @@ class Expected(NamedTuple):
 def expected(theta: Float[np.ndarray, " parameters"], slots: Slots, levels: Levels) -> Expected:
     """Expected levels of all components of unit power, each differentiated by its own shapes only."""
     at, m, power = slots.layout, levels.angle.shape[1], theta[: slots.layout.components]
-    used = (power > 0.0) | slots.free[: at.components]
-    column, markov, oscillator = (
-        first + np.flatnonzero(used[first:last])
-        for first, last in itertools.pairwise((0, at.first_markov, at.first_oscillator, at.first_other))
-    )
+    used = np.flatnonzero((power > 0.0) | slots.free[: at.components])
+    # Columns that are not in use have levels, too, for their limits.
+    column = np.arange(len(levels.columns))
+    markov = used[(used >= at.first_markov) & (used < at.first_oscillator)]
+    oscillator = used[(used >= at.first_oscillator) & (used < at.first_other)]
     time = at.times - at.first_markov + markov
     frequency, quality = (
         at_first - at.first_oscillator + oscillator for at_first in (at.frequencies, at.qualities)
@@ -164,7 +163,7 @@ def expected(theta: Float[np.ndarray, " parameters"], slots: Slots, levels: Leve
         own = at.first_other + np.array([k for k, *_ in slots.others.shapes])
         of_other, by_own = slots.others.squares_and_slopes(theta[at.other_shapes : at.response], m)
     component = np.concatenate([column, markov, oscillator, np.arange(at.first_other, at.components)])
-    squares = np.concatenate([levels.columns[column], of_markov, of_oscillator, of_other])
+    squares = np.concatenate([levels.columns, of_markov, of_oscillator, of_other])
     shape = np.concatenate([time, frequency, quality, np.arange(at.other_shapes, at.response)]) - at.times
     slopes = np.concatenate([by_time, *by_both, by_own])
     slot = np.arange(at.first_markov, at.first_other)
