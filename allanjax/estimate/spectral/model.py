@@ -152,10 +152,8 @@ def expected(theta: Float[np.ndarray, " parameters"], slots: Slots, levels: Leve
     column = np.arange(len(levels.columns))
     markov = used[(used >= at.first_markov) & (used < at.first_oscillator)]
     oscillator = used[(used >= at.first_oscillator) & (used < at.first_other)]
-    time = at.times - at.first_markov + markov
-    frequency, quality = (
-        at_first - at.first_oscillator + oscillator for at_first in (at.frequencies, at.qualities)
-    )
+    time, nth = at.times + markov - at.first_markov, oscillator - at.first_oscillator
+    frequency, quality = at.frequencies + nth, at.qualities + nth
     of_markov, by_time = markov_and_slope(levels, theta[time])
     of_oscillator, *by_both = oscillator_and_slopes(levels, theta[frequency], theta[quality])
     of_other, by_own, own = np.zeros((0, 2, m)), np.zeros((0, 2, m)), np.zeros(0, int)

@@ -370,7 +370,7 @@ class Spectrum:
         if structure.kind != NONE:
             # Quantization beside a filter may be the filter's shape, the more so before it.
             more += 1 + int(used[QUANTIZATION]) * (1 + int(structure.inside[QUANTIZATION]))
-        return -found.loss - 0.5 * float(logdet) - PRICE * more
+        return float(-found.loss - 0.5 * logdet - PRICE * more)
 
 
 def model_of(structure: Structure, rate: float) -> Model:
