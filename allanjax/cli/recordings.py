@@ -95,7 +95,6 @@ def characterize(
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
     """
-    from allanjax.estimate.ahead import compiling_ahead, of_spectra
     from allanjax.estimate.as_json import SCHEMA_VERSION
     from allanjax.report.files import with_check, write_results
 
@@ -119,8 +118,7 @@ def characterize(
     def document(fits: list[dict[str, Any]], _: int) -> dict[str, Any]:
         return {"schema_version": SCHEMA_VERSION, "fits": fits}
 
-    with compiling_ahead(of_spectra, options.model is None and not (options.plain or stream)):
-        work_through(files, out, as_json, work, document)
+    work_through(files, out, as_json, work, document)
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[PowerSpectrum], Fit]":

@@ -18,9 +18,8 @@ from allanjax.estimate.structure.structure import (
     FURTHER,
     OUTSIDE,
     Structure,
-    markov_of,
-    resonance_of,
     response_of,
+    term_of,
 )
 from allanjax.noise.response import Response
 
@@ -46,13 +45,14 @@ def spectrum_factor(
         part = inside if structure.inside[k] else after
         part += structure.power[k] * family.spectra[k]
     for k in structure.markovs:
-        inside += rate * np.asarray(markov_of(structure, int(k), rate).sampled_psd(f, rate))
+        inside += rate * np.asarray(term_of(structure, FULL.first_markov + int(k), rate).sampled_psd(f, rate))
     if structure.further is not None:
         after += structure.power[FURTHER] * family.spectrum(structure.further)
     noise = inside + after
     for k in structure.oscillators:
-        part = inside if structure.inside[FULL.first_oscillator + k] else after
-        part += rate * np.asarray(resonance_of(structure, int(k), rate).sampled(rate).sampled_psd(f, rate))
+        component = FULL.first_oscillator + int(k)
+        part = inside if structure.inside[component] else after
+        part += rate * np.asarray(term_of(structure, component, rate).sampled(rate).sampled_psd(f, rate))
     after += structure.power[OUTSIDE] * rate
     # There may be resonances only.
     noise = np.maximum(noise, _LEAST * (inside + after))

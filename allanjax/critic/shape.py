@@ -267,7 +267,7 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
         left = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(structure, left)).structure if left else structure
         parts.append(_part(view, found, groups[k], gains[k], held_out[k], partial))
-    return Shape(tuple(parts), structure, model_of(structure, view.rate, further))
+    return Shape(tuple(parts), structure, model_of(structure, view.rate))
 
 
 #: Represents the response among the components of a group.
@@ -321,8 +321,8 @@ def _held_out(
     gains = np.zeros(len(groups))
     for fold in folds:
         mine, other = (
-            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).weighed_like(
-                spectrum
+            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).with_error(
+                spectrum.error
             )
             for half in (fold, ~fold)
         )
@@ -358,7 +358,7 @@ def _part(
 def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
     """Half-power frequency of the response and its order, and where it begins to matter [Hz]."""
     structure, at = found.structure, FULL
-    place = slice(at.response, at.other_shapes)
+    place = slice(at.response, None)
     covariance = found.covariance[place, place]
     value = _half_power(structure, view.rate)
     slope = np.zeros(2)

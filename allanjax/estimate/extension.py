@@ -29,8 +29,6 @@ from allanjax.estimate.structure.structure import (
     OUTSIDE,
     QUANTIZATION,
     Structure,
-    markov_of,
-    resonance_of,
     response_of,
     term_of,
 )
@@ -208,18 +206,15 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
         here = bool(structure.active[QUANTIZATION]) if searched_for else label in chosen
         terms.append((term, k is not None and bool(structure.inside[k]), here))
     count, own = sum(label.startswith("markov") for label in chosen), structure.markovs.tolist()
+    components = (FULL.first_oscillator + structure.oscillators).tolist()
     if selection.discrepancy > 0.0 or count == len(own):
-        terms += [
-            (markov_of(structure, k, rate), bool(structure.inside[FULL.first_markov + k]), True) for k in own
-        ]
+        components = [*(FULL.first_markov + k for k in own), *components]
     else:
         terms += [(Markov(), True, True)] * count
+    for k in components:
+        terms.append((term_of(structure, k, rate), bool(structure.inside[k]), True))
     if structure.active[OUTSIDE]:
-        white = PowerLaw(float(np.sqrt(structure.power[OUTSIDE])), 0.0).hold("exponent")
-        terms.append((white, False, True))
-    for k in structure.oscillators.tolist():
-        passes = bool(structure.inside[FULL.first_oscillator + k])
-        terms.append((resonance_of(structure, k, rate), passes, True))
+        terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))
     terms += [(Sinusoid(frequency=f), False, True) for f in content.lines]
     each, inside, active = zip(*terms, strict=True)
     response = response_of(structure, rate)

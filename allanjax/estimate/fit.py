@@ -13,7 +13,6 @@ from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
-from allanjax.estimate.ahead import compiling_ahead, of_variances
 from allanjax.estimate.axis_fits import (
     check_count,
     fit_allan,
@@ -140,8 +139,7 @@ def fit_inspected(
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
-        with compiling_ahead(of_variances, model is None and objective == "allan" and not whole.others):
-            found = _fitted(whole, model, objective, regressors, plain, wavelet)
+        found = _fitted(whole, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None and not exact:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)

@@ -162,6 +162,22 @@ class RecursiveFilter(Response):
         )
 
 
+def one_pole(wc: Any) -> Poles:
+    """Poles of the power response of one pole at the bandwidth ω_c [radians per sample]."""
+    w = namespace(wc).exp(-wc)[None] + 0j
+    return Poles(w, (1.0 - w) / (1.0 + w))
+
+
+def two_poles(wc: Any, quality: Any) -> Poles:
+    """Poles of the power response of a damped oscillator of the frequency ω_c [radians per sample]."""
+    xp = namespace(wc, quality)
+    decay = wc / (2.0 * quality)
+    wd = xp.sqrt(wc**2 - decay**2)
+    w, c = xp.exp(-decay + 1j * wd), 1.0 - 1j * decay / wd
+    c = c / xp.real(c * (1.0 + w) / (1.0 - w))
+    return Poles(xp.stack([w, xp.conj(w)]), xp.stack([c, xp.conj(c)]) / 2.0)
+
+
 class LowPass1(RecursiveFilter):
     """Low-pass filter of one pole, y_k = w·y_{k−1} + (1 − w)·x_k with w = exp(−2πf_c/rate).
 
@@ -171,9 +187,7 @@ class LowPass1(RecursiveFilter):
     bandwidth: Value = parameter("f_c", "frequency")
 
     def poles(self, rate: float) -> Poles:
-        xp = namespace(self, rate)
-        w = xp.exp(-2.0 * math.pi * xp.asarray(self.bandwidth, float) / rate)[None] + 0j
-        return Poles(w, (1.0 - w) / (1.0 + w))
+        return one_pole(2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate)
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
         w = jnp.exp(-2.0 * math.pi * jnp.asarray(self.bandwidth) / rate)
@@ -194,14 +208,8 @@ class LowPass2(RecursiveFilter):
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
 
     def poles(self, rate: float) -> Poles:
-        xp = namespace(self, rate)
-        wc = 2.0 * math.pi * xp.asarray(self.bandwidth, float) / rate
-        decay = wc / (2.0 * self.quality_factor)
-        wd = xp.sqrt(wc**2 - decay**2)
-        w, c = xp.exp(-decay + 1j * wd), 1.0 - 1j * decay / wd
-        c = c / xp.real(c * (1.0 + w) / (1.0 - w))
-        pair = xp.stack([w, xp.conj(w)])
-        return Poles(pair, xp.stack([c, xp.conj(c)]) / 2.0)
+        wc = 2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate
+        return two_poles(wc, self.quality_factor)
 
     def _zero(self, rate: float) -> tuple[Any, Any]:
         """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
@@ -237,6 +245,41 @@ LARGEST_BANDWIDTH = 0.995
 
 # Tangents t = tan(πf_c/rate) of odd orders are moved away from 1 as far as this.
 _NEAR_ONE = 1e-5
+
+
+def apart_from_one(tangent: Any, order: int) -> Any:
+    """Tangent with which no pole is at 0, where partial fractions do not exist: odd orders, t = 1.
+
+    There the result is accurate to 10⁻⁵ for quantization noise, to 10⁻⁵ of the bandwidth for other noise.
+    """
+    xp = namespace(tangent)
+    return tangent + xp.where(xp.abs(tangent - 1.0) < _NEAR_ONE, 2.0 * _NEAR_ONE, 0.0) * (order % 2)
+
+
+def bilinear_poles(q: Any) -> Poles:
+    """Poles of the power response of a filter of these q."""
+    return Poles((1.0 - q) / (1.0 + q), _shares(q) * q / (1.0 - q**2))
+
+
+def _shares(q: Any) -> Any:
+    """Share of each q in the partial fractions, ∏ 1/(1 − q_k²/q_j²) over the others."""
+    xp, m = namespace(q), len(q)
+    others = [[j for j in range(m) if j != k] for k in range(m)]
+    return xp.prod(1.0 / (1.0 - (q[:, None] / q[np.array(others, int)]) ** 2), axis=1)
+
+
+def biquad_poles(tangent: Any, quality: Any) -> Any:
+    """The q of a filter of two poles for t = tan(πf_c/rate)."""
+    xp = namespace(tangent, quality)
+    real = 0.5 / xp.asarray(quality, float)
+    q = tangent * (real + 1j * xp.sqrt(1.0 - real**2))
+    return xp.stack([q, xp.conj(q)])
+
+
+def butterworth_poles(tangent: Any, order: int) -> Any:
+    """The q of a Butterworth filter for t = tan(πf_c/rate)."""
+    angle = np.pi * (2.0 * np.arange(order) + 1.0 - order) / (2.0 * order)
+    return np.exp(1j * angle)[(..., *(None,) * np.ndim(tangent))] * tangent
 
 
 class _Bilinear(RecursiveFilter):
@@ -296,13 +339,12 @@ class Biquad(_Bilinear):
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
 
     def poles(self, rate: float) -> Poles:
-        q = self._analog(self._tangent(rate))
-        return Poles((1.0 - q) / (1.0 + q), self._share(q) * q / (1.0 - q**2))
+        return bilinear_poles(self._analog(self._tangent(rate)))
 
     def constant(self, rate: float) -> Float[ArrayLike, ""]:
         q = self._analog(self._tangent(rate))
         xp = namespace(self, rate)
-        return xp.real(xp.sum(-self._share(q) * q**2 / (1.0 - q**2)))
+        return xp.real(xp.sum(-_shares(q) * q**2 / (1.0 - q**2)))
 
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
@@ -310,14 +352,7 @@ class Biquad(_Bilinear):
         return passed**2 / ((passed - stopped) ** 2 + passed * stopped / self.quality_factor**2)
 
     def _analog(self, tangent: Any) -> Any:
-        xp = namespace(self, tangent)
-        real = 0.5 / xp.asarray(self.quality_factor, float)
-        q = tangent * (real + 1j * xp.sqrt(1.0 - real**2))
-        return xp.stack([q, xp.conj(q)])
-
-    @staticmethod
-    def _share(q: Any) -> Any:
-        return 1.0 / (1.0 - (q / q[::-1]) ** 2)
+        return biquad_poles(tangent, self.quality_factor)
 
 
 class Butterworth(_Bilinear):
@@ -336,8 +371,7 @@ class Butterworth(_Bilinear):
             raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, not {self.order!r}")
 
     def poles(self, rate: float) -> Poles:
-        q = self._analog(self._apart(rate))
-        return Poles((1.0 - q) / (1.0 + q), q / (self.order * (1.0 - q**2)))
+        return bilinear_poles(self._analog(self._apart(rate)))
 
     def constant(self, rate: float) -> Float[ArrayLike, ""]:
         return 1.0 / (1.0 + (-1.0) ** self.order * self._apart(rate) ** (-2 * self.order))
@@ -348,17 +382,11 @@ class Butterworth(_Bilinear):
         return passed**self.order / (passed**self.order + stopped**self.order)
 
     def _apart(self, rate: float) -> Any:
-        """Tangent with which no pole is at 0, where partial fractions do not exist: odd orders, t = 1.
-
-        There the result is accurate to 10⁻⁵ for quantization noise, to 10⁻⁵ of the bandwidth for other noise.
-        """
-        xp, t = namespace(self, rate), self._tangent(rate)
-        return t + xp.where(xp.abs(t - 1.0) < _NEAR_ONE, 2.0 * _NEAR_ONE, 0.0) * (self.order % 2)
+        """Tangent with which no pole is at 0."""
+        return apart_from_one(self._tangent(rate), self.order)
 
     def _analog(self, tangent: Any) -> Any:
-        m = self.order
-        angle = np.pi * (2.0 * np.arange(m) + 1.0 - m) / (2.0 * m)
-        return np.exp(1j * angle)[(..., *(None,) * np.ndim(tangent))] * tangent
+        return butterworth_poles(tangent, self.order)
 
 
 # The moving average as a response: an integrating converter, or samples that are means of faster ones.

@@ -1,14 +1,12 @@
-"""Expected levels of a spectrum for many values of a model's parameters at once, in NumPy.
+"""Expected levels of a spectrum for many values of a model's parameters at once.
 
 The walkers of a chain move together: a batch of them is one call of NumPy, which takes less time than a
-compiled program of all kinds of terms, and none to compile. Expectations are those of the joint spectral
-model (`spectral.components`, which explains their form). Other terms with free shapes are JAX's, compiled
-once for each set of them.
+compiled program of all kinds of terms, and none to compile. Expectations are those of `spectral.components`.
+Only terms of other kinds with free shapes are JAX's, compiled once for each set of them.
 """
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -18,16 +16,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.estimate.spectral.components import CAPACITIES, columns_of, levels_of, room_for
-from allanjax.estimate.spectral.model import Others
+from allanjax.estimate.spectral.components import (
+    NONE,
+    Levels,
+    Place,
+    columns_of,
+    kind_of,
+    markov,
+    oscillator,
+    padded,
+    passed,
+)
 from allanjax.noise.model import Model, NoiseTerm
-from allanjax.noise.numerics import averaged_lags, mean_lags
-from allanjax.noise.response import HALF_POWER, LONGEST, MovingAverage
 from allanjax.noise.terms import Markov, Resonance
 from allanjax.spectrum.cosine import Bins
 
-# Number of rows of a program of JAX, in which batches are evaluated.
-_ROWS = 16
+# Number of rows of a program of JAX, in which batches are evaluated; levels of a record are padded to a
+# multiple of so many.
+_ROWS, _LEVELS = 16, 512
+# Step of a difference in ln.
+_STEP = 1e-5
 
 
 def in_batches(
@@ -44,14 +52,50 @@ def _mapped(function: Callable[[Any, Array], Array], data: Any, rows: ArrayLike)
     return jax.lax.map(lambda row: function(data, row), jnp.asarray(rows))
 
 
-def _squares(others: tuple[Others, int], shapes: Array) -> Array:
-    """Expected squares of terms that no slot serves, in so many levels."""
-    return others[0].expected(shapes, others[1])
+class Others(eqx.Module):
+    """Terms whose free shapes have no closed form in `components`; they are evaluated directly.
+
+    Attributes:
+        terms: the terms, with unit amplitude.
+        shapes: index of the term, name and lower bound of each free shape.
+        places: where they are evaluated.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+    shapes: tuple[tuple[int, str, float], ...] = eqx.field(static=True)
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(
+        cls, terms: tuple[NoiseTerm, ...], shapes: tuple[tuple[int, str, float], ...], bins: Bins
+    ) -> Others:
+        """Terms as they are observed in these bins, of which those of a record are padded."""
+        places = [Place.of(part) for part in bins.parts]
+        if len(places) == 1:
+            room = -(-len(bins.size) // _LEVELS) * _LEVELS
+            places[0] = places[0]._replace(frequency=padded(places[0].frequency, room, bins.rate / 4.0))
+        return cls(
+            tuple(term.with_unit_amplitude().sampled(bins.rate) for term in terms), shapes, tuple(places)
+        )
+
+    def squares(self, values: Float[np.ndarray, "b shapes"], m: int) -> Float[np.ndarray, "b terms 2 m"]:
+        """Expected squares at the nodes of m levels for these values of ln(shape − lower bound)."""
+        return in_batches(_squares, self, values)[..., :m]
+
+    def squares_and_slopes(self, values: Float[np.ndarray, " shapes"], m: int) -> tuple[Any, Any]:
+        """Expected squares (terms, 2, m), and of the term of each shape the derivatives by it."""
+        moves = _STEP * np.eye(len(values))
+        here, *around = self.squares(values + np.concatenate([0.0 * values[None], moves, -moves]), m)
+        slopes = (np.array(around[: len(values)]) - around[len(values) :]) / (2.0 * _STEP)
+        return here, slopes[np.arange(len(values)), [k for k, *_ in self.shapes]]
 
 
-def _has_slot(term: NoiseTerm) -> bool:
-    """Whether the expectation of a term with free shapes is in closed form here."""
-    return isinstance(term, Markov | Resonance)
+def _squares(others: Others, values: Float[Array, " shapes"]) -> Float[Array, "terms 2 padded"]:
+    terms = list(others.terms)
+    for (k, name, lower), value in zip(others.shapes, values, strict=True):
+        terms[k] = terms[k].replace(**{name: lower + jnp.exp(value)})
+    every = [jnp.concatenate([place.expected(term) for place in others.places], axis=1) for term in terms]
+    return jnp.stack(every)
 
 
 class ExpectedLevels:
@@ -62,9 +106,9 @@ class ExpectedLevels:
     """
 
     def __init__(self, model: Model, bins: Bins) -> None:
-        self._model, self._rate = model.sampled(bins.rate), bins.rate
+        self._rate, self._inside, self._kind = bins.rate, model.inside, kind_of(model.response)
         shapes = [(k, p) for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
-        self._shapes = np.array([k for k, _ in shapes], int)
+        self._shapes = [k for k, _ in shapes]
         #: Places of the free shapes of each term, and last of the response, by their names.
         self._free: list[dict[str, int]] = [{} for _ in range(len(model) + 1)]
         for k, p in shapes:
@@ -73,22 +117,18 @@ class ExpectedLevels:
         owners: list[Any] = [*model.terms, *filter(None, [model.response])]
         self._held = [{p.name: getattr(owner, p.name) for p in owner.parameters()} for owner in owners]
         self._is_markov = [isinstance(term, Markov) for term in model.terms]
-        self._inside = model.inside
-        self._response: Any = self._model.response
         fixed = [k for k in range(len(model)) if not self._free[k]]
-        columns = columns_of([model.terms[k] for k in fixed], bins)
-        self._columns = dict(zip(fixed, columns, strict=True))
-        levels = levels_of(bins, columns, len(columns), len(bins.size))
-        self._angle, self._parity = levels.angle, levels.parity
-        # Powers of numbers are much faster than those of arrays.
-        part = levels.part if len(bins.parts) > 1 else levels.part[:1]
-        self._interval, self._length = levels.interval[part], levels.length[part]
-        apart = [(k, p) for k, p in shapes if p.term < len(model) and not _has_slot(model.terms[p.term])]
-        terms, lower = sorted({p.term for _, p in apart}), np.array([p.parameter.lower for _, p in apart])
-        own = tuple((terms.index(p.term), p.parameter.name, p.parameter.lower) for _, p in apart)
-        room = room_for(len(bins.size), CAPACITIES)
-        others = Others.of(tuple(self._model.terms[k] for k in terms), own, bins, room)
-        self._others = terms, [k for k, _ in apart], lower, (others, room)
+        self._levels = Levels.of(bins, columns_of([model.terms[k] for k in fixed], bins))
+        self._columns = dict(zip(fixed, self._levels.columns, strict=True))
+        apart = [
+            (k, p)
+            for k, p in shapes
+            if p.term < len(model) and not isinstance(model.terms[p.term], Markov | Resonance)
+        ]
+        self._places, self._lower = [k for k, _ in apart], np.array([p.parameter.lower for _, p in apart])
+        self._others = sorted({p.term for _, p in apart})
+        own = tuple((self._others.index(p.term), p.parameter.name, p.parameter.lower) for _, p in apart)
+        self._directly = Others.of(tuple(model.terms[k] for k in self._others), own, bins)
         self._last: tuple[bytes, Any] = (b"", None)
 
     def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "_ terms m"]:
@@ -99,75 +139,31 @@ class ExpectedLevels:
             self._last = (key, self._evaluated(values[:1]))
         return self._last[1]
 
-    @functools.cached_property
-    def _lags(self) -> Float[np.ndarray, "lags 2 m"]:
-        """What the ends of a record cost a process at each lag d of its covariance, times -n/2."""
-        a = self._angle
-        return np.stack([d * np.cos(d * a) + np.sin(d * a) / np.sin(a) for d in range(1, LONGEST + 1)])
-
     def _evaluated(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b terms m"]:
-        others = self._of_others(values)
-        passed = None if self._response is None else self._passed(values)
-        rows = []
-        for k in range(len(self._is_markov)):
-            row = self._columns.get(k, others.get(k))
-            row = self._slot(k, values) if row is None else row
-            row = row * passed if passed is not None and self._inside[k] else row
-            rows.append(np.broadcast_to(np.mean(row, axis=-2), (len(values), row.shape[-1])))
-        return np.stack(rows, axis=1)
+        squares, count = dict(self._columns), self._levels.angle.shape[1]
+        if self._others:
+            shapes = np.log(values[:, self._places] - self._lower)
+            squares |= zip(self._others, self._directly.squares(shapes, count).swapaxes(0, 1), strict=True)
+        response = None
+        if self._kind != NONE:
+            at = self._at(len(self._is_markov), values)
+            wc = 2.0 * np.pi * np.asarray(at["bandwidth"]) / self._rate
+            response = passed(self._levels, self._kind, wc, at.get("quality_factor"))
+        rows = np.empty((len(values), len(self._is_markov), count))
+        for k in range(rows.shape[1]):
+            row = squares[k] if k in squares else self._slot(k, values)
+            row = row * response if response is not None and self._inside[k] else row
+            rows[:, k] = np.mean(row, axis=-2)
+        return rows
 
     def _at(self, k: int, values: Float[np.ndarray, "b parameters"]) -> dict[str, Any]:
         """Shapes of a term, or of the response after all terms, by name, [b, 1, 1] or a number."""
         return self._held[k] | {name: values[:, at, None, None] for name, at in self._free[k].items()}
 
-    def _passed(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b 2 m"]:
-        """Power response at the nodes, with what the record's ends add to white noise after it."""
-        response: Any = self._response.replace(**self._at(len(self._is_markov), values))
-        power = response.power(self._angle * self._rate / (2.0 * np.pi), self._rate)
-        n, M = self._length, self._interval
-        if isinstance(response, MovingAverage):
-            samples = np.clip(HALF_POWER * self._rate / np.ravel(response.bandwidth), 1.0, LONGEST)[:, None]
-            whole, d = np.floor(samples), np.arange(1, LONGEST + 1)
-            # Autocovariance of means of m samples and of one more, in the proportion of their shares.
-            share = samples - whole
-            one, other = (np.maximum(whole + k - d, 0.0) for k in (0, 1))
-            norm = (1.0 - share) * whole**2 + share * (whole + 1.0) ** 2
-            r = ((1.0 - share) * one + share * other) / norm
-            return power + np.where(M == 1.0, -2.0 / n * np.tensordot(r, self._lags, 1), 0.0)
-        s = np.sin(self._angle * M / 2.0) ** 2
-        w, c = (x.reshape(*x.shape, *(1,) * (4 - x.ndim)) for x in response.poles(self._rate))
-        if not np.any(w.imag):
-            w, c = w.real, c.real
-        last = w**M
-        y = 1.0 - last
-        first = c * w * (y / (M * (1.0 - w))) ** 2
-        ends = first * y**2 * (1.0 - self._parity * w ** (M * n)) / (y**2 + 4.0 * last * s) ** 2
-        return power - 4.0 / n * (1.0 - s) * np.sum(np.real(ends), axis=0)
-
     def _slot(self, k: int, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "b 2 m"]:
-        """Expected squares at the nodes of a Gauss–Markov process or a resonance, see `components`."""
-        at, M = self._at(k, values), self._interval
+        """Expected squares at the nodes of a Gauss–Markov process or a resonance of unit amplitude."""
+        at = self._at(k, values)
         if self._is_markov[k]:
             time = at["correlation_time"]
-            pole, weight = -1.0 / (self._rate * time), time / 2.0
-            r_0, r_1 = averaged_lags(-pole * M)
-        else:
-            root = np.sqrt(4.0 * at["quality_factor"] ** 2 - 1.0)
-            decay = np.pi * at["frequency"] / self._rate / at["quality_factor"]
-            pole, weight = decay * (-1.0 + 1j * root), 1.0 - 1j / root
-            r_0, r_1, _ = mean_lags(pole, M)
-        y = -np.expm1(pole * M)
-        s = np.sin(self._angle * M / 2.0) ** 2
-        inverse = 1.0 / (y**2 + 4.0 * (1.0 - y) * s)
-        ends = (
-            y**2 * (1.0 - self._parity * np.exp(pole * M * self._length)) * (4.0 / self._length * (1.0 - s))
-        )
-        return np.real(weight * (r_0 + r_1 * (2.0 * (y - 2.0 * s) - ends * inverse) * inverse))
-
-    def _of_others(self, values: Float[np.ndarray, "b parameters"]) -> dict[int, Any]:
-        """Expected squares at the nodes of the terms that have no closed form here, by their indices."""
-        terms, places, lower, others = self._others
-        if not terms:
-            return {}
-        found = in_batches(_squares, others, np.log(values[:, places] - lower))
-        return {k: found[:, i, :, : self._angle.shape[1]] for i, k in enumerate(terms)}
+            return time / 2.0 * markov(self._levels, self._rate * time)
+        return oscillator(self._levels, 2.0 * np.pi * at["frequency"] / self._rate, at["quality_factor"])

@@ -18,23 +18,11 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.estimate.design import free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.spectral.components import (
-    BIQUAD,
-    BUTTERWORTH_1,
-    MOVING_AVERAGE,
-    NONE,
-    ONE_POLE,
-    TWO_POLES,
-    Levels,
-    bandwidths,
-    columns_of,
-    levels_of,
-    padded,
-)
+from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
+from allanjax.estimate.spectral.expected import Others
 from allanjax.estimate.spectral.intervals import Tangent
-from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Others, Slots, maximize
+from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Slots, maximize
 from allanjax.noise.model import Model
-from allanjax.noise.response import Biquad, Butterworth, LowPass1, LowPass2, MovingAverage
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
@@ -54,9 +42,9 @@ _FEW = 0.05
 _AS_LIKELY = 0.02
 # Gain of the next step at which a fit ends [nats].
 _TOLERANCE = 1e-7
-# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
+#: Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
-_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
+FILTER, UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 #: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
 CLOSE = 1.5
 
@@ -93,22 +81,23 @@ class Arrangement(NamedTuple):
     def of(cls, model: Model, bins: Bins) -> Arrangement:
         """Arrangement of a model for the levels of these bins."""
         model, rate = model.sampled(bins.rate), bins.rate
-        kind, layout = _kinds(model)
+        kind = _kinds(model)
         others = np.flatnonzero(kind == _OTHER)
         own = [p for p in free_shapes(model) if p.term in others]
-        layout = layout._replace(others=len(others), shapes=len(own))
+        count = max(FULL.columns, int(np.sum(kind == _COLUMN)))
+        layout = Layout(count, others=len(others), shapes=len(own))
         first = np.array([0, layout.first_markov, layout.first_oscillator, layout.first_other])
         before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
         component = first[kind] + before
         columns = columns_of([model.terms[k] for k in np.flatnonzero(kind == _COLUMN)], bins)
-        levels = levels_of(bins, columns, layout.columns)
+        levels = Levels.of(bins, columns)
         inside = np.zeros(layout.components, bool)
         inside[component] = model.inside or False
         further = None
         if own:
             shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
-            further = Others.of(tuple(model.terms[k] for k in others), shapes, bins, len(levels.shape))
-        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, _response(model), further)
+            further = Others.of(tuple(model.terms[k] for k in others), shapes, bins)
+        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, kind_of(model.response), further)
         # Kind of each owner of shapes, the response last; units are the sample interval's.
         slot, angle = [*kind.tolist(), None], math.log(2.0 * math.pi / rate)
         places = {
@@ -166,20 +155,19 @@ class Arrangement(NamedTuple):
         self, maximum: Maximum
     ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
         """Levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
-        at, model, theta = self.slots.layout, maximum.model, np.asarray(maximum.theta)
+        at, model, theta = self.slots.layout, maximum.model, maximum.theta
         unit = self.unit_power(theta)[:, None]
-        base = np.asarray(model.unit)[self.component] * unit
+        base = model.unit[self.component] * unit
         by_shape = np.zeros((*base.shape, len(self.parameter)))
         # What passes through the response changes in proportion.
         passing = self.inside[:, None] * base
         total = theta[self.component] @ (passing / unit)
         for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
-            if at.response <= p < at.other_shapes:
-                slope = np.asarray(model.by_response)[p - at.response]
+            if p >= at.response:
+                slope = model.by_response[p - at.response]
                 by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
                 continue
-            row = p - at.times if p < at.response else len(at.owner) + p - at.other_shapes
-            by_shape[k, :, s] = np.asarray(model.by_shape)[row] * unit[k]
+            by_shape[k, :, s] = model.by_shape[p - at.times] * unit[k]
             by_shape[k, :, s] += base[k] if p == self._time[k] else 0.0
         return base, by_shape
 
@@ -209,46 +197,40 @@ class Arrangement(NamedTuple):
                 if p.term == k:
                     by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
         per_octave = self.bins.per_octave()
-        m = len(per_octave)
-        of_levels = self.levels.level[:m], fit.degrees[:m], per_octave
-        tangent = Tangent(base[:, :m], by_shape[:, :m], owner, *of_levels)
+        tangent = Tangent(base, by_shape, owner, self.levels.level, fit.degrees, per_octave)
         return tangent, fit.solution._replace(power=power)
 
-    def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " capacity"]:
+    def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " m"]:
         """Relative variance of the levels from what sensors' filters and resonances differ from the model.
 
         Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
         just like the model's, which is common to the levels of an octave.
         """
         bins, model = self.bins, self.fitted_model(fit)
-        mean, m = np.asarray(fit.maximum.mean), len(bins.size)
-        drifting, common = np.zeros(len(mean)), np.zeros(m)
+        mean = fit.maximum.mean
+        drifting, common = np.zeros(len(mean)), np.zeros(len(mean))
         if model.response is not None:
             fallen = np.log(np.maximum(np.asarray(model.response.power(bins.frequency, bins.rate)), 1e-300))
-            common += (_FILTER * np.minimum(fallen, 0.0)) ** 2
-        theta, f, narrow = np.asarray(fit.maximum.theta), bins.frequency, []
+            common += (FILTER * np.minimum(fallen, 0.0)) ** 2
+        theta, f, narrow = fit.maximum.theta, bins.frequency, []
         for k, term in zip(self.component.tolist(), model.terms, strict=True):
             if isinstance(term, Resonance):
-                share = theta[k] * np.asarray(fit.maximum.model.unit[k]) / mean
+                share = theta[k] * fit.maximum.model.unit[k] / mean
                 narrow.append((float(term.frequency or 1.0), float(term.quality_factor or 1.0), share))
         for middle, quality, share in narrow:
             near = sum(abs(middle - g) < CLOSE * 0.5 * (middle / quality + g / Q) for g, Q, _ in narrow)
-            drifting += _UNSTEADY * near * share
+            drifting += UNSTEADY * near * share
             beside = abs(f - middle) > _BESIDE * middle / quality
-            common += np.where(beside, _SKIRT * share[:m], 0.0) ** 2
-        square = drifting**2
-        square[:m] += common * bins.per_octave()
-        return square
+            common += np.where(beside, _SKIRT * share, 0.0) ** 2
+        return drifting**2 + common * bins.per_octave()
 
 
-def _kinds(model: Model) -> tuple[Int[np.ndarray, " terms"], Layout]:
-    """Kind of each term, and a layout that holds all; terms beyond its slots count as others."""
+def _kinds(model: Model) -> Int[np.ndarray, " terms"]:
+    """Kind of each term; those beyond the slots of their kind count as others."""
     kind = np.array([_kind(term) for term in model.terms], int)
-    layout = FULL
-    for k in (_MARKOV, _OSCILLATOR):
-        kind[np.flatnonzero(kind == k)[layout[k] :]] = _OTHER
-    columns = -(-np.sum(kind == _COLUMN) // layout.columns) * layout.columns
-    return kind, layout._replace(columns=max(int(columns), layout.columns))
+    for k, slots in ((_MARKOV, FULL.markovs), (_OSCILLATOR, FULL.oscillators)):
+        kind[np.flatnonzero(kind == k)[slots:]] = _OTHER
+    return kind
 
 
 def _kind(term: NoiseTerm) -> int:
@@ -258,16 +240,6 @@ def _kind(term: NoiseTerm) -> int:
     if isinstance(term, Markov) and term.has_free_amplitude:
         return _MARKOV
     return _OSCILLATOR if isinstance(term, Resonance) else _OTHER
-
-
-def _response(model: Model) -> int:
-    """Kind of response of a model."""
-    if model.response is None:
-        return NONE
-    if isinstance(model.response, Butterworth):
-        return BUTTERWORTH_1 + model.response.order - 1
-    kinds = {LowPass1: ONE_POLE, LowPass2: TWO_POLES, MovingAverage: MOVING_AVERAGE, Biquad: BIQUAD}
-    return kinds[type(model.response)]
 
 
 class LevelFit(NamedTuple):
@@ -283,7 +255,7 @@ class LevelFit(NamedTuple):
     solution: Solution
     maximum: Maximum
     sufficient: bool
-    degrees: Float[np.ndarray, " capacity"]
+    degrees: Float[np.ndarray, " m"]
 
 
 def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
@@ -337,8 +309,7 @@ def fit_levels(
         power, shape: start values.
         noise: rough levels of the noise [rate²].
     """
-    dof, capacity = 2.0 * arrangement.levels.shape, len(arrangement.levels.shape)
-    noise, per_octave = padded(noise, capacity, 1.0), padded(arrangement.bins.per_octave(), capacity, 1.0)
+    dof, per_octave = 2.0 * arrangement.levels.shape, arrangement.bins.per_octave()
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
 
     def fitted(power: Any, shape: Any, share: Any = 1.0) -> LevelFit:
@@ -346,7 +317,7 @@ def fit_levels(
         enough = bool(solution.converged and solution.chi2 < beyond_doubt(degrees))
         return LevelFit(solution, maximum, enough, dof)
 
-    fit, error, share = fitted(power, shape), 0.0, np.ones(capacity)
+    fit, error, share = fitted(power, shape), 0.0, np.ones(len(dof))
     if not fit.sufficient and np.isfinite(fit.solution.cost):
         share = 1.0 / (1.0 + 0.5 * dof * arrangement.uncertainty(fit))
         fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
@@ -365,7 +336,7 @@ def _maximum(
     active: Bool[np.ndarray, " terms"],
     power: Float[np.ndarray, " terms"],
     shape: Float[np.ndarray, " shapes"],
-    noise: Float[np.ndarray, " capacity"],
+    noise: Float[np.ndarray, " m"],
     share: Any,
 ) -> tuple[Solution, Maximum]:
     """Maximum of the likelihood of levels that keep this share of their weight."""

@@ -1,8 +1,8 @@
 """Search for the structure of a spectrum: what it consists of besides the noise terms.
 
 It opens with the best of all responses on a grid, around the peaks that stand out; then adds one component
-after another, each of which is the best of many proposals (`proposals`) and is kept if the evidence of a
-joint fit rises; and at the end takes out what is not needed and swaps what may be another.
+after another; and at the end takes out what is not needed and swaps what may be another. Proposals are ranked
+by fits of all powers with the shapes held, many models at a time; the best are fitted jointly.
 
 A wide oscillator, white noise behind a filter and a Markov process of less than a sample have the same
 spectrum; the order of the trials decides which of them is found. So no resonance may be wider than its
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,10 +33,10 @@ from allanjax.estimate.spectral.components import (
 )
 from allanjax.estimate.spectral.model import FULL
 from allanjax.estimate.spectral.powers import power_fits
-from allanjax.estimate.structure.proposals import Units, promised, slots_to_try, windows
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
+    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     WHITE,
@@ -47,39 +47,40 @@ from allanjax.estimate.structure.structure import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
+# Narrowest window of a peak [coefficients], and the least gain of one [nats].
+_NARROWEST, _WORTH = 8, 4.0
+# Oscillators an octave that are proposed, and their quality factors; and number of correlation times.
+_OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
 # Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
 # the expected ones of its two parameters.
 _GAIN, _PREDICTS = 2.0, 3.0
 # Gain in likelihood from which on a proposal is fitted jointly [nats]: less than its evidence costs.
 _HOPEFUL = 5.0
-# Peaks that the search opens with, and the least gain [nats] and quality factor of one; windows of a round.
-_PEAKS, _CLEAR_PEAK, _SLIM, _WINDOWS = 8, 20.0, 3.0, 3
+# Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round.
+_PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS = 8, 20.0, 3.0, 3
 # Half the width, in octaves, of what the median around a place is taken of.
 _AROUND = 0.45
 # Width of a resonance [coefficients] below which it is a line.
 _LINE = 1.25 * LINE
-# Kinds of responses, and bandwidths that one is tried with [cycles per sample].
+# Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; and
+# the largest bandwidth that one starts from [radians per sample].
 _KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
 _OPENING = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BUTTERWORTH_2, BUTTERWORTH_3)
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
-_BESIDE = (0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8)
+_BESIDE, _HIGHEST = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8
 #: Correlation times that a Markov process starts from, in powers of the number of samples.
 TIMES = (0.35, 0.55, 0.75, 0.95)
-# Joint fits of the best proposals in a round, and most rounds.
-_TRIED, _ROUNDS = 3, 20
-# Proposals whose powers are fitted.
-_RANKED = 12
+# Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly.
+_RANKED, _TRIED = 12, 3
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Correlation time [samples] below which a Markov process may stand for what a response does.
 _QUICK = 20.0
 # Bins in an octave.
 _PER_OCTAVE = 12
-# Quality factor above which a resonance is narrow, gain [nats] above which a window is certainly accepted,
-# and share of the bandwidth up to which a response is flat.
+# Quality factor above which a resonance is narrow, gain [nats] of a peak that is surely one, and share
+# of the bandwidth up to which a response is flat.
 _NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
-# Number of oscillators that represent one whose frequency drifts.
-_MOVING = 3
 # Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
@@ -93,12 +94,9 @@ _CLEAR = 2.5
 
 
 class Record(NamedTuple):
-    """Spectrum of one record, which can be binned as its resonances require.
+    """Squared cosine coefficients [rate²] of one record, without lines and ramps, and its rate [Hz].
 
-    Attributes:
-        squares: squared cosine coefficients [rate²], without lines and ramps.
-        rate: sample rate [Hz].
-        further: a term whose column is used besides the basic ones.
+    A further term may be used besides the basic ones.
     """
 
     squares: Float[np.ndarray, " n-1"]
@@ -110,46 +108,36 @@ class Record(NamedTuple):
         """Number of samples."""
         return len(self.squares) + 1
 
+    @property
+    def frequency(self) -> Float[np.ndarray, " n-1"]:
+        """Frequency of each coefficient [Hz]."""
+        return np.arange(1.0, self.n) * self.rate / (2.0 * self.n)
+
     def binned(self, structure: Structure) -> Spectrum:
         """Spectrum in bins that are finer around the resonances of a structure."""
+        hertz = self.rate / (2.0 * np.pi)
         around = [
-            (
-                structure.frequency(k) * self.rate / (2.0 * np.pi),
-                2.0 * structure.frequency(k) / structure.quality(k) * self.rate / (2.0 * np.pi),
-            )
-            for k in structure.oscillators
+            (structure.frequency(k) * hertz, 2.0 * structure.width(k) * hertz) for k in structure.oscillators
         ]
         return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
-    spectrum, now = refitted(record, start)
-    last = now.structure
-    if last.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
+    (spectrum, now), edited = refitted(record, start), None
+    if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
     while True:
-        for _ in range(_ROUNDS):
-            found = _grown(record, spectrum, now)
-            if found is None:
-                break
+        while (found := _grown(record, spectrum, now)) is not None:
             spectrum, now = found
-        # A structure to which only lines were added has had its swaps.
-        if _outline(now.structure, record.n) == _outline(last, record.n):
+        if now is edited:
             return spectrum, now
-        now = pruned(spectrum, _edited(spectrum, now, _final))
-        last = now.structure
+        now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
     """Resonances of a structure of n samples that are as narrow as lines."""
     return [int(k) for k in structure.oscillators if structure.width(int(k)) < _LINE * np.pi / n]
-
-
-def _outline(structure: Structure, n: int) -> tuple[int, int, int]:
-    """Kind of the response, number of Markov processes, and number of resonances that are not lines."""
-    wide = len(structure.oscillators) - len(narrow(structure, n))
-    return structure.kind, len(structure.markovs), wide
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
@@ -174,24 +162,17 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
 
 def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     """The best of fits with some response, and without any, to all peaks that stand out."""
-    n, structure = record.n, plain.structure
-    bins = Bins.of(n, record.rate, (), 2 * _PER_OCTAVE)
+    structure, bins = plain.structure, Bins.of(record.n, record.rate, (), 2 * _PER_OCTAVE)
     level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
     around = [_beside(level, f - g) for g in f]
-    every = np.log2(np.arange(1.0, n) * record.rate / (2.0 * n))
-    ratio = record.squares / np.exp(np.interp(every, f, around))
-    for middle, width, gain in windows(ratio, 2 * _PEAKS):
-        w, quality = np.pi * middle / n, middle / width
-        power = float(np.exp(np.interp(np.log2(middle * record.rate / (2.0 * n)), f, around))) * width / n
-        if gain > _CLEAR_PEAK and quality > _SLIM and len(structure.oscillators) < _PEAKS:
-            quality = float(np.clip(quality, 2.0, max(middle / LINE / 2.0, 2.0)))
-            structure = structure.with_oscillator(w, quality, power, False) or structure
+    for peak in _peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
+        if peak.gain > _CLEAR_PEAK and peak.slimness > _SLIM and len(structure.oscillators) < _PEAKS:
+            structure = structure.with_oscillator(*peak.values, False) or structure
     spectrum = record.binned(structure)
     tried = _ranked(spectrum, _responses(structure, _floor(spectrum)))
     fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
     finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
-    fits = [finer.fit(f.structure) for f in fits]
-    best = max(fits, key=lambda f: f.evidence)
+    best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
     return finer, _settled(finer, plain.structure, pruned(finer, best))
 
 
@@ -199,6 +180,15 @@ def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> fl
     """The higher one of the medians of the levels on either side of a place: an edge is no peak."""
     sides = [level[(side * away >= 0.0) & (abs(away) <= _AROUND)] for side in (-1.0, 1.0)]
     return max(float(np.median(x)) for x in sides)
+
+
+def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
+    """Whether there is no response, and levels that are averaged over half an octave or more deviate."""
+    excess, deviation = spectrum.levels.shape * (spectrum.levels.level / now.mean - 1.0), 0.0
+    for width in (6, 12, 24, 48):
+        total, weight = (np.convolve(x, np.ones(width), "valid") for x in (excess, spectrum.levels.shape))
+        deviation = max(deviation, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
+    return now.structure.kind == NONE and deviation > _CLEAR
 
 
 def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
@@ -209,19 +199,36 @@ def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
     """
     if floor and not structure.active[OUTSIDE]:
         structure = structure.using(OUTSIDE, floor)
-    found = []
-    for kind in _OPENING:
-        every = (structure, _all_placed(structure, True))
-        places = {s.inside[s.active].tobytes(): s for s in every}.values()
-        found.append([s.with_response(kind, 2.0 * np.pi * b) for s in places for b in _BANDWIDTHS])
-    return found
+    places = structure, _all_placed(structure, True)
+    return _filtered(places, _OPENING, 2.0 * np.pi * _BANDWIDTHS)
+
+
+def _filtered(
+    structures: Iterable[Structure | None], kinds: Sequence[int], widths: Iterable[float]
+) -> list[list[Structure]]:
+    """Those structures that differ with each other response of these bandwidths, by its kind."""
+    different = {(s.inside[s.active].tobytes(), s.shape.tobytes()): s for s in structures if s}.values()
+    return [
+        [
+            s.with_response(kind, w)
+            for s in different
+            for w in widths
+            if kind != s.kind or not np.isclose(w, s.bandwidth[0], 1e-6)
+        ]
+        for kind in kinds
+    ]
+
+
+def _others(structure: Structure, width: float) -> list[list[Structure]]:
+    """Structures with another response of about this bandwidth [radians per sample], by its kind."""
+    moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
+    places = structure, moved, _all_placed(structure, True), _all_placed(structure, False)
+    return _filtered(places, _KINDS, np.minimum(width * _BESIDE, _HIGHEST))
 
 
 def _all_placed(structure: Structure, inside: bool) -> Structure:
     """Structure with all resonances and quantization inside the response, or after it."""
-    places = structure.inside.copy()
-    places[FULL.first_oscillator + structure.oscillators] = places[QUANTIZATION] = inside
-    return dataclasses.replace(structure, inside=places)
+    return structure.placed([QUANTIZATION, *(FULL.first_oscillator + structure.oscillators)], inside)
 
 
 def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
@@ -230,21 +237,17 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     if not every:
         return []
     components = np.flatnonzero(np.any([s.active for s in every], axis=0)).tolist()
-    of = Units(spectrum)
-    unit = np.stack([of(s, components) for s in every])
-    power = np.stack([s.power[components] for s in every])
-    used = np.stack([s.active[components] for s in every])
+    unit, levels = np.stack([spectrum.units(s, components) for s in every]), spectrum.levels
     # The noise before a response is about what it is without.
-    data = (spectrum.levels.level, spectrum.levels.shape, spectrum.rough)
-    level, shape, rough = (np.asarray(x)[: unit.shape[-1]] for x in data)
-    power, loss = power_fits(level, shape, rough, unit, power, used)
+    power, used = (np.array([getattr(s, x)[components] for s in every]) for x in ("power", "active"))
+    power, loss = power_fits(levels.level, levels.shape, spectrum.rough, unit, power, used)
+    loss += [_price(s) for s in every]
     best, first = [], 0
-    loss = loss + np.array([_price(s) for s in every])
     for group in groups:
         k = first + int(np.argmin(loss[first : first + len(group)]))
         values = every[k].power.copy()
         values[components] = power[k]
-        best.append((loss[k], every[k].with_powers(values)))
+        best.append((loss[k], dataclasses.replace(every[k], power=values)))
         first += len(group)
     return [s for _, s in sorted(best, key=lambda pair: pair[0])]
 
@@ -274,63 +277,110 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
     return None
 
 
-def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[Structure]:
+def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structure]:
     """Structures with one component more, or with several narrow resonances, the most promising first."""
-    structure, n = now.structure, spectrum.n
-    inside = structure.kind != NONE
-    proposals, together = _at_windows(record, spectrum, now)
-    if together is not None:
-        yield together
-    proposals += slots_to_try(structure, n, inside)
+    structure, inside = now.structure, now.structure.kind != NONE
+    left = _peaks(record.squares, at_all(spectrum, now), _MORE_PEAKS)
+    sure = [peak.values for peak in left if peak.slimness > _NARROW and peak.gain > _SURE]
+    together = functools.reduce(lambda s, values: s.with_oscillator(*values, inside) or s, sure, structure)
+    found = [structure.with_oscillator(*peak.values, inside) for peak in left]
+    proposals = [s for s in found if s] + _slots_to_try(structure, spectrum.n, inside)
     if inside and not structure.active[OUTSIDE]:
         proposals.append(structure.using(OUTSIDE, 1.0))
     new = [int(np.flatnonzero(s.active & ~structure.active)[0]) for s in proposals]
-    of = Units(spectrum)
-    rows = np.stack([of(s, [k])[0] for s, k in zip(proposals, new, strict=True)])
-    gain, power = promised(spectrum, now, rows)
-    best = [int(i) for i in np.argsort(-gain)[:_RANKED] if gain[i] > _HOPEFUL]
+    rows = np.concatenate([spectrum.units(s, [k]) for s, k in zip(proposals, new, strict=True)])
+    gain, power = _promised(spectrum, now, rows)
+    best = [i for i in np.argsort(-gain)[:_RANKED].tolist() if gain[i] > _HOPEFUL]
     groups = [[proposals[i].using(new[i], float(power[i]))] for i in best]
-    if structure.kind == NONE and smoothed_scores(spectrum, now) > _CLEAR:
+    if _lacks_response(spectrum, now):
         groups += _responses(structure, _floor(spectrum))
-    yield from _ranked(spectrum, groups)[:_TRIED]
+    return [together] * (len(sure) > 1) + _ranked(spectrum, groups)[:_TRIED]
 
 
-def _at_windows(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[list[Structure], Structure | None]:
-    """Structures with a resonance in a window of much excess; and one with several narrow ones."""
-    structure, n = now.structure, spectrum.n
-    ratio = record.squares / at_all(spectrum, now)
-    for k in structure.oscillators:
-        if structure.companions(int(k)) >= _MOVING:
-            # The excess that is left there belongs to the resonance that moves.
-            low, high = (structure.frequency(k) + side * structure.width(k) for side in (-1.0, 1.0))
-            ratio[max(int(low * n / np.pi), 0) : int(high * n / np.pi) + 1] = 1.0
-    proposals, together, count = [], structure, 0
-    for middle, width, gain in windows(ratio, _WINDOWS):
-        w = np.pi * middle / n
-        quality = float(np.clip(middle / width, 2.0, max(middle / LINE / 2.0, 2.0)))
-        level = float(np.interp(middle, middles(spectrum), now.mean[: len(spectrum.bins.size)]))
-        # The excess is about as large as the level, over the window.
-        of = w, quality, level * width / n, structure.kind != NONE
-        if (found := structure.with_oscillator(*of)) is not None:
-            proposals.append(found)
-        if quality > _NARROW and gain > _SURE and (more := together.with_oscillator(*of)) is not None:
-            together, count = more, count + 1
-    return proposals, together if count > 1 else None
+class _Peak(NamedTuple):
+    """Window of a spectrum with an excess: gain of a higher level there [nats], and middle over width.
+
+    Values are frequency [radians per sample], quality factor and power [rate²] of such a resonance.
+    """
+
+    gain: float
+    slimness: float
+    values: tuple[float, float, float]
+
+
+def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"], most: int) -> list[_Peak]:
+    """Windows with most excess over a level of all coefficients, no two of which overlap."""
+    total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
+    found: list[tuple[float, float, float]] = []
+    width = _NARROWEST
+    while width <= (n - 1 - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = (total[LOWEST + width :: step] - total[LOWEST : n - width : step]) / width
+        for k in np.argpartition(-excess, min(4 * most, len(excess) - 1))[: 4 * most]:
+            if (ratio := float(excess[k])) > 1.0:
+                gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
+                found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
+        width *= 2
+    chosen: list[tuple[float, float]] = []
+    resonances: list[_Peak] = []
+    for gain, middle, wide in sorted(found, reverse=True):
+        if gain < _WORTH or len(chosen) == most:
+            break
+        if all(abs(middle - other) > 0.5 * (wide + w) for other, w in chosen):
+            chosen.append((middle, wide))
+            quality = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0)))
+            # The excess is about as large as the level, over the window.
+            values = np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n
+            resonances.append(_Peak(gain, middle / wide, values))
+    return resonances
+
+
+def _slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:
+    """Structures with one oscillator or Markov process more, of unit power, on a grid of their shapes."""
+    lowest = LOWEST * np.pi / n
+    octaves = np.log2(np.pi / lowest)
+    tried = [
+        structure.with_oscillator(w, Q, 1.0, inside)
+        for w in np.geomspace(lowest, 0.97 * np.pi, int(octaves * _OCTAVE))
+        for Q in _QUALITIES
+    ]
+    tried += [structure.with_markov(time, 1.0) for time in np.geomspace(20.0, n / 4.0, _TIMES)]
+    return [s for s in tried if s is not None]
+
+
+def _promised(
+    spectrum: Spectrum, now: Fitted, rows: Float[np.ndarray, "proposals m"]
+) -> tuple[Float[np.ndarray, " proposals"], Float[np.ndarray, " proposals"]]:
+    """Gain [nats] that the score test promises each component beside a fit, and its power then."""
+    k, y = spectrum.levels.shape, spectrum.levels.level
+    mean, maximum = now.mean, now.maximum
+    relative = rows / mean
+    g = relative @ (k * (y / mean - 1.0))
+    interior = np.flatnonzero(maximum.interior)
+    slope = maximum.slope[interior]
+    F = maximum.information[np.ix_(interior, interior)]
+    size = 1.0 / np.sqrt(np.maximum(np.diag(F), 1e-12))
+    cross = (relative * k) @ (slope * size[:, None]).T
+    alone = relative**2 @ k
+    scaled = F * np.outer(size, size) + 1e-9 * np.eye(len(F))
+    left = alone - np.einsum("cp,cp->c", cross, np.linalg.solve(scaled, cross.T).T)
+    left = np.maximum(left, 1e-6 * alone)
+    power = np.maximum(g, 0.0) / left
+    return 0.5 * np.maximum(g, 0.0) * power, power
 
 
 def _floor(spectrum: Spectrum) -> float:
     """Lowest level of a spectrum that falls to a small part of itself, else zero."""
-    rough = spectrum.rough[: len(spectrum.bins.size)]
-    floor = float(np.min(rough))
-    return floor if floor < _DEEP * float(np.median(rough)) else 0.0
+    floor = float(np.min(spectrum.rough))
+    return floor if floor < _DEEP * float(np.median(spectrum.rough)) else 0.0
 
 
 def _edited(
-    spectrum: Spectrum, now: Fitted, edits: Callable[[Spectrum, Structure], list[list[Structure]]]
+    spectrum: Spectrum, now: Fitted, edits: Callable[[Structure], Iterable[list[Structure]]]
 ) -> Fitted:
     """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
     while True:
-        tried = _ranked(spectrum, edits(spectrum, now.structure))[:_TRIED]
+        tried = _ranked(spectrum, [group for group in edits(now.structure) if group])[:_TRIED]
         best = functools.reduce(_better, map(spectrum.fit, tried), now)
         if best is now:
             return now
@@ -339,78 +389,55 @@ def _edited(
 
 def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
     """Fit with the best kind for a new response, and new components inside it or after it."""
-    new = [FULL.first_oscillator + int(k) for k in set(now.structure.oscillators) - set(before.oscillators)]
-    other = now.structure.kind != before.kind
-    new += [QUANTIZATION] * other
+    new, other = now.structure.active & ~before.active, now.structure.kind != before.kind
+    new[: FULL.first_oscillator] = False
+    new[QUANTIZATION] = other
 
-    def edits(_: Spectrum, structure: Structure) -> list[list[Structure]]:
-        return _moved(structure, new) + (_kinds(structure, structure.bandwidth[0]) if other else [])
+    def edits(structure: Structure) -> Iterator[list[Structure]]:
+        yield from _moved(structure, np.flatnonzero(new))
+        yield from _others(structure, structure.bandwidth[0]) if other else ()
 
     return _edited(spectrum, now, edits)
 
 
-def _final(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
-    """Structures with another response, one component elsewhere, or a wide resonance as something else.
+def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
+    """Structures with another response, one component elsewhere, or one component as something else.
 
-    A wide resonance may be a Markov process, white noise after the response, or the response itself.
+    A wide resonance may be a Markov process, white noise after the response, or the response itself, which a
+    quick process may be, too; quantization behind a filter, the shape of that filter, or of a resonance.
     """
-    every = [FULL.first_oscillator + int(k) for k in structure.oscillators]
-    groups = _kinds(structure, structure.bandwidth[0]) + _moved(structure, [*every, QUANTIZATION])
+    filtered, (width, _) = structure.kind != NONE, structure.bandwidth
+    if filtered:
+        yield from _others(structure, width)
+        yield from _moved(structure, [QUANTIZATION, *(FULL.first_oscillator + structure.oscillators)])
+    rests = []
     if quick := [FULL.first_markov + int(k) for k in structure.markovs if structure.time(int(k)) < _QUICK]:
-        rest = functools.reduce(Structure.without, quick, structure)
-        groups += [[rest], *_kinds(rest, rest.bandwidth[0], anew=True)]
-    if structure.kind != NONE and structure.power[QUANTIZATION] > 0.0:
-        # Behind a filter it may be the shape of that filter, or of a resonance.
+        rests.append((functools.reduce(Structure.without, quick, structure), width))
+    if filtered and structure.power[QUANTIZATION] > 0.0:
         rest = structure.without(QUANTIZATION)
-        groups += _kinds(rest, rest.bandwidth[0], anew=True)
+        rests.append((rest, width))
         wide = [rest.with_oscillator(w, Q, 0.0, False) for w in _EDGES for Q in _BROAD]
-        groups += [
-            [s.with_response(kind, min(s.bandwidth[0] * by, _HIGHEST)) for s in wide if s for by in _BESIDE]
-            for kind in _OPENING
-        ]
+        yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
         if structure.quality(k) < WIDE:
-            w, power = structure.frequency(k), float(structure.power[FULL.first_oscillator + k])
-            rest = structure.without(FULL.first_oscillator + k)
-            slow, filtered = rest.with_markov(1.0 / w, power), rest.kind != NONE
-            groups += [[rest], [] if slow is None else [slow]]
-            groups += [[rest.using(OUTSIDE, _floor(spectrum) or power)]] if filtered else []
-            groups += _kinds(rest, rest.bandwidth[0] if filtered else w, anew=True)
-    return [group for group in groups if group]
+            w, component = structure.frequency(k), FULL.first_oscillator + int(k)
+            rest, power = structure.without(component), float(structure.power[component])
+            rests.append((rest, width if filtered else w))
+            yield [s for s in [rest.with_markov(1.0 / w, power)] if s]
+            yield [rest.using(OUTSIDE, _floor(spectrum) or power)] if filtered else []
+    for rest, width in rests:
+        yield [rest]
+        yield from _others(rest, width)
 
 
-def _kinds(structure: Structure, width: float, anew: bool = False) -> list[list[Structure]]:
-    """Structures with a response of about this bandwidth [radians per sample], by its kind."""
-    if structure.kind == NONE and not anew:
-        return []
-    moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
-    every = (structure, moved, _all_placed(structure, True), _all_placed(structure, False))
-    places = {s.inside[s.active].tobytes(): s for s in every}.values()
-    return [
-        [
-            s.with_response(kind, min(width * by, _HIGHEST))
-            for s in places
-            for by in _BESIDE
-            if by != 1.0 or kind != structure.kind or anew
-        ]
-        for kind in _KINDS
-    ]
-
-
-def _moved(structure: Structure, components: Sequence[int]) -> list[list[Structure]]:
+def _moved(structure: Structure, components: Iterable[int]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
-    groups = []
-    for component in components if structure.kind != NONE else ():
-        k = component - FULL.first_oscillator
+    for k in components if structure.kind != NONE else ():
         # Where the response has fallen by nothing yet there is no difference.
-        flat = k >= 0 and structure.frequency(k) < _FLAT * structure.bandwidth[0]
-        if structure.active[component] and not (flat and structure.quality(k) > _NARROW):
-            groups.append([structure.placed(component, not structure.inside[component])])
-    return groups
-
-
-# Largest bandwidth that a response starts from [radians per sample].
-_HIGHEST = 2.8
+        i = k - FULL.first_oscillator
+        flat = i >= 0 and structure.frequency(i) < _FLAT * structure.bandwidth[0]
+        if structure.active[k] and not (flat and structure.quality(i) > _NARROW):
+            yield [structure.placed(k, not structure.inside[k])]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
@@ -430,27 +457,23 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
 
 def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
     """Fit without components that gain nothing; white noise stays."""
+    shaped = np.arange(FULL.components) >= FULL.first_markov
     while True:
         structure = now.structure
-        idle = [int(k) for k in np.flatnonzero(structure.active & (structure.power <= 0.0)) if k >= OUTSIDE]
-        if idle:
-            for k in idle:
-                structure = structure.without(k)
-            now = spectrum.fit(structure)
+        idle = np.flatnonzero(structure.active & (structure.power <= 0.0))
+        if (idle := idle[idle >= OUTSIDE]).size:
+            now = spectrum.fit(functools.reduce(Structure.without, idle.tolist(), structure))
             continue
         # Components whose power is known better than `_DOUBTFUL` stay without a trial.
         std = np.sqrt(np.diag(now.covariance))[: FULL.components]
-        shaped = np.arange(FULL.components) >= FULL.first_markov
-        loose = [OUTSIDE, QUANTIZATION] if structure.kind != NONE else [OUTSIDE]
-        doubtful = structure.active & (shaped | np.isin(np.arange(FULL.components), loose))
-        doubtful &= (structure.power > 0.0) & (std > _DOUBTFUL * structure.power)
+        doubtful = (structure.power > 0.0) & (std > _DOUBTFUL * structure.power) & shaped
+        for k in [OUTSIDE, QUANTIZATION] if structure.kind != NONE else [OUTSIDE]:
+            doubtful[k] = structure.power[k] > 0.0 and std[k] > _DOUBTFUL * structure.power[k]
         weakest = sorted(np.flatnonzero(doubtful).tolist(), key=lambda k: -std[k] / structure.power[k])[:2]
         if structure.kind == MOVING_AVERAGE and structure.power[QUANTIZATION] > 0.0:
             # After a mean over less than two samples it is that of another duration.
             weakest.append(QUANTIZATION)
-        best = now
-        for k in weakest:
-            best = _better(best, spectrum.fit(structure.without(k)))
+        best = functools.reduce(_better, (spectrum.fit(structure.without(k)) for k in weakest), now)
         if best is now:
             return now
         now = best
@@ -462,11 +485,9 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     Slow terms are hardly distinguished by the evidence, but differ in the drift that they predict.
     """
     for _ in range(2):
-        starts = (
-            now.structure.with_markov(max(spectrum.n**p, 20.0), float(np.median(now.mean))) for p in TIMES
-        )
-        tried = [[start] for start in starts if start is not None]
-        fits = [spectrum.fit(start) for start in _ranked(spectrum, tried)[:2]]
+        level = float(np.median(now.mean))
+        starts = [now.structure.with_markov(max(spectrum.n**p, 20.0), level) for p in TIMES]
+        fits = [spectrum.fit(s) for s in _ranked(spectrum, [[s] for s in starts if s])[:2]]
         best = min((f for f in fits if _keeps_white(now, f)), key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break
@@ -474,26 +495,8 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     return now
 
 
-def middles(spectrum: Spectrum) -> Float[np.ndarray, " m"]:
-    """Index of the coefficient in the middle of each bin."""
-    edges = spectrum.bins.edges
-    return 0.5 * (edges[:-1] + edges[1:] - 1)
-
-
 def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
     """Expected squares of all coefficients, interpolated between the bins."""
-    middle = np.log(middles(spectrum))
-    mean = np.log(fitted.mean[: len(middle)])
-    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, mean))
-
-
-def smoothed_scores(spectrum: Spectrum, fitted: Fitted) -> float:
-    """Largest deviation of levels, averaged over a fifth of an octave or more, in standard deviations."""
-    k = np.asarray(spectrum.levels.shape)
-    ratio = np.asarray(spectrum.levels.level) / fitted.mean - 1.0
-    best = 0.0
-    for width in (6, 12, 24, 48):
-        window = np.ones(width)
-        total, weight = np.convolve(k * ratio, window, "valid"), np.convolve(k, window, "valid")
-        best = max(best, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
-    return best
+    edges = spectrum.bins.edges
+    middle = np.log(0.5 * (edges[:-1] + edges[1:] - 1))
+    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, np.log(fitted.mean)))
