@@ -62,7 +62,6 @@ def of_spectra() -> Programs:
     """
     from allanjax.estimate.axis_fits import fit_whittle
     from allanjax.estimate.gls import Solution
-    from allanjax.estimate.selection import ranked
     from allanjax.estimate.spectral.components import CAPACITIES, levels_of
     from allanjax.estimate.spectral.fit import LevelDesign, infer_levels
     from allanjax.estimate.spectral.model import FULL, Slots, maximize
@@ -72,7 +71,6 @@ def of_spectra() -> Programs:
 
     x, model = np.random.default_rng(0).standard_normal((1024, 1)), basic_terms()
     recording = Recording.from_array(x, rate=1.0, gyro_unit="rad/s", names=["gyro"])
-    yield lambda: ranked(recording)
     yield lambda: fit_whittle(recording, 0, model, np.ones(len(model), bool), {})
     # The same for many levels and terms.
     m, terms = CAPACITIES[-1], FULL.columns + 1
