@@ -94,94 +94,66 @@ def evidence(
             multiplied by the share of their weight that bins keep.
         first: powers to start from.
     """
-    window = np.ones(7)
-    around = np.convolve(size, window, "same")
-    smooth = np.convolve(statistics.squares, window, "same") / np.maximum(around, 1e-300)
-    smooth = np.where(around > 0.0, smooth, 1.0)
-    level = np.where(size > 0.0, statistics.squares / np.maximum(size, 1e-300), smooth)
-    scale = np.sum(0.5 * size * (columns / smooth) ** 2, axis=1) ** -0.25
+    around, squares = (np.convolve(x, np.ones(7), "same") for x in (size, statistics.squares))
+    smooth = np.where(around > 0.0, squares / np.maximum(around, 1e-300), 1.0)
+    level, shape = np.where(size > 0.0, statistics.squares / np.maximum(size, 1e-300), smooth), size / 2.0
+    scale = np.sum(shape * (columns / smooth) ** 2, axis=1) ** -0.25
     found = []
     for begin in range(0, len(sets.ramp), _BLOCK):
         rows = slice(begin, begin + _BLOCK)
         some, start = TermSets(*(x[rows] for x in sets)), None if first is None else first[rows]
         unit, ramps = columns[some.columns], Ramps(statistics.cross, statistics.gram, some.ramp)
-        power, _ = power_fits(level, size / 2.0, smooth, unit, start, some.used, _STEPS, ramps, _FAR)
-        value = _integral(level, size / 2.0, power, some.used, unit, scale[some.columns], ramps)
+        power, _ = power_fits(level, shape, smooth, unit, start, some.used, _STEPS, ramps, _FAR)
+        mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
+        left, freedom, _ = ramps.removed(level, shape, mean)
+        slope = ((unit / mean[:, None]) @ (freedom * (left / mean - 1.0))[..., None])[..., 0]
+        value = _around(power, some.used, information(unit, mean, shape), slope, scale[some.columns])
+        value[some.ramp] += _of_ramps(*(x[some.ramp] for x in ramps.slope(mean)))
+        value -= (np.log(mean) + level / mean) @ shape
         found.append(Evidence(*some, value, power))
     return Evidence(*map(np.concatenate, zip(*found, strict=True)))
 
 
-def _integral(
-    level: Float[np.ndarray, " m"],
-    shape: Float[np.ndarray, " m"],
+def _around(
     power: Float[np.ndarray, "sets places"],
     used: Bool[np.ndarray, "sets places"],
-    unit: Float[np.ndarray, "sets places m"],
+    information: Float[np.ndarray, "sets places places"],
+    slope: Float[np.ndarray, "sets places"],
     scale: Float[np.ndarray, "sets places"],
-    ramps: Ramps,
 ) -> Float[np.ndarray, " sets"]:
-    """Logarithm of the likelihood integrated around its maximum."""
-    mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
-    value = -(np.log(mean) + level / mean) @ shape
-    F, present = information(unit, mean, shape), used & (power > 0.0)
-    own = np.einsum("spp->sp", F)
-    scaled = F / np.sqrt(own[:, :, None] * own[:, None])
-    both = present[:, :, None] & present[:, None]
-    scaled = np.where(both, scaled, 0.0) + np.eye(len(own[0])) * np.where(present, 1e-12, 1.0)[:, None]
+    """ln ∫ prior · exp(ln L − max ln L) over the amplitudes of each set, by Laplace's approximation."""
+    present, own = used & (power > 0.0), np.einsum("spp->sp", information)
+    scaled = information / np.sqrt(own[:, :, None] * own[:, None])
+    scaled = np.where(present[:, :, None] & present[:, None], scaled, 0.0)
+    scaled += np.eye(used.shape[1]) * np.where(present, 1e-12, 1.0)[:, None]
     # Of each power alone the precision is lower; what is common to them is in the determinant.
     spread = np.einsum("spp->sp", np.linalg.inv(scaled))
-    value -= 0.5 * (np.linalg.slogdet(scaled)[1] + np.sum(np.log(spread), axis=1))
-    left, freedom, _ = ramps.removed(level, shape, mean)
-    slope = ((unit / mean[:, None]) @ (freedom * (left / mean - 1.0))[..., None])[..., 0]
+    value = -0.5 * (np.linalg.slogdet(scaled)[1] + np.sum(np.log(spread), axis=1))
     slope = np.where(present, 0.0, np.minimum(slope, 0.0))
+    h, p, g, c0 = (x[used][:, None] for x in (own / spread, power, slope, scale))
+    low, high = np.sqrt(np.maximum(p - 8.0 / np.sqrt(h), 0.0)), np.sqrt(p + 8.0 / np.sqrt(h))
     factors = np.zeros(power.shape)
-    factors[used] = _of_amplitude((own / spread)[used], power[used], slope[used], scale[used])
-    value += factors.sum(axis=1)
-    best, precision = (x[ramps.present] for x in ramps.slope(mean))
-    value[ramps.present] += _of_ramp(abs(best), precision)
-    return value
+    factors[used] = _over_prior(lambda c: g * c**2 - 0.5 * h * (c**2 - p) ** 2, low, high, c0)
+    return value + factors.sum(axis=1)
 
 
-def _of_amplitude(
-    precision: Float[np.ndarray, " k"],
-    power: Float[np.ndarray, " k"],
-    slope: Float[np.ndarray, " k"],
-    scale: Float[np.ndarray, " k"],
-) -> Float[np.ndarray, " k"]:
-    """Factors of amplitudes in the evidence: ln ∫ prior(c) exp[slope·c² − ½ precision (c² − power)²] dc."""
-    reach = 8.0 / np.sqrt(precision)
-    precision, power, slope = (x[:, None] for x in (precision, power, slope))
-    return _over_prior(
-        lambda c: slope * c**2 - 0.5 * precision * (c**2 - power) ** 2,
-        np.sqrt(np.maximum(power[:, 0] - reach, 0.0)),
-        np.sqrt(power[:, 0] + reach),
-        scale,
-    )
-
-
-def _of_ramp(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Factors of ramps of either sign: ln ∫ prior(R) cosh(R·slope·precision) exp(−½ precision R²) dR."""
-    std = 1.0 / np.sqrt(precision)
-    p, u = (slope * precision)[:, None], precision[:, None]
-    return _over_prior(
-        lambda R: np.logaddexp(R * p, -R * p) - np.log(2.0) - 0.5 * u * R**2,
-        np.maximum(slope - 8.0 * std, 0.0),
-        slope + 8.0 * std,
-        std,
-    )
+def _of_ramps(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """ln ∫ prior(R) cosh(R·slope·precision) exp(−½ precision R²) dR for ramps of either sign."""
+    R0, u = abs(slope)[:, None], precision[:, None]
+    std, p = 1.0 / np.sqrt(u), R0 * u
+    exponent = lambda R: np.logaddexp(R * p, -R * p) - np.log(2.0) - 0.5 * u * R**2  # noqa: E731
+    return _over_prior(exponent, np.maximum(R0 - 8.0 * std, 0.0), R0 + 8.0 * std, std)
 
 
 def _over_prior(
     exponent: Callable[[Float[np.ndarray, "k points"]], Float[np.ndarray, "k points"]],
-    low: Float[np.ndarray, " k"],
-    high: Float[np.ndarray, " k"],
-    scale: Float[np.ndarray, " k"],
+    low: Float[np.ndarray, "k 1"],
+    high: Float[np.ndarray, "k 1"],
+    scale: Float[np.ndarray, "k 1"],
 ) -> Float[np.ndarray, " k"]:
     """ln ∫ prior(c) exp(exponent(c)) dc between two ends, beyond which there is nothing."""
     # Uniform in y = ln(1 + c/scale), as the prior is.
     bottom, top = np.log1p(low / scale), np.log1p(high / scale)
     step = (top - bottom) / _QUADRATURE
-    y = bottom[:, None] + step[:, None] * (np.arange(_QUADRATURE) + 0.5)
-    logs = exponent(scale[:, None] * np.expm1(y))
-    most = logs.max(axis=1)
-    return most + np.log(np.exp(logs - most[:, None]).sum(axis=1) * step / LOG_PRIOR_RANGE)
+    logs = exponent(scale * np.expm1(bottom + step * (np.arange(_QUADRATURE) + 0.5)))
+    return np.logaddexp.reduce(logs, axis=1) + np.log(step[:, 0] / LOG_PRIOR_RANGE)

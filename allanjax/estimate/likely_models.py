@@ -14,7 +14,6 @@ from jaxtyping import Float
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.spectral.powers import information, power_fits
-from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.notation import term_classes
 from allanjax.noise.terms import Markov
@@ -42,8 +41,9 @@ class Likely(NamedTuple):
 
 def exact_model(model: Model) -> Likely:
     """A model whose own amplitudes are the only draw."""
-    unit, amplitude = _with_unit_amplitudes(model)
-    return Likely(unit, model.term_labels, amplitude[None] ** 2, 0)
+    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
+    unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
+    return Likely(unit, model.term_labels, np.square([amplitude]), 0)
 
 
 def one_by_one(model: Model) -> list[Model]:
@@ -68,22 +68,24 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
 
 def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
     """The fitted model, with the terms below a limit on request."""
-    labels, classes, below = found.term_labels, term_classes(), list[Estimate]()
-    unit, amplitude = _with_unit_amplitudes(found.model)
+    (unit, labels, power, _), classes = exact_model(found.model), term_classes()
     every = list(found.coefficients.values())
     rows = [k for k, c in enumerate(every) if c.is_amplitude and c.term in labels]
     fitted = np.array([every[k].value for k in rows])
     covariance = np.nan_to_num(4.0 * found.covariance[np.ix_(rows, rows)] / np.outer(fitted, fitted))
-    power = amplitude**2 * _factors(covariance, draws, rng)
-    for c in every if with_limits else ():
-        limited = c.is_amplitude and not c.detected and c.upper_limit and np.isfinite(c.upper_limit)
-        if limited and c.term in classes.keys() - labels:
-            if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability":
-                below.append(c)
-                unit = unit + _unit(classes[c.term])
+    below = [
+        c
+        for c in every
+        if with_limits and c.is_amplitude and not c.detected and c.term in classes.keys() - labels
+        if c.upper_limit and np.isfinite(c.upper_limit)
+        if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"
+    ]
+    for c in below:
+        unit = unit + _unit(classes[c.term])
     limits = np.array([c.upper_limit for c in below], float) / TWO_SIDED_95
+    known = power * _factors(covariance, draws, rng)
     extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
-    return Likely(unit, (*labels, *(c.term for c in below)), np.hstack([power, extra]), len(below))
+    return Likely(unit, (*labels, *(c.term for c in below)), np.hstack([known, extra]), len(below))
 
 
 def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np.random.Generator) -> Likely:
@@ -118,13 +120,6 @@ def _factors(
     """Draws of factors with this covariance of their logarithms, whose standard deviations are limited."""
     scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
-
-
-def _with_unit_amplitudes(model: Model) -> tuple[Model, Float[np.ndarray, " terms"]]:
-    """The model with unit amplitudes, and its own amplitudes."""
-    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
-    unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
-    return unit, np.array(amplitude)
 
 
 def _unit(term: type[NoiseTerm]) -> NoiseTerm:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -31,7 +31,7 @@ from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.model import Model
+from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -378,7 +378,6 @@ def select_terms(
 def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
     """Ranking of the terms for a whole recording; see `select_terms`."""
     model = candidates_of(candidates, recording.rate)
-    _sorted_terms(model)
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
@@ -403,25 +402,19 @@ def rank_terms(
     candidates, values = _Candidates.of(model, bins), [np.asarray(x) for x in statistics]
 
     def of_axis(k: int) -> AxisSelection:
-        return _Spectrum(candidates, SpectralStatistics(*(x[k] for x in values))).selection(axes[k])
+        own = SpectralStatistics(*(x[k] for x in values))
+        return _Spectrum(candidates, own, bins.size.astype(float)).selection(axes[k])
 
     return TermSelection(name, tuple(for_each(of_axis, range(len(axes)))))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Candidate terms with their expectations in the bins of a spectrum.
+class _Candidates(NamedTuple):
+    """Candidate terms of a model with their expectations in the bins of a spectrum.
 
-    Attributes:
-        model: the terms.
-        bins: the bins.
-        ramp: index of the ramp among the terms, None without one.
-        plain: number of random terms without a free shape, to which the first columns belong.
-        grid: number of times for each of the free ones.
-        owner: index of the term that each column is of.
-        columns: expected levels [rate²] of the term of unit amplitude.
-        time, variances: cluster times [s], octaves, and its Allan variances there.
-        sets: all sets with at most one free time, which have a place for as many as there are.
+    The columns are those of the `plain` terms without a free shape, then of each free one at `grid` times:
+    the index of their `owner`, their `levels` [rate²], and their Allan `variances` at octaves of the cluster
+    `time` [s], of unit amplitude. `sets` are all with at most one free time; these have a place for as many
+    as there are. `ramp` is the index of the ramp, None without one.
     """
 
     model: Model
@@ -430,7 +423,7 @@ class _Candidates:
     plain: int
     grid: int
     owner: Int[np.ndarray, " columns"]
-    columns: Float[np.ndarray, "columns m"]
+    levels: Float[np.ndarray, "columns m"]
     time: Float[np.ndarray, " t"]
     variances: Float[np.ndarray, "columns t"]
     sets: TermSets
@@ -439,24 +432,24 @@ class _Candidates:
     def of(cls, model: Model, bins: Bins) -> _Candidates:
         """Candidates as sampled. Raises AllanjaxError as `_sorted_terms` does."""
         fixed, shaped, ramps = _sorted_terms(model)
-        times = correlation_times(bins.n / bins.rate, bins.rate) if shaped else np.zeros(0)
-        units, plain, grid = [model.terms[k] for k in fixed], len(fixed), len(times)
+        units, plain, times = [model.terms[k] for k in fixed], len(fixed), np.zeros(0)
         for term in (model.terms[k] for k in shaped[:1]):
+            times = correlation_times(bins.n / bins.rate, bins.rate)
             name = next(p.name for p in term.parameters()[1:] if term.is_free(p))
             units += [term.replace(**{name: float(time)}) for time in times]
         octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
         time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
-        variances = [np.asarray(term.with_unit_amplitude().allan_variance(time)) for term in units]
-        columns, sets = columns_of(units, bins).mean(axis=1), term_sets(plain, grid, bool(ramps))
-        # A second one with a free time is of the same kind.
-        every = [*range(len(units)), *(range(plain, len(units)) if len(shaped) > 1 else ())]
+        variances = np.array([term.with_unit_amplitude().allan_variance(time) for term in units])
+        sets = term_sets(plain, len(times), bool(ramps))
+        every = np.arange(len(units))
         if len(shaped) > 1:
-            second, no = np.full(len(sets.ramp), len(units)), np.zeros(len(sets.ramp), bool)
-            sets = TermSets(np.c_[sets.columns, second], np.c_[sets.used, no], sets.ramp)
-        owner = np.array([*fixed, *np.repeat(shaped, grid)], int)
-        ramp = ramps[0] if ramps else None
-        curves = np.reshape(variances, (len(units), len(time)))
-        return cls(model, bins, ramp, plain, grid, owner, columns[every], time, curves[every], sets)
+            # A second one is of the same kind.
+            every = np.append(every, every[plain:])
+            none = np.zeros(len(sets.ramp), int)
+            sets = TermSets(np.c_[sets.columns, none + len(units)], np.c_[sets.used, none > 0], sets.ramp)
+        owner = np.array([*fixed, *np.repeat(shaped, len(times))], int)
+        levels, ramp = columns_of(units, bins).mean(axis=1)[every], ramps[0] if ramps else None
+        return cls(model, bins, ramp, plain, len(times), owner, levels, time, variances[every], sets)
 
     def with_two_times(self, found: Evidence) -> TermSets:
         """All pairs of times with what those sets with one have besides that are not far behind the best."""
@@ -499,7 +492,7 @@ def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
         else:
             (shaped if free else fixed).append(k)
     kinds = {type(model.terms[k]) for k in shaped}
-    few = 1 <= len(fixed) + len(ramps) + len(kinds) <= 6
+    few = 1 <= len(fixed) + len(kinds) <= 6 - len(ramps)
     if len(shaped) > 2 or len(kinds) > 1 or len(ramps) > 1 or not few:
         raise AllanjaxError(
             "select_terms takes at most six terms, with at most one ramp and one term with a free time (or "
@@ -508,135 +501,119 @@ def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
     return fixed, shaped, ramps
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Spectrum:
-    """Spectrum of one axis, by which the candidates are ranked."""
+class _Spectrum(NamedTuple):
+    """Spectrum of one axis, by which the candidates are ranked: sums over bins, and their coefficients."""
 
     of: _Candidates
     statistics: SpectralStatistics
+    size: Float[np.ndarray, " m"]
 
     def selection(self, axis: Axis) -> AxisSelection:
         """Ranking of the sets, and their average."""
-        share, found = self.share(0.0), self.evidence(self.of.sets, self.share(0.0))
-        if self.of.sets.columns.shape[1] > self.of.plain + 1:
-            pairs = self.evidence(self.of.with_two_times(found), share)
+        spectrum, found, error = self, self.evidence(self.of.sets), 0.0
+        if found.columns.shape[1] > self.of.plain + 1:
+            pairs = self.evidence(self.of.with_two_times(found))
             found = Evidence(*map(np.concatenate, zip(found, pairs, strict=True)))
-        error = 0.0
         if self.error_of(found) > 0.0:
             # Without other terms, those with a free time are kept.
             if self.of.plain:
                 found = found.of(~found.used[:, self.of.plain :].any(axis=1))
             for _ in range(_ROUNDS):
                 error = max(error, self.error_of(found))
-                share = self.share(error)
-                found = self.evidence(TermSets(found.columns, found.used, found.ramp), share)
-        sets, of = np.unique(self.of.terms_of(found), axis=0, return_inverse=True)
-        of = of.ravel()
+                share = share_with_error(self.size, self.of.bins.per_octave(), error)
+                weighted = SpectralStatistics(*(share * x for x in self.statistics))
+                spectrum = self._replace(statistics=weighted, size=share * self.size)
+                found = spectrum.evidence(TermSets(*found[:3]))
+        sets, which = np.unique(self.of.terms_of(found), axis=0, return_inverse=True)
+        which = which.ravel()
         # The evidence of a set with free times is the mean over the grid of times.
-        each = found.log_evidence - np.log(np.bincount(of))[of]
-        total = np.array([np.logaddexp.reduce(each[of == k]) for k in range(len(sets))])
-        norm, labels, model = np.logaddexp.reduce(total), self.of.model.term_labels, self.of.model
-        free = np.array([sum(p.free for p in model.parameters if p.term_label == x) for x in labels])
-        ranking = []
+        each = found.log_evidence - np.log(np.bincount(which))[which]
+        total = np.array([np.logaddexp.reduce(each[which == k]) for k in range(len(sets))])
+        probability, ranking = np.exp(total - np.logaddexp.reduce(total)), []
+        labels, parameters = self.of.model.term_labels, self.of.model.parameters
+        free = np.array([sum(p.free for p in parameters if p.term == k) for k in range(len(labels))])
         for k in np.argsort(-total, kind="stable"):
-            behind, rows = float(total[k] - total.max()), np.flatnonzero(of == k)
-            best = rows[[np.argmax(each[rows])]]
-            known = self.intervals(found.of(best), share) if behind > -np.log(_ODDS) else {}
-            names = tuple(itertools.compress(labels, sets[k]))
-            probability = float(np.exp(total[k] - norm))
-            ranking.append(TermSet(names, int(free @ sets[k]), behind, probability, known))
-        also = self.averaged(axis, found, np.exp(each - norm), share)
-        return AxisSelection(axis, tuple(ranking), float(error) / 2.0, also)
+            behind, rows = float(total[k] - total.max()), np.flatnonzero(which == k)
+            best = found.of(rows[[np.argmax(each[rows])]])
+            known = spectrum.intervals(best) if behind > -np.log(_ODDS) else {}
+            names, count = tuple(itertools.compress(labels, sets[k])), int(free @ sets[k])
+            ranking.append(TermSet(names, count, behind, float(probability[k]), known))
+        also = spectrum.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
+        return AxisSelection(axis, tuple(ranking), error / 2.0, also)
 
-    def share(self, error: float) -> Float[np.ndarray, " m"]:
-        """Weights of the bins if the model has this relative error."""
-        size = self.of.bins.size.astype(float)
-        return np.asarray(share_with_error(size, self.of.bins.per_octave(), error))
-
-    def evidence(self, sets: TermSets, share: Float[np.ndarray, " m"]) -> Evidence:
+    def evidence(self, sets: TermSets) -> Evidence:
         """Evidence of some sets."""
-        weighted = SpectralStatistics(*(share * x for x in self.statistics))
-        return evidence(sets, self.of.columns, weighted, share * self.of.bins.size)
+        return evidence(sets, self.of.levels, self.statistics, self.size)
+
+    def ramps(self, found: Evidence) -> Ramps:
+        """Ramps of these sets."""
+        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
+
+    def mean(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
+        """Expected levels of sets at the maxima of their likelihoods."""
+        return np.maximum((found.power[:, None] @ self.of.levels[found.columns])[:, 0], 1e-300)
 
     def error_of(self, found: Evidence) -> float:
         """Relative error that makes the best set fit; 0 if it does."""
         best = found.of([np.argmax(found.log_evidence)])
-        mean, ramps = self.mean_of(best), Ramps(self.statistics.cross, self.statistics.gram, best.ramp)
-        size = self.of.bins.size
-        level, shape, _ = ramps.removed(self.statistics.squares / size, size / 2.0, mean)
-        ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(size) - 3.0, 1.0)
+        level, mean = self.statistics.squares / self.size, self.mean(best)
+        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
+        ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
         if chi_squared(ratio, dof) <= beyond_doubt(degrees):
             return 0.0
         return error_of_powers(ratio, dof, self.of.bins.per_octave(), degrees)
 
-    def mean_of(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
-        """Expected levels of sets at the maxima of their likelihoods."""
-        return np.maximum((found.power[:, None] @ self.of.columns[found.columns])[:, 0], 1e-300)
-
-    def covariance(
-        self, found: Evidence, share: Float[np.ndarray, " m"]
-    ) -> Float[np.ndarray, "sets places places"]:
+    def covariance(self, found: Evidence) -> Float[np.ndarray, "sets places places"]:
         """Covariance of the logarithms of the powers of sets."""
-        shape = share * self.of.bins.size / 2.0
-        F = information(self.of.columns[found.columns], self.mean_of(found), shape)
+        F = information(self.of.levels[found.columns], self.mean(found), self.size / 2.0)
         F *= found.power[:, :, None] * found.power[:, None]
         # A power that few coefficients determine is as likely half as large as twice as large.
         return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
 
-    def intervals(self, best: Evidence, share: Float[np.ndarray, " m"]) -> dict[str, tuple[float, float]]:
+    def intervals(self, best: Evidence) -> dict[str, tuple[float, float]]:
         """95 % interval of each amplitude of a set but the ramp's, by its label."""
         labels = {p.term: p.label for p in self.of.model.parameters if p.parameter.is_amplitude}
-        std = np.sqrt(np.einsum("spp->sp", self.covariance(best, share)))[0]
-        value, by = np.sqrt(best.power[0]), np.exp(TWO_SIDED_95 * std / 2.0)
-        owner = self.of.owner[best.columns[0]]
-        return {
-            labels[int(owner[k])]: (float(value[k] / by[k]), float(value[k] * by[k]))
-            for k in np.flatnonzero(value > 0.0)
-        }
+        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
+        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
+        every = zip(self.of.owner[best.columns[0]].tolist(), *ends.tolist(), strict=True)
+        return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
 
-    def averaged(
-        self,
-        axis: Axis,
-        found: Evidence,
-        probability: Float[np.ndarray, " sets"],
-        share: Float[np.ndarray, " m"],
-    ) -> Averaged:
+    def averaged(self, axis: Axis, found: Evidence, probability: Float[np.ndarray, " sets"]) -> Averaged:
         """Average over the sets, drawn by their probabilities."""
         rng, of, time = np.random.default_rng(0), self.of, self.of.time
         likely = probability > _IMPROBABLE * probability.max()
-        found, probability = found.of(likely), probability[likely]
-        drawn = np.repeat(
-            np.arange(len(probability)), rng.multinomial(_DRAWS, probability / probability.sum())
-        )
-        root = np.linalg.cholesky(self.covariance(found, share))
-        log = root[drawn] @ rng.standard_normal((_DRAWS, root.shape[1], 1))
-        power, columns = found.power[drawn] * np.exp(log[..., 0]), found.columns[drawn]
-        variance = np.einsum("dp,dpt->dt", power, of.variances[columns])
-        squares = np.zeros((_DRAWS, len(of.model)))
+        found, weight = found.of(likely), probability[likely] / probability[likely].sum()
+        drawn = np.repeat(np.arange(len(weight)), rng.multinomial(_DRAWS, weight))
+        root, columns = np.linalg.cholesky(self.covariance(found)), found.columns[drawn]
+        log = root[drawn] @ rng.standard_normal((_DRAWS, columns.shape[1], 1))
+        power, squares = found.power[drawn] * np.exp(log[..., 0]), np.zeros((_DRAWS, len(of.model)))
         np.put_along_axis(squares, of.owner[columns], power, axis=1)
+        variance = np.einsum("dp,dpt->dt", power, of.variances[columns])
         if of.ramp is not None:
-            ramps = Ramps(share * self.statistics.cross, share * self.statistics.gram, found.ramp)
-            slope, precision = (x[drawn] for x in ramps.slope(self.mean_of(found)))
-            slope = np.where(found.ramp[drawn], slope + rng.standard_normal(_DRAWS) / np.sqrt(precision), 0.0)
-            squares[:, of.ramp] = slope**2
+            slope, precision = (x[drawn] for x in self.ramps(found).slope(self.mean(found)))
+            slope += rng.standard_normal(_DRAWS) / np.sqrt(precision)
+            squares[:, of.ramp] = np.where(found.ramp[drawn], slope**2, 0.0)
             # A ramp of R per second has σ² = R²T²/2 (4.56).
-            variance += np.outer(slope**2, time**2 / 2.0)
-        middle, low, high = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
-        amplitudes, coefficients = np.sqrt(squares), {}
-        for p in (p for p in of.model.parameters if p.parameter.is_amplitude):
-            draws = amplitudes[:, p.term]
-            median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
-            coefficients[p.label] = Estimate(
-                label=p.label,
-                term=p.term_label,
-                parameter=p.parameter,
-                axis=axis,
-                value=median,
-                std=float(draws.std()),
-                interval=(low_95, high_95),
-                interval_68=(low_68, high_68),
-                upper_limit=limit,
-                detected=low_95 > 0.0,
-                source="averaged",
-            )
-        return Averaged(coefficients, time, middle, np.stack([low, high], axis=1))
+            variance += np.outer(squares[:, of.ramp], time**2 / 2.0)
+        middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
+        amplitudes = (p for p in of.model.parameters if p.parameter.is_amplitude)
+        coefficients = {p.label: _of_draws(axis, p, np.sqrt(squares[:, p.term])) for p in amplitudes}
+        return Averaged(coefficients, time, middle, np.stack(ends, axis=1))
+
+
+def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
+    """An averaged amplitude."""
+    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
+    return Estimate(
+        label=p.label,
+        term=p.term_label,
+        parameter=p.parameter,
+        axis=axis,
+        value=median,
+        std=float(draws.std()),
+        interval=(low_95, high_95),
+        interval_68=(low_68, high_68),
+        upper_limit=limit,
+        detected=low_95 > 0.0,
+        source="averaged",
+    )
