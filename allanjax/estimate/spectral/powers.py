@@ -17,8 +17,8 @@ _DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.01, (1e-6, 1e6), 0.1, 10.0, 2.0
 _SETTLED = 1e-6
 # Steps after which models that are far behind the best one are left as they are.
 _PATIENCE = 8
-#: Fewest degrees of freedom of a level from which a ramp was removed.
-FEWEST = 1e-3
+# Fewest degrees of freedom of a level from which a ramp was removed.
+_FEWEST = 1e-3
 
 
 class Ramps(NamedTuple):
@@ -42,10 +42,9 @@ class Ramps(NamedTuple):
     ) -> tuple[Float[np.ndarray, "models m"], Float[np.ndarray, "models m"], Float[np.ndarray, " models"]]:
         """Levels less the ramps, half of their degrees of freedom, and the information about each slope."""
         slope, precision = self.slope(mean)
-        share = np.where(self.present, 1.0 / precision, 0.0)[:, None]
-        beta = slope[:, None]
-        squares = (2.0 * shape * level - beta * (2.0 * self.cross)) + beta**2 * self.gram
-        dof = np.maximum(2.0 * shape - share * self.gram / mean, FEWEST)
+        beta, share = slope[:, None], (self.present / precision)[:, None]
+        squares = 2.0 * shape * level - beta * (2.0 * self.cross) + beta**2 * self.gram
+        dof = np.maximum(2.0 * shape - share * self.gram / mean, _FEWEST)
         return np.maximum(squares, 0.0) / dof, 0.5 * dof, precision
 
     def slope(
@@ -70,8 +69,9 @@ def power_fits(
 ) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
     """Most likely powers ≥ 0 of the terms of each model, and minus the log-likelihood [nats].
 
-    Fisher scoring with the curvature of the deviances, damped (Levenberg–Marquardt), in ln(p + s), s being
-    one standard deviation in the smooth levels. The likelihood is integrated over the slope of a ramp.
+    Scoring with the mean of the expected and the observed curvature, damped (Levenberg–Marquardt), in
+    ln(p + s), s being one standard deviation in the smooth levels. The likelihood is integrated over the
+    slope of a ramp.
 
     Args:
         level: the levels.
@@ -87,32 +87,25 @@ def power_fits(
     start = (rough / unit).min(axis=-1) if start is None else start
     used = np.ones(start.shape, bool) if used is None else used
     scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
-    power, loss = np.where(used, start, 0.0), np.full(len(unit), np.inf)
-    going, p, trial, least = np.arange(len(unit)), power.copy(), power.copy(), loss.copy()
-    damping, gradient, curvature = (
-        np.full(len(p), _DAMPING),
-        np.zeros(p.shape),
-        np.zeros((*p.shape, p.shape[1])),
-    )
+    power, loss, going = np.where(used, start, 0.0), np.full(len(unit), np.inf), np.arange(len(unit))
+    trial, damping, gradient = power.copy(), np.full(len(unit), _DAMPING), np.zeros(power.shape)
+    curvature = np.zeros((*power.shape, power.shape[1]))
     for step in range(steps):
-        value, *slopes = _likelihood(level, shape, trial, unit, ramps)
-        better = value < least
-        for old, new in zip((p, least, gradient, curvature), (trial, value, *slopes), strict=True):
-            old[better] = new[better]
-        damping = np.clip(damping * np.where(better, _LESS, _MORE), *_DAMPINGS)
-        reach = (p + scale) * (used & ~((p <= 0.0) & (gradient < 0.0)))
-        move, gain = _move(gradient * reach, curvature * reach[:, :, None] * reach[:, None], damping)
-        trial = np.maximum((p + scale) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - scale, 0.0)
-        power[going], loss[going] = p, least
-        goes_on = (gain > _SETTLED) & ((step < _PATIENCE) | (least < loss.min() + far))
-        if not goes_on.any():
+        own = ramps and ramps._replace(present=ramps.present[going])
+        value, *slopes = _likelihood(level, shape, trial[going], unit[going], own)
+        better = value < loss[going]
+        best = (power, loss, gradient, curvature)
+        for state, new in zip(best, (trial[going], value, *slopes), strict=True):
+            state[going[better]] = new[better]
+        damping[going] = np.clip(damping[going] * np.where(better, _LESS, _MORE), *_DAMPINGS)
+        p, s, uphill = power[going], scale[going], gradient[going]
+        reach = (p + s) * (used[going] & ~((p <= 0.0) & (uphill < 0.0)))
+        bent = curvature[going] * reach[:, :, None] * reach[:, None]
+        move, gain = _move(uphill * reach, bent, damping[going])
+        trial[going] = np.maximum((p + s) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - s, 0.0)
+        going = going[(gain > _SETTLED) & ((step < _PATIENCE) | (loss[going] < loss.min() + far))]
+        if not len(going):
             break
-        if not goes_on.all():
-            state = (going, unit, used, scale, p, trial, least, damping, gradient, curvature)
-            going, unit, used, scale, p, trial, least, damping, gradient, curvature = (
-                x[goes_on] for x in state
-            )
-            ramps = ramps and ramps._replace(present=ramps.present[goes_on])
     return power, loss
 
 
@@ -131,7 +124,7 @@ def _likelihood(
         value += 0.5 * np.log(precision)
     inverse = 1.0 / mean
     ratio = level * inverse
-    value += np.einsum("cm,...m->c", ratio, shape) if ramps is None else np.einsum("cm,cm->c", ratio, shape)
+    value += np.sum(ratio * shape, axis=1)
     relative = unit * inverse[:, None]
     gradient = (relative @ (shape * (ratio - 1.0))[..., None])[..., 0]
     # The mean of the expected and the observed one.
