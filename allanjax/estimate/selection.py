@@ -495,8 +495,8 @@ def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
     few = 1 <= len(fixed) + len(kinds) <= 6 - len(ramps)
     if len(shaped) > 2 or len(kinds) > 1 or len(ramps) > 1 or not few:
         raise AllanjaxError(
-            "select_terms takes at most six terms, not only a ramp, with at most one ramp and one term with a "
-            "free time (or two of one kind); hold other times, e.g. Markov().hold(correlation_time=100.0)"
+            "select_terms takes at most six terms, not only a ramp, with at most one ramp and one term with "
+            "a free time (or two of one kind); hold other times, e.g. Markov().hold(correlation_time=100.0)"
         )
     return fixed, shaped, ramps
 
