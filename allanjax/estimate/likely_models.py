@@ -107,8 +107,9 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     F = information(unit[best], value @ unit[best], shape)
     # Detected terms by the normal law of their logarithms, the others within their limits.
     precision = (F * np.outer(value, value))[np.ix_(there, there)] + np.eye(there.sum()) / _WIDEST**2
+    detected = value[there] * _factors(np.linalg.inv(precision), draws, rng)
     power = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(F))
-    power[:, there] = value[there] * _factors(np.linalg.inv(precision), draws, rng)
+    power[:, there] = detected
     order = np.argsort(~there, kind="stable")
     model = Model(tuple(tried[k][best % len(tried[k])] for k in order))
     return Likely(model, tuple(terms[k] for k in order), power[:, order], int((~there).sum()))
