@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAMP, Noise, NoiseFamily
-from allanjax.estimate.evidence import BLOCK, ROUGH, Evidence
+from allanjax.estimate.evidence import Evidence
 from allanjax.spectrum.cosine import SpectralStatistics
 
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
@@ -22,6 +22,8 @@ from allanjax.spectrum.cosine import SpectralStatistics
 SETS, _LESS = 4, 3.0
 # Subsets that are less likely than the best one by more than this [nats] do not count in sums: a judgement.
 _FAR_LESS = 8.0
+# Largest number of subsets that are maximized: a quarter of all.
+_NEAR = 143
 
 
 class _Evidences(NamedTuple):
@@ -86,8 +88,8 @@ class SpectralMask:
         squares = c * c
         if self.weight is not None:
             squares *= self.weight
-        found = (self.family.bins.sums(z) for z in (squares, self.ramp * c))
-        levels = SpectralStatistics(*(z[None] for z in (*found, self.gram)))
+        sums = self.family.bins.sums
+        levels = SpectralStatistics(sums(squares), sums(self.ramp * c), self.gram)
         return ModelEvidence(self.family, levels, self.size, self.constant)
 
 
@@ -110,15 +112,15 @@ class ModelEvidence:
 
     def _screen(self, grid: str) -> Evidence:
         """Coarse evidence of all subsets: every second shape is evaluated, the others are interpolated."""
-        jobs = self.family.jobs
-        between = jobs.terms[:, -1] & (jobs.column % 2 == 1)
+        jobs, places = self.family.jobs, self.family.places
+        between = jobs.used[:, -1] & (places % 2 == 1)
         rows, k = np.flatnonzero(~between), np.flatnonzero(between)
-        found = self.family.run(self.levels, self.size, self._columns(grid), rows, steps=ROUGH)
+        found = self.family.run(self.levels, self.size, self._columns(grid), rows)
         values, powers = np.empty(len(between)), np.empty((len(between), len(FIXED) + 1))
         values[rows], powers[rows] = found.log_evidence, found.power
-        after = np.where(jobs.column[k] < GRID - 1, k + 1, k - 1)
+        after = np.where(places[k] < GRID - 1, k + 1, k - 1)
         values[k], powers[k] = 0.5 * (values[k - 1] + values[after]), powers[k - 1]
-        return Evidence(values, powers)
+        return Evidence(*jobs, values, powers)
 
     def best(
         self,
@@ -142,9 +144,9 @@ class ModelEvidence:
         near = near[values[near] > values[near].max() - _FAR_LESS]
         jobs, grid = self.family.jobs, self._columns(_grid(allowed))
         names = {name for name, _ in self._members(_grid(allowed))}
-        shaped, optional = jobs.terms[near, -1], len(names & set(allowed) - set(required))
+        shaped, optional = jobs.used[near, -1], len(names & set(allowed) - set(required))
         level = powers[near, :-1] @ self.family.columns[: len(FIXED)]
-        level += powers[near, -1:] * grid[jobs.column[near]]
+        level += powers[near, -1:] * grid[self.family.places[near]]
         weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)
         return Sets(weighed + self.constant, level, jobs.ramp[near])
 
@@ -164,7 +166,7 @@ class ModelEvidence:
         grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
-        near = np.argsort(-values)[: min(BLOCK, np.sum(possible))]
+        near = np.argsort(-values)[: min(_NEAR, np.sum(possible))]
         found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
         values[near], powers[near] = found.log_evidence, found.power
         return _Evidences(values, powers, near)
@@ -175,10 +177,10 @@ class ModelEvidence:
         Candidates are the subsets without a free shape and those that were best for a similar record.
         """
         grid = _grid(allowed)
-        possible, shaped = self._possible(allowed), self.family.jobs.terms[:, -1]
+        possible, shaped = self._possible(allowed), self.family.jobs.used[:, -1]
         known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
         plain = np.flatnonzero(possible & ~shaped)
-        best = np.argsort(-known)[: min(BLOCK - len(plain), np.sum(known > -np.inf))]
+        best = np.argsort(-known)[: min(_NEAR - len(plain), np.sum(known > -np.inf))]
         near = np.concatenate([plain, best])
         found = self.family.run(self.levels, self.size, self._columns(grid), near)
         values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))
@@ -210,8 +212,8 @@ class ModelEvidence:
     ) -> list[Noise]:
         """Subsets of largest evidence; that of a subset with a free shape is the mean over its grid."""
         jobs, possible = self.family.jobs, values > -np.inf
-        in_grid, total = jobs.terms[:, -1], values.copy()
-        keys = np.column_stack([jobs.terms[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
+        in_grid, total = jobs.used[:, -1], values.copy()
+        keys = np.column_stack([jobs.used[:, :-1], jobs.ramp]).astype(int) @ 2 ** np.arange(len(FIXED) + 1)
         for key in np.unique(keys[in_grid & possible]):
             rows = in_grid & (keys == key)
             mean = np.logaddexp.reduce(values[rows]) - np.log(rows.sum())
@@ -222,18 +224,18 @@ class ModelEvidence:
     def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, grid: str) -> Noise:
         """Noise with the terms and powers of subset k."""
         jobs, names = self.family.jobs, [*FIXED, grid]
-        power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.terms[k]) if powers[i] > 0.0}
+        power = {names[i]: float(powers[i]) for i in np.flatnonzero(jobs.used[k]) if powers[i] > 0.0}
         shape = float("nan")
         if grid in power:
             values_of = EXPONENTS if grid == POWER_LAW else self.family.times
-            shape = float(values_of[jobs.column[k]])
+            shape = float(values_of[self.family.places[k]])
         log_evidence += self.constant
-        return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(jobs.column[k]))
+        return Noise(power, shape, bool(jobs.ramp[k]), log_evidence, self.family, int(self.family.places[k]))
 
     def _members(self, grid: str) -> list[tuple[str, Bool[np.ndarray, " jobs"]]]:
         """Each term, with a flag per subset that has it."""
         jobs = self.family.jobs
-        members = [(name, jobs.terms[:, i]) for i, name in enumerate((*FIXED, grid))]
+        members = [(name, jobs.used[:, i]) for i, name in enumerate((*FIXED, grid))]
         return [*members, (RAMP, jobs.ramp)]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.estimate.design import correlation_times
-from allanjax.estimate.evidence import FURTHER, Evidence, TermSubset, evidences, term_subsets
+from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
@@ -104,7 +104,8 @@ class NoiseFamily:
         self.spectra = np.stack([self.spectrum(term) for term in unit])
         unit += [Markov(1.0, float(time)) for time in self.times]
         self.columns = columns_of(unit, self.bins).mean(axis=1)
-        self.jobs = term_subsets(len(FIXED), GRID, True)
+        self.jobs = term_sets(len(FIXED), GRID, True)
+        self.places = self.jobs.columns[:, -1] - len(FIXED)
         self.ramp = ramp_column(n, rate)
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
@@ -135,14 +136,10 @@ class NoiseFamily:
         grid: Float[np.ndarray, "grid m"],
         rows: Int[np.ndarray, " jobs"],
         first: Float[np.ndarray, "jobs terms"] | None = None,
-        steps: int = FURTHER,
     ) -> Evidence:
-        """Evidence and powers of some subsets after a number of scoring steps from the `first` powers."""
-        jobs, share = TermSubset(*(x[rows] for x in self.jobs)), np.ones((1, len(self.size)))
-        known = self.columns[: len(FIXED)]
-        first = None if first is None else first[None]
-        found = evidences(jobs, levels, known, grid, size, share, first, steps)
-        return Evidence(*(x[0] for x in found))
+        """Evidence and powers of some subsets, with powers to start from."""
+        columns = np.concatenate([self.columns[: len(FIXED)], grid])
+        return evidence(TermSets(*(x[rows] for x in self.jobs)), columns, levels, size, first)
 
     @functools.lru_cache(maxsize=GRID)  # noqa: B019 - families are few, and themselves cached
     def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:

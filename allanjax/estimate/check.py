@@ -32,10 +32,9 @@ from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
-from allanjax.estimate.evidence import without_ramp
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.spectral.powers import bounds, information, power_fits
+from allanjax.estimate.spectral.powers import Ramps, bounds, information, power_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
@@ -44,11 +43,11 @@ from allanjax.noise.terms import NoiseTerm, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
+from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
 
-# Fits of an axis, each without the lines that exceed the one before; steps of each; and the scatter beyond
-# which a level contains a line.
-_ROUNDS, _STEPS, _LINE = 3, 40, 6.0
+# Fits of an axis, each without the lines that exceed the one before; and the scatter beyond which a level
+# contains a line.
+_ROUNDS, _LINE = 3, 6.0
 #: Relative standard deviation at which a coefficient counts as known.
 TARGET = 0.2
 _TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
@@ -129,10 +128,9 @@ def _lengths(
 ) -> Iterator[NeededLength]:
     """Yield how long to record for N, B and K of each axis, by rough fits to its spectrum."""
     n, rate = quiet.n, quiet.rate
-    bins, terms = Bins.of(n, rate), [term for term in basic_terms().terms if not term.deterministic]
-    columns, densities = columns_of(terms, bins).mean(axis=1), Densities.of(terms, n, rate)
-    cosines = cosine_transform(quiet.values - quiet.values.mean(axis=0))
-    statistics = bins.statistics(cosines, ramp_column(n, rate))
+    terms = [term for term in basic_terms().terms if not term.deterministic]
+    bins, statistics = joint_statistics((quiet.values,), rate)
+    columns, densities = columns_of(terms, bins).mean(axis=1), _Densities.of(terms, n, rate)
     for row, axis in enumerate(quiet.axes):
         # Up to half of its bandwidth a filter passes nearly everything.
         width = widths[axis.name]
@@ -140,28 +138,28 @@ def _lengths(
         own = SpectralStatistics(*(x[row][inside] for x in statistics))
         power, std, fits = _rough_fit(own, bins.size[inside], columns[:, inside])
         found = [_estimate(axis, *x) for x in zip(terms, power.tolist(), std.tolist(), strict=True)]
-        measured, detected = not inspection.why_not(axis.name), np.array([c.value**2 for c in found])
+        detected = np.array([c.value**2 for c in found])
         for k, c in enumerate(found):
             if c.symbol in _ASKED:
-                yield _needed(c if measured else c.unmeasured(), k, detected, fits, n / rate, densities)
+                c = c.unmeasured() if inspection.why_not(axis.name) else c
+                yield _needed(c, k, detected, fits, n / rate, densities)
 
 
 def _rough_fit(
     statistics: SpectralStatistics, size: Float[np.ndarray, " m"], columns: Float[np.ndarray, "terms m"]
 ) -> tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " terms"], bool]:
     """Powers of the terms in the spectrum of an axis, their standard deviations, and whether they fit."""
+    level, used = statistics.squares / size, np.ones(len(size))
     # Levels are averaged over neighbours at first, as single ones scatter.
-    logs = np.log(np.maximum(statistics.squares / size, 1e-300))
-    mean = rough = np.exp(np.convolve(np.pad(logs, 3, mode="edge"), np.ones(7) / 7.0, "valid"))
-    power = (rough / columns).min(axis=1)
-    for k in range(_ROUNDS):
-        squares, dof = (np.asarray(x) for x in without_ramp(statistics, size, mean, True))
-        shape = np.maximum(dof, 1e-3) / 2.0
-        level = squares / (2.0 * shape)
-        used = (k == 0) | ((level / mean - 1.0) * np.sqrt(shape) < _LINE) | (size == 1)
-        (power,), _ = power_fits(level, shape * used, rough, columns[None], power[None], steps=_STEPS)
+    logs = np.log(np.maximum(level, 1e-300))
+    rough = np.exp(np.convolve(np.pad(logs, 3, mode="edge"), np.ones(7) / 7.0, "valid"))
+    for _ in range(_ROUNDS):
+        ramp = Ramps(statistics.cross * used, statistics.gram * used, np.ones(1, bool))
+        (power,), _ = power_fits(level, used * size / 2.0, rough, columns[None], ramps=ramp)
         mean = power @ columns
-    chi2 = chi_squared((level / mean)[used], 2.0 * shape[used])
+        left, shape, _ = (x[0] for x in ramp.removed(level, size / 2.0, mean[None]))
+        used = (((left / mean - 1.0) * np.sqrt(shape) < _LINE) | (size == 1)).astype(float)
+    chi2 = chi_squared(left / mean, 2.0 * shape * used)
     std = bounds(information(columns, mean, shape * used), power > 0.0)
     return power, std, bool(chi2 <= beyond_doubt(np.asarray(max(used.sum() - 3.0, 1.0))))
 
@@ -185,7 +183,7 @@ def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate
     )
 
 
-class Densities(NamedTuple):
+class _Densities(NamedTuple):
     """Logarithms of densities of terms of unit power and of frequencies that suffice for any length."""
 
     rate: float
@@ -193,8 +191,7 @@ class Densities(NamedTuple):
     density: Float[np.ndarray, "terms m"]
 
     @classmethod
-    def of(cls, terms: Sequence[NoiseTerm], n: int, rate: float) -> Densities:
-        """Densities of the samples at `rate` [Hz], for records of n samples, or up to a month."""
+    def of(cls, terms: Sequence[NoiseTerm], n: int, rate: float) -> _Densities:
         octaves = math.log2(max(n, LONGEST * rate))
         frequency = np.geomspace(0.5 * rate / 2.0**octaves, 0.5 * rate, math.ceil(_PER_OCTAVE * octaves))
         units = [term.sampled(rate).with_unit_amplitude() for term in terms]
@@ -211,26 +208,26 @@ class Densities(NamedTuple):
 
     def length_for(self, power: Float[np.ndarray, " terms"], k: int, target: float) -> float | None:
         """Length [s] at which that bound is `target`; None if it is more than `LONGEST`."""
+        from scipy.optimize import brentq
+
         low, high = _FEWEST / self.rate, max(LONGEST, 2.0 * _FEWEST / self.rate)
         if self.bound(low, power, k) <= target:
             return low
         if self.bound(high, power, k) > target:
             return None
-        while high > (1.0 + _ACCURACY) * low:
-            middle = math.sqrt(low * high)
-            low, high = (low, middle) if self.bound(middle, power, k) <= target else (middle, high)
-        return high
+        excess = lambda log: math.log(self.bound(math.exp(log), power, k) / target)  # noqa: E731
+        return math.exp(brentq(excess, math.log(low), math.log(high), xtol=_ACCURACY))
 
 
 def _needed(
-    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, now: float, densities: Densities
+    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, now: float, densities: _Densities
 ) -> NeededLength:
     """How long to record for one coefficient of an axis, given the powers of its detected terms."""
     if not c.measured:
         return NeededLength(c, math.nan, now, None, "the fit does not describe this sensor")
     if not c.detected:
-        at_limit = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
-        return NeededLength(c, math.nan, now, densities.length_for(at_limit, k, TARGET))
+        power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
+        return NeededLength(c, math.nan, now, densities.length_for(power, k, TARGET))
     std = c.std / c.value
     if std <= TARGET:
         return NeededLength(c, std, now, now)

@@ -24,7 +24,7 @@ import dataclasses
 import functools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
 
 import numpy as np
@@ -36,7 +36,7 @@ from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import finite_or_none, percent, significant
 from allanjax.estimate.as_json import in_both_units
-from allanjax.estimate.likely_models import Likely, exact_model, likely_models
+from allanjax.estimate.likely_models import Likely, exact_model, likely_models, one_by_one
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
@@ -50,8 +50,8 @@ from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit,
 #: How the filter models the bias.
 Process = Literal["walk", "markov"]
 SCHEMA_VERSION = 1
-#: Exponents of time in the units of N and K, of the angle, and of the bias.
-EXPONENTS = {"white": 0.5, "walk": -0.5, "integral": 1.0, "bias": 0.0}
+# Exponents of time in the units of N and K, of the angle, and of the bias.
+_EXPONENTS = {"white": 0.5, "walk": -0.5, "integral": 1.0, "bias": 0.0}
 # Share of the variance above which a term is named.
 _NAMED = 0.05
 _SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
@@ -63,11 +63,6 @@ _MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 # Filters whose true error exceeds the smallest one by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
-_LABELS = {
-    "white": "white noise of the filter",
-    "walk": "random walk of the filter",
-    "time": "correlation time of the filter",
-}
 
 
 class Filters(NamedTuple):
@@ -109,26 +104,12 @@ class Filters(NamedTuple):
         return cls(memory, time, rate, steps, gain, kept * (1.0 - gain), share, predicted / rate)
 
 
-def variances(
-    model: Model, filters: Filters, duration: float, known: dict[Model, np.ndarray]
-) -> Float[np.ndarray, "terms g t"]:
-    """Variance of the integral's error [rad² or (m/s)²] by each term, of noise of this duration [s].
-
-    `known` has those of terms that other sets of an axis share, for the same filters; new ones are added.
-    """
-    for term in model.terms:
-        if isinstance(term, Transient):
-            raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
-    labels = model.term_labels
-    alone = [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
-    known |= {one: _of_term(one, filters, duration) for one in alone if one not in known}
-    return np.stack([known[one] for one in alone])
-
-
-def _of_term(model: Model, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral's error for a model of one term."""
+def _variance(model: Model, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
+    """Variance of the integral's error [rad² or (m/s)²] for a model of one term, of this duration [s]."""
     (term,), rate, steps, share = model.terms, filters.rate, filters.steps, filters.share
     gain, again = filters.gain[:, None], filters.again[:, None]
+    if isinstance(term, Transient):
+        raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
     if isinstance(term, Sinusoid):
         z = np.exp(2j * np.pi * term.frequency / rate)
         error = (z**steps - 1.0) / (z - 1.0) - share * gain / (z - again)
@@ -179,7 +160,7 @@ def _of_states(block: Block, filters: Filters, duration: float) -> Float[np.ndar
     return (found - 2.0 * share * shared + share**2 * P[:, n, n, None]) / filters.rate**2
 
 
-def equal_pairs(
+def _equal_pairs(
     truth: Float[np.ndarray, "draws g t"], unit: Float[np.ndarray, "g t"]
 ) -> tuple[Int[np.ndarray, " draws"], Float[np.ndarray, " draws"], Float[np.ndarray, " draws"]]:
     """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
@@ -192,7 +173,7 @@ def equal_pairs(
     return best, np.exp(ratio[draws, best, -1] / 2.0), np.exp(worst[draws, best])
 
 
-def bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
+def _bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
     """The filter whose prediction is nowhere below its true variance and least in mean logarithm; its N."""
     scale = (truth / unit).max(axis=1)
     best = int(np.argmin(np.log(scale) + np.log(unit).mean(axis=1)))
@@ -280,34 +261,25 @@ class AxisHorizon(ByValue):
 
     def rows(self) -> list[tuple[str, ...]]:
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
-
-        def shown(name: str, value: float) -> str:
-            unit = default_coefficient_unit(self.axis.sensor, EXPONENTS[name])
-            return significant(value / unit_scale(unit, self.axis.sensor)) if 0.0 < value < math.inf else ""
-
-        def interval(name: str, e: Estimate) -> str:
-            low, high = e.interval
-            return f"{shown(name, low)} … {shown(name, high)}" if low < high else ""
-
-        time = "" if self.correlation_time is None else significant(self.correlation_time.value)
-        bound = "" if math.isinf(self.bounding_time) else significant(self.bounding_time)
         # The table has no space for an interval of N beside a correlation time.
-        N, K = "" if time else interval("white", self.white), interval("walk", self.walk)
-        own, raw = (
-            (self.white.value, N, self.walk.value, K, time),
-            (self.raw_white, "", self.raw_walk, "", ""),
-        )
-        bounding = (self.bounding_white, "", self.bounding_walk, "", bound)
-        table = {
-            "equal": (*own, self.bias_std, self.error[-1], self.error[-1]),
-            "bound": (*bounding, self.bounding_bias_std, self.bound[-1], 0.0),
-            "fitted": (*raw, 0.0, self.raw_prediction[-1], self.raw_error[-1]),
+        T_c, N_ends = (0.0, self.white.interval) if (T := self.correlation_time) is None else (T.value, ())
+        N, K, N_raw, K_raw = self.white.value, self.walk.value, self.raw_white, self.raw_walk
+        N_max, K_max, T_max = self.bounding_white, self.bounding_walk, self.bounding_time
+        error, bound, bias = self.error[-1], self.bound[-1], self.bounding_bias_std
+        kinds = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
+        table: dict[str, tuple[Any, ...]] = {
+            "equal": (N, N_ends, K, self.walk.interval, T_c, self.bias_std, error, error),
+            "bound": (N_max, (), K_max, (), T_max, bias, bound, ()),
+            "fitted": (N_raw, (), K_raw, (), (), (), self.raw_prediction[-1], self.raw_error[-1]),
         }
-        kinds = ("white", "", "walk", "", "", "bias", "integral", "integral")
-        return [
-            (self.axis.name, pair, *(shown(*x) if x[0] else str(x[1]) for x in zip(kinds, row, strict=True)))
-            for pair, row in table.items()
-        ]
+        return [(self.axis.name, pair, *map(self._shown, kinds, row)) for pair, row in table.items()]
+
+    def _shown(self, kind: str, value: Any) -> str:
+        """A value, or the ends of an interval, in the usual unit; nothing for those that are not positive."""
+        unit, ends = _unit(self.axis.sensor, kind), np.atleast_1d(value)
+        if not np.isfinite(ends).all() or not (np.diff(ends, prepend=0.0) > 0.0).all():
+            return ""
+        return " … ".join(significant(x / unit_scale(unit, self.axis.sensor)) for x in ends)
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
@@ -388,9 +360,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
         return f"N and K for a filter that is corrected every {length(self.horizon)}{process}"
 
     def _heads(self, sensor: Sensor) -> list[str]:
-        units = {name: default_coefficient_unit(sensor, x) for name, x in EXPONENTS.items()}
-        N, K, error = (f"({units[name]})" for name in ("white", "walk", "integral"))
-        pairs = [f"N {N}", f"95 % {N}", f"K {K}", f"95 % {K}", "T (s)", f"bias\n1σ ({units['bias']})"]
+        N, K, bias, error = (f"({_unit(sensor, x)})" for x in ("white", "walk", "bias", "integral"))
+        pairs = [f"N {N}", f"95 % {N}", f"K {K}", f"95 % {K}", "T (s)", f"bias\n1σ {bias}"]
         return ["axis", "pair", *pairs, f"predicted\nerror {error}", f"true\nerror {error}"]
 
     def _notes(self) -> list[str]:
@@ -401,12 +372,11 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
             "error. bound: N and K that predict at least the true error, with a probability of "
             f"{percent(self.probability)}. fitted: N and K of the fit without its other terms"
         )
-        causes = [
-            f"{r.axis.name}: true error from {r.causes()}"
-            + (f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else "")
-            for r in self.results
-        ]
-        return [explained, *causes, *(f"note: {note}" for note in self.notes)]
+        notes = [explained]
+        for r in self.results:
+            averaged = f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else ""
+            notes.append(f"{r.axis.name}: true error from {r.causes()}{averaged}")
+        return [*notes, *(f"note: {note}" for note in self.notes)]
 
 
 def horizon(
@@ -459,12 +429,23 @@ def horizon(
         )
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"probability= (--probability) must be in [0.5, 1), not {probability}")
+    question = _Question(float(seconds), process, probability, rate, record)
     noises = _noises(fit, [axes] if isinstance(axes, str) else axes, seed)
-    found = [_of_axis(*noise, float(seconds), process, probability, rate, record) for noise in noises]
+    found = tuple(_of_axis(question, *noise) for noise in noises)
     if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
     notes = fit.statements if isinstance(fit, DataSheet) else ()
-    return Horizon(fit.name, float(seconds), process, probability, tuple(found), notes)
+    return Horizon(fit.name, float(seconds), process, probability, found, notes)
+
+
+class _Question(NamedTuple):
+    """The horizon [s], how a filter models the bias, and the rate [Hz] and length [s] of the record."""
+
+    seconds: float
+    process: Process
+    probability: float
+    rate: float
+    record: float
 
 
 def _noises(
@@ -476,47 +457,53 @@ def _noises(
             yield Axis(s, s, SI[s]["rate"]), fit.coefficients(s), fit[s], [exact_model(fit[s])]
         return
     results = [fit[name] for name in asked] if asked else [r for r in fit.values() if r.measured]
-    for r in results:
-        if not r.measured:
-            raise FitError(f"{r.axis.name}: {r.verdict}")
+    if missing := [r for r in results if not r.measured]:
+        raise FitError(f"{missing[0].axis.name}: {missing[0].verdict}")
     for r in results:
         sets = likely_models(fit, r.axis.name, _DRAWS, np.random.default_rng(seed))
         yield r.axis, r.coefficients, r.model, sets
 
 
 def _of_axis(
+    question: _Question,
     axis: Axis,
     coefficients: Mapping[str, Estimate],
     model: Model,
     sets: Sequence[Likely],
-    seconds: float,
-    process: Process,
-    probability: float,
-    rate: float,
-    record: float,
 ) -> AxisHorizon:
     """Horizon of one axis."""
+    seconds, process, probability, rate, record = question
     labels = ("angle_random_walk", "rate_random_walk")
     N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
     last = max(round(seconds * rate), 1)
     # From a hundredth of the horizon on.
     steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
-    filters = Filters.of(_pairs(N, K, model, seconds, process, rate, record), steps, rate)
-    memory, time, unit, shared = filters.memory, filters.time, filters.unit, dict[Model, np.ndarray]()
-    each = [(s, variances(s.model, filters, record, shared)) for s in sets]
-    # Undetected terms have limits only; these are in the bound.
-    draws = np.concatenate([np.tensordot(s.power, V, axes=1) for s, V in each])
-    detected = [(s, V, len(V) - s.limited) for s, V in each]
-    known = np.concatenate([np.tensordot(s.power[:, :k], V[:k], axes=1) for s, V, k in detected])
+    filters = Filters.of(_pairs(question, N, K, model), steps, rate)
+    memory, time, unit = filters.memory, filters.time, filters.unit
+    # Sets share terms.
+    variance = functools.cache(lambda one: _variance(one, filters, record))
+    known, draws, shares = list[np.ndarray](), list[np.ndarray](), Counter[str]()
+    each = [(s, np.stack([variance(one) for one in one_by_one(s.model)])) for s in sets]
+    for s, V in each:
+        detected = len(V) - s.limited
+        known.append(np.tensordot(s.power[:, :detected], V[:detected], axes=1))
+        # Undetected terms have limits only; these are in the bound.
+        draws.append(np.tensordot(s.power, V, axes=1))
     # The prediction must be right on average over the likely coefficients.
-    mean = known.mean(axis=0)
+    every = np.concatenate(known)
+    mean = every.mean(axis=0)
     # The last filter is that of the raw coefficients; without N, the walk over its memory.
     good, raw_size = np.arange(len(mean) - 1), N or K * float(memory[-1])
     if process == "markov":
         good = np.flatnonzero(mean[:-1, -1] <= _WORSE**2 * mean[:-1, -1].min())
-    place, white, ratio = equal_pairs(np.concatenate([mean[None], known])[:, good], unit[good])
+    place, white, ratio = _equal_pairs(np.concatenate([mean[None], every])[:, good], unit[good])
     chosen = good[place]
-    bounding, bounding_N = bounding_pair(np.quantile(draws[:, :-1], probability, axis=0), unit[:-1])
+    for s, V in each:
+        parts = s.power.sum(axis=0) * V[:, chosen[0], -1] / len(every) / mean[chosen[0], -1]
+        shares.update(dict(zip(s.labels[: len(V) - s.limited], parts.tolist(), strict=False)))
+    bounding, bounding_N = _bounding_pair(
+        np.quantile(np.concatenate(draws)[:, :-1], probability, axis=0), unit[:-1]
+    )
     return AxisHorizon(
         axis=axis,
         horizon=seconds,
@@ -535,15 +522,14 @@ def _of_axis(
         raw_error=np.sqrt(mean[-1]),
         raw_prediction=raw_size * np.sqrt(unit[-1]),
         bound=bounding_N * np.sqrt(unit[bounding]),
-        shares=_shares((s, V[:k, chosen[0], -1]) for s, V, k in detected),
+        shares=dict(shares.most_common()),
         sets=len(sets),
     )
 
 
-def _pairs(
-    N: float, K: float, model: Model, seconds: float, process: Process, rate: float, record: float
-) -> Float[np.ndarray, "g 2"]:
+def _pairs(question: _Question, N: float, K: float, model: Model) -> Float[np.ndarray, "g 2"]:
     """Memory and correlation time [s] of filters that are compared, and at last those of N and K."""
+    seconds, process, _, rate, record = question
     shortest, own = 2.0 / rate, [term for term in model.terms if isinstance(term, Markov)]
     count, drives, times = _MEMORIES, [K], np.array([math.inf])
     if process == "markov":
@@ -557,23 +543,19 @@ def _pairs(
     return np.append(np.reshape(compared, (2, -1)).T, [[raw, math.inf]], axis=0)
 
 
-def _shares(parts: Iterable[tuple[Likely, Float[np.ndarray, " detected"]]]) -> dict[str, float]:
-    """Shares of terms in the mean variance, the largest first, given the variances of detected unit terms."""
-    total: Counter[str] = Counter()
-    for likely, variance in parts:
-        count = len(variance)
-        mean = likely.power[:, :count].sum(axis=0) * variance
-        total.update(dict(zip(likely.labels[:count], mean.tolist(), strict=True)))
-    return {label: part / total.total() for label, part in total.most_common()}
+def _unit(sensor: Sensor, name: str) -> str:
+    """Usual unit of N, K, an angle, a bias or a time."""
+    return "s" if name == "time" else default_coefficient_unit(sensor, _EXPONENTS[name])
 
 
 def _estimate(axis: Axis, name: str, values: Float[np.ndarray, " draws+1"]) -> Estimate:
     """A value, the first one, with intervals from draws."""
-    low, high, low_68, high_68 = (float(x) for x in np.quantile(values[1:], _QUANTILES))
-    unit = "s" if name == "time" else default_coefficient_unit(axis.sensor, EXPONENTS[name])
+    low, high, low_68, high_68 = np.quantile(values[1:], _QUANTILES).tolist()
+    unit = _unit(axis.sensor, name)
+    label = {"white": "white noise", "walk": "random walk", "time": "correlation time"}[name]
     return Estimate(
         axis=axis,
-        label=_LABELS[name],
+        label=f"{label} of the filter",
         value=float(values[0]),
         std=(high_68 - low_68) / 2.0,
         interval=(low, high),

@@ -6,23 +6,21 @@ not distinguish from it are fitted to the Allan variances with non-negative powe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import TermSet
 from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.notation import term_classes
 from allanjax.noise.terms import Markov
 
-# Widest standard deviation of the logarithm of a power that is drawn.
-_WIDEST = 1.5
-# Number of correlation times that are tried for a Markov process in a rival set.
-_TIMES = 15
+# Widest standard deviation of the logarithm of a power that is drawn; and number of correlation times that
+# are tried for a Markov process in a rival set.
+_WIDEST, _TIMES = 1.5, 15
 
 
 class Likely(NamedTuple):
@@ -43,8 +41,15 @@ class Likely(NamedTuple):
 
 def exact_model(model: Model) -> Likely:
     """A model whose own amplitudes are the only draw."""
-    unit, amplitude = _with_unit_amplitudes(model)
-    return Likely(unit, model.term_labels, amplitude[None] ** 2, 0)
+    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
+    unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
+    return Likely(unit, model.term_labels, np.square([amplitude]), 0)
+
+
+def one_by_one(model: Model) -> list[Model]:
+    """Models of one term each, with the response if the term passes it."""
+    labels = model.term_labels
+    return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
 
 
 def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
@@ -56,36 +61,34 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
     close = {s.terms: s for s in (selection.chosen, *selection.indistinguishable)}
     weight = np.array([s.probability for s in close.values()])
     first, *others = rng.multinomial(draws, weight / weight.sum()).tolist()
-    rivals = [(terms, count) for terms, count in zip(list(close.values())[1:], others, strict=True) if count]
     own, column = _of_fit(found, max(first, 1), rng, with_limits=False), fit.axes.index(axis)
-    return [own, *(_of_curve(fit, column, terms, count, rng) for terms, count in rivals)]
+    rivals = zip(list(close)[1:], others, strict=True)
+    return [own, *(_of_curve(fit, column, terms, count, rng) for terms, count in rivals if count)]
 
 
 def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
     """The fitted model, with the terms below a limit on request."""
-    labels, classes = found.term_labels, term_classes()
-    unit, amplitude = _with_unit_amplitudes(found.model)
-    rows = [k for k, c in enumerate(found.coefficients.values()) if c.is_amplitude and c.term in labels]
-    fitted = np.array([c.value for c in found.coefficients.values()])[rows]
+    (unit, labels, power, _), classes = exact_model(found.model), term_classes()
+    every = list(found.coefficients.values())
+    rows = [k for k, c in enumerate(every) if c.is_amplitude and c.term in labels]
+    fitted = np.array([every[k].value for k in rows])
     covariance = np.nan_to_num(4.0 * found.covariance[np.ix_(rows, rows)] / np.outer(fitted, fitted))
-    scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
-    log = rng.multivariate_normal(np.zeros(len(rows)), covariance * np.outer(scale, scale), draws)
     below = [
         c
-        for c in found.coefficients.values()
+        for c in every
         if with_limits and c.is_amplitude and not c.detected and c.term in classes.keys() - labels
         if c.upper_limit and np.isfinite(c.upper_limit)
         if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"
     ]
-    limits = np.array([c.upper_limit for c in below]) / TWO_SIDED_95
-    extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
     for c in below:
         unit = unit + _unit(classes[c.term])
-    power = np.concatenate([amplitude**2 * np.exp(log), extra], axis=1)
-    return Likely(unit, (*labels, *(c.term for c in below)), power, len(below))
+    limits = np.array([c.upper_limit for c in below], float) / TWO_SIDED_95
+    known = power * _factors(covariance, draws, rng)
+    extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
+    return Likely(unit, (*labels, *(c.term for c in below)), np.hstack([known, extra]), len(below))
 
 
-def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.Generator) -> Likely:
+def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np.random.Generator) -> Likely:
     """A rival set, fitted to the Allan variances of an axis at octaves, which are nearly independent."""
     curve, classes = fit.curve, term_classes()
     octaves = np.unique(np.searchsorted(curve.cluster_size, 2 ** np.arange(np.log2(curve.cluster_size[-1]))))
@@ -93,7 +96,7 @@ def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.
     shape = np.maximum(curve.edf[octaves, column], 1.0) / 2.0
     # A Markov process of any time between ten samples and the longest cluster.
     markov = [Markov(1.0, float(T_c)) for T_c in np.geomspace(10.0 / curve.rate, time[-1], _TIMES)]
-    named = [name if name in classes else name.rpartition("_")[0] for name in terms.terms]
+    named = [name if name in classes else name.rpartition("_")[0] for name in terms]
     tried = [markov if name == "markov" else [_unit(classes[name])] for name in named]
     unit = np.empty((max(map(len, tried)), len(tried), len(time)))
     for k, units in enumerate(tried):
@@ -102,26 +105,23 @@ def _of_curve(fit: Fit, column: int, terms: TermSet, draws: int, rng: np.random.
     best = int(np.argmin(loss))
     value, there = powers[best], powers[best] > 0.0
     F = information(unit[best], value @ unit[best], shape)
-    # Detected terms by the normal law of their logarithms, of limited width, the others within their limits.
-    precision = (F * np.outer(value, value))[np.ix_(there, there)]
-    covariance = np.linalg.inv(precision + np.eye(len(precision)) / _WIDEST**2)
-    log = rng.multivariate_normal(np.zeros(len(precision)), covariance, draws)
+    # Detected terms by the normal law of their logarithms, the others within their limits.
+    precision = (F * np.outer(value, value))[np.ix_(there, there)] + np.eye(there.sum()) / _WIDEST**2
+    detected = value[there] * _factors(np.linalg.inv(precision), draws, rng)
     power = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(F))
-    power[:, there] = value[there] * np.exp(log)
+    power[:, there] = detected
     order = np.argsort(~there, kind="stable")
     model = Model(tuple(tried[k][best % len(tried[k])] for k in order))
-    labels = tuple(terms.terms[k] for k in order)
-    return Likely(model, labels, power[:, order], int((~there).sum()))
+    return Likely(model, tuple(terms[k] for k in order), power[:, order], int((~there).sum()))
 
 
-def _with_unit_amplitudes(model: Model) -> tuple[Model, Float[np.ndarray, " terms"]]:
-    """The model with unit amplitudes, and its own amplitudes."""
-    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
-    unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
-    return unit, np.array(amplitude)
+def _factors(
+    covariance: Float[np.ndarray, "terms terms"], draws: int, rng: np.random.Generator
+) -> Float[np.ndarray, "draws terms"]:
+    """Draws of factors with this covariance of their logarithms, whose standard deviations are limited."""
+    scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+    return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
 
 
 def _unit(term: type[NoiseTerm]) -> NoiseTerm:
-    """The term with an amplitude of one."""
-    amplitude: dict[str, Any] = {term.amplitude_parameter().name: 1.0}
-    return term(**amplitude)
+    return term(**{term.amplitude_parameter().name: 1.0})  # type: ignore[arg-type]

@@ -8,39 +8,36 @@ the logarithms of their powers from the normal law at the maximum of their likel
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
+from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, plain
-from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.evidence import Candidates, Row, TermSubset, sorted_terms, term_pairs, without_ramp
+from allanjax.estimate.design import correlation_times, model_to_fit
+from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
+from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
+from allanjax.estimate.spectral.powers import Ramps, information
 from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.model import Model
+from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike
-from allanjax.noise.terms import Markov, basic_terms
+from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SENSORS, default_coefficient_unit, unit_scale
-from allanjax.spectrum.cosine import (
-    Bins,
-    SpectralStatistics,
-    cosine_transform,
-    joint_statistics,
-    ramp_column,
-    term_column,
-)
+from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
+from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,105 +92,6 @@ class Averaged(ByValue):
         return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
 
 
-def percent(probabilities: Sequence[float]) -> str:
-    """Range of probabilities, e.g. "19 %" or "19–30 %"."""
-    ends = dict.fromkeys(plain(100.0 * p, 2) for p in (min(probabilities), max(probabilities)))
-    return f"{'–'.join(ends)} %"
-
-
-def averaged(
-    axis: Axis,
-    candidates: Candidates,
-    rows: Sequence[Row],
-    weight: Float[np.ndarray, " rows"],
-    statistics: SpectralStatistics,
-    share: Float[np.ndarray, " m"],
-) -> Averaged:
-    """Average over the sets of one axis, each row with its probability."""
-    rng, bins = np.random.default_rng(0), candidates.bins
-    octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
-    time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
-    units = np.stack([np.asarray(term.allan_variance(time)) for term in candidates.units])
-    likely = np.flatnonzero(weight > _IMPROBABLE * weight.max())
-    count = rng.multinomial(_DRAWS, weight[likely] / weight[likely].sum())
-    amplitudes, variances = [], []
-    for k, draws in zip(likely.tolist(), count.tolist(), strict=True):
-        row, here = rows[k], rows[k].members
-        mean = np.maximum(row.power @ candidates.columns[here], 1e-300)
-        power = _powers(candidates.columns[here] / mean, row.power, candidates.size * share, draws, rng)
-        found = np.zeros((draws, len(candidates.model)))
-        found[:, candidates.owner[here]] = power
-        variance = power @ units[here]
-        if row.ramp:
-            information = np.sum(share * statistics.gram / mean)
-            slope = np.sum(share * statistics.cross / mean) / information
-            drawn = slope + rng.standard_normal(draws) / np.sqrt(information)
-            found[:, candidates.ramps[0]] = drawn**2
-            # A ramp of R per second has σ² = R²T²/2 (4.56).
-            variance = variance + np.outer(drawn**2, time**2 / 2.0)
-        amplitudes.append(np.sqrt(found))
-        variances.append(variance)
-    values, deviation = np.concatenate(amplitudes), np.sqrt(np.concatenate(variances))
-    middle, low, high = np.quantile(deviation, _QUANTILES[:3], axis=0)
-    parameters = [p for p in candidates.model.parameters if p.parameter.is_amplitude]
-    coefficients = {}
-    for p, draws in zip(parameters, values.T, strict=True):
-        median, low_95, high_95, low_68, high_68, limit = (float(x) for x in np.quantile(draws, _QUANTILES))
-        coefficients[p.label] = Estimate(
-            label=p.label,
-            term=p.term_label,
-            parameter=p.parameter,
-            axis=axis,
-            value=median,
-            std=float(draws.std()),
-            interval=(low_95, high_95),
-            interval_68=(low_68, high_68),
-            upper_limit=limit,
-            detected=low_95 > 0.0,
-            source="averaged",
-        )
-    return Averaged(coefficients, time, middle, np.stack([low, high], axis=1))
-
-
-def _powers(
-    relative: Float[np.ndarray, "some m"],
-    power: Float[np.ndarray, " some"],
-    weight: Float[np.ndarray, " m"],
-    draws: int,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "draws some"]:
-    """Draws of a subset's powers, given the contributions of unit powers relative to the mean."""
-    there, covariance = _covariance(relative, power, weight)
-    found, root = np.zeros((draws, len(power))), np.linalg.cholesky(covariance)
-    found[:, there] = power[there] * np.exp(rng.standard_normal((draws, len(root))) @ root.T)
-    return found
-
-
-def _covariance(
-    relative: Float[np.ndarray, "some m"], power: Float[np.ndarray, " some"], weight: Float[np.ndarray, " m"]
-) -> tuple[Bool[np.ndarray, " some"], Float[np.ndarray, "there there"]]:
-    """Which powers of a subset are above zero, and the covariance of their logarithms."""
-    there = power > 0.0
-    # A power that few coefficients determine is as likely half as large as twice as large.
-    scaled = relative[there] * power[there, None]
-    information = (scaled * (0.5 * weight)) @ scaled.T
-    return there, np.linalg.inv(information + np.diag(np.full(len(information), 1.0 / _WIDEST**2)))
-
-
-def _intervals(
-    candidates: Candidates, row: Row, weight: Float[np.ndarray, " m"]
-) -> dict[str, tuple[float, float]]:
-    """95 % interval of each amplitude of a subset but the ramp's, by its label."""
-    columns = candidates.columns[row.members]
-    there, covariance = _covariance(columns / np.maximum(row.power @ columns, 1e-300), row.power, weight)
-    labels = {p.term: p.label for p in candidates.model.parameters if p.parameter.is_amplitude}
-    factor = np.exp(TWO_SIDED_95 * np.sqrt(np.diag(covariance)) / 2.0)
-    values = zip(
-        candidates.owner[row.members[there]].tolist(), np.sqrt(row.power[there]), factor, strict=True
-    )
-    return {labels[k]: (float(value / by), float(value * by)) for k, value, by in values}
-
-
 @dataclasses.dataclass(frozen=True)
 class TermSet:
     """Set of noise terms with its evidence.
@@ -241,10 +139,14 @@ class AxisSelection(ByValue):
         """Most probable set."""
         return self.ranking[0]
 
+    def _within(self, odds: float) -> tuple[TermSet, ...]:
+        """Sets against which the best one has a smaller Bayes factor."""
+        return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(odds))
+
     @property
     def indistinguishable(self) -> tuple[TermSet, ...]:
         """The best set and those that cannot be distinguished from it: Bayes factors below 20."""
-        return tuple(s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_ODDS))
+        return self._within(_ODDS)
 
     @property
     def chosen(self) -> TermSet:
@@ -252,8 +154,7 @@ class AxisSelection(ByValue):
 
         Of two explanations that are hard to distinguish, it is the simpler one.
         """
-        close = [s for s in self.ranking if s.log_evidence > self.best.log_evidence - np.log(_PARSIMONY)]
-        return min(close, key=lambda s: (s.parameters, -s.log_evidence))
+        return min(self._within(_PARSIMONY), key=lambda s: (s.parameters, -s.log_evidence))
 
     @property
     def _compared(self) -> list[TermSet]:
@@ -286,8 +187,8 @@ class AxisSelection(ByValue):
         The rivals are terms that the sets indistinguishable from the best one need, the most probable first;
         none if the term may just as well be missing.
         """
-        compared = self._compared
-        total, found = sum(s.probability for s in compared), {}
+        compared, found = self._compared, {}
+        total = sum(s.probability for s in compared)
         close = {frozenset(s.terms) for s in self.indistinguishable}
         for term in self.chosen.terms:
             without = [s for s in compared if term not in s.terms]
@@ -297,10 +198,39 @@ class AxisSelection(ByValue):
                 found[term] = tuple(t for t in dict.fromkeys(needed) if t not in self.chosen.terms)
         return found
 
+    def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
+        """At most three questions that the data leave undecided, the most probable first.
+
+        Each has its text, a text for two probabilities, and these probabilities: for a term, of a set without
+        it and one with it; for "one or another", of the chosen set and the other.
+        """
+        found, chosen = [], self.chosen
+        for other in self.indistinguishable:
+            more, less = (
+                [t for t in a.terms if t not in b.terms] for a, b in ((other, chosen), (chosen, other))
+            )
+            extra, missing = ([title_of(t, self.axis.sensor) for t in terms] for terms in (more, less))
+            if len(missing) == len(extra) == 1:
+                question = f"{missing[0]} or {extra[0]}", "{} and {}"
+            elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
+                question = (missing or extra)[0], "{} without it, {} with it"
+            else:
+                continue
+            one, two = (other, chosen) if not extra else (chosen, other)
+            found.append((*question, one.probability, two.probability))
+        return tuple(found[:3])
+
+    def ambiguities(self) -> tuple[str, ...]:
+        """What the data leave undecided, in words, the most probable first."""
+        return tuple(
+            _in_words(question, words, [one], [two]) for question, words, one, two in self.undecided()
+        )
+
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
 
+        close = len(self.indistinguishable)
         return pd.DataFrame(
             {
                 "axis": self.axis.name,
@@ -308,7 +238,7 @@ class AxisSelection(ByValue):
                 "terms": str(s),
                 "probability": s.probability,
                 "log_evidence": s.log_evidence - self.best.log_evidence,
-                "indistinguishable": s in self.indistinguishable,
+                "indistinguishable": rank <= close,
             }
             for rank, s in enumerate(self.ranking, 1)
         )
@@ -318,31 +248,14 @@ class AxisSelection(ByValue):
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
-    def ambiguities(self) -> tuple[str, ...]:
-        """What the data leave undecided, in words, the most probable first."""
-        return tuple(
-            f"{question} (probabilities of the best sets: {words.format(percent([one]), percent([other]))})"
-            for question, words, one, other in self.undecided()
-        )
 
-    def undecided(self) -> tuple[tuple[str, str, float, float], ...]:
-        """At most three questions that the data leave undecided, the most probable first.
-
-        Each has its text, a text for two probabilities, and these probabilities: for a term, of a set without
-        it and one with it; for "one or another", of the chosen set and the other.
-        """
-        found = []
-        for other in self.indistinguishable:
-            chosen = self.chosen
-            extra = [title_of(t, self.axis.sensor) for t in other.terms if t not in chosen.terms]
-            missing = [title_of(t, self.axis.sensor) for t in chosen.terms if t not in other.terms]
-            pair = (other, chosen) if missing and not extra else (chosen, other)
-            odds = pair[0].probability, pair[1].probability
-            if len(missing) == len(extra) == 1:
-                found.append((f"{missing[0]} or {extra[0]}", "{} and {}", *odds))
-            elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                found.append(((missing or extra)[0], "{} without it, {} with it", *odds))
-        return tuple(found[:3])
+def _in_words(question: str, words: str, one: Sequence[float], other: Sequence[float]) -> str:
+    """An undecided question with ranges of the probabilities of the best sets, e.g. "19–30 %"."""
+    ranges = []
+    for p in (one, other):
+        ends = dict.fromkeys(plain(100.0 * x, 2) for x in (min(p), max(p)))
+        ranges.append(f"{'–'.join(ends)} %")
+    return f"{question} (probabilities of the best sets: {words.format(*ranges)})"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -378,9 +291,9 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         """Notes on what the data leave undecided: one per question, with its axes and probabilities."""
         notes = []
         for (question, words), of in self.undecided().items():
-            names = ", ".join(name for name, *_ in of)
-            odds = words.format(percent([one for _, one, _ in of]), percent([p for *_, p in of]))
-            notes.append(f"undecided: {question} on {names} (probabilities of the best sets: {odds})")
+            names, one, other = zip(*of, strict=True)
+            on = ", ".join(names)
+            notes.append(f"undecided: {_in_words(f'{question} on {on}', words, one, other)}")
         return tuple(notes)
 
     def _title(self) -> str:
@@ -390,24 +303,24 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
         rows = []
         for axis in self.results:
-            for s in axis.ranking[: max(3, len(axis.indistinguishable))]:
-                verdict = "chosen" if s == axis.chosen else "undecided" if s in axis.indistinguishable else ""
+            close, chosen = len(axis.indistinguishable), axis.chosen
+            for k, s in enumerate(axis.ranking[: max(3, close)]):
+                verdict = "chosen" if s == chosen else "undecided" if k < close else ""
                 terms = " + ".join(SYMBOLS.get(term, term) for term in s.terms)
                 behind = f"{axis.best.log_evidence - s.log_evidence:.1f}"
                 rows.append((axis.axis.name, terms, f"{100.0 * s.probability:.1f}", behind, verdict))
         heads = ("axis", "noise terms", "probability (%)", "nats behind", "verdict")
-        tables = [columns_from(heads, rows)]
-        for sensor in SENSORS:
-            drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
-            unit = default_coefficient_unit(sensor, 0.0)
-            columns = []
-            for time in 10.0 ** np.arange(_DECADES):
-                drift = [drift.at(time) / unit_scale(unit, sensor) for drift in drifts.values()]
-                if np.isfinite(drift).any():
-                    numbers = [Number(x, (high - low) / 2.0 / TWO_SIDED_95) for x, low, high in drift]
-                    columns.append(column(f"σ at {duration(time)}", unit, numbers))
-            tables += tables_of([Column("axis", list(drifts))], [], columns) if columns else []
-        return tables
+        return [columns_from(heads, rows), *(t for sensor in SENSORS for t in self._drifts(sensor))]
+
+    def _drifts(self, sensor: Sensor) -> list[list[Column]]:
+        drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
+        unit, columns = default_coefficient_unit(sensor, 0.0), []
+        for time in 10.0 ** np.arange(_DECADES):
+            drift = [drift.at(time) / unit_scale(unit, sensor) for drift in drifts.values()]
+            if np.isfinite(drift).any():
+                numbers = [Number(x, (high - low) / 2.0 / TWO_SIDED_95) for x, low, high in drift]
+                columns.append(column(f"σ at {duration(time)}", unit, numbers))
+        return tables_of([Column("axis", list(drifts))], [], columns) if columns else []
 
     def _notes(self) -> list[str]:
         terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
@@ -465,20 +378,13 @@ def select_terms(
 def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
     """Ranking of the terms for a whole recording; see `select_terms`."""
     model = candidates_of(candidates, recording.rate)
-    ramps = sorted_terms(model)[2]
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64 samples, or fit given terms (--terms)"
         )
-    if recording.others:
-        joint = joint_statistics((recording.values, *recording.others), recording.rate)
-        return rank_terms(model, *joint, recording.axes, recording.name)
-    bins = Bins.of(recording.n, recording.rate)
-    place = recording.n, recording.rate
-    ramp = term_column(model.terms[ramps[0]], *place) if ramps else ramp_column(*place)
-    c = cosine_transform(recording.values - recording.values.mean(axis=0))
-    return rank_terms(model, bins, bins.statistics(c, ramp), recording.axes, recording.name)
+    bins, statistics = joint_statistics((recording.values, *recording.others), recording.rate)
+    return rank_terms(model, bins, statistics, recording.axes, recording.name)
 
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
@@ -493,105 +399,221 @@ def rank_terms(
 
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
     """
-    candidates = Candidates.of(model, bins)
-    statistics = SpectralStatistics(*map(np.asarray, statistics))
-    share = np.ones((len(axes), len(candidates.size)))
-    rows = _rows(candidates, candidates.subsets(), statistics, share)
-    if len(candidates.shaped) > 1:
-        more = _rows(candidates, _pairs(candidates, rows), statistics, share)
-        rows = [some + others for some, others in zip(rows, more, strict=True)]
-    rows, share, error = _with_error(candidates, statistics, rows)
-    results = []
-    for k, axis in enumerate(axes):
-        ranking, weight = _ranked(candidates, rows[k], candidates.size * share[k])
-        own = SpectralStatistics(*(x[k] for x in statistics))
-        also = averaged(axis, candidates, rows[k], weight, own, share[k])
-        results.append(AxisSelection(axis, ranking, float(error[k]) / 2.0, also))
-    return TermSelection(name, tuple(results))
+    candidates, values = _Candidates.of(model, bins), [np.asarray(x) for x in statistics]
+
+    def of_axis(k: int) -> AxisSelection:
+        own = SpectralStatistics(*(x[k] for x in values))
+        return _Spectrum(candidates, own, bins.size.astype(float)).selection(axes[k])
+
+    return TermSelection(name, tuple(for_each(of_axis, range(len(axes)))))
 
 
-def _rows(
-    candidates: Candidates,
-    subsets: TermSubset,
-    statistics: SpectralStatistics,
-    share: Float[np.ndarray, "axes m"],
-) -> list[list[Row]]:
-    """Some subsets for each axis."""
-    found = candidates.evidence(subsets, statistics, share)
-    return [candidates.rows(subsets, found, k) for k in range(len(share))]
+class _Candidates(NamedTuple):
+    """Candidate terms of a model with their expectations in the bins of a spectrum.
 
-
-def _with_error(
-    candidates: Candidates, statistics: SpectralStatistics, rows: list[list[Row]]
-) -> tuple[list[list[Row]], Float[np.ndarray, "axes m"], Float[np.ndarray, " axes"]]:
-    """The rows, the weights of the bins and the model's error, if no subset fits the spectrum.
-
-    All are given the error that makes the best one fit, and those with a free time are left out.
+    The columns are those of the `plain` terms without a free shape, then of each free one at `grid` times:
+    the index of their `owner`, their `levels` [rate²], and their Allan `variances` at octaves of the cluster
+    `time` [s], of unit amplitude. `sets` are all with at most one free time; these have a place for as many
+    as there are. `ramp` is the index of the ramp, None without one.
     """
-    rows, size, per_octave = list(rows), candidates.size, candidates.bins.per_octave()
-    subsets = candidates.subsets()
-    # Without other terms, those with a free time are kept.
-    plain = TermSubset(*(x[~subsets.terms[:, -1]] for x in subsets)) if candidates.fixed else subsets
 
-    def error_of(k: int) -> float:
-        best = max(rows[k], key=lambda row: row.log_evidence)
-        mean = best.power @ candidates.columns[best.members]
-        own = SpectralStatistics(*(x[k] for x in statistics))
-        rss, dof = without_ramp(own, size, mean, best.ramp)
-        ratio, degrees = rss / np.maximum(dof, 1e-3) / mean, max(len(size) - 3.0, 1.0)
+    model: Model
+    bins: Bins
+    ramp: int | None
+    plain: int
+    grid: int
+    owner: Int[np.ndarray, " columns"]
+    levels: Float[np.ndarray, "columns m"]
+    time: Float[np.ndarray, " t"]
+    variances: Float[np.ndarray, "columns t"]
+    sets: TermSets
+
+    @classmethod
+    def of(cls, model: Model, bins: Bins) -> _Candidates:
+        """Candidates as sampled. Raises AllanjaxError as `_sorted_terms` does."""
+        fixed, shaped, ramps = _sorted_terms(model)
+        units, plain, times = [model.terms[k] for k in fixed], len(fixed), np.zeros(0)
+        for term in (model.terms[k] for k in shaped[:1]):
+            times = correlation_times(bins.n / bins.rate, bins.rate)
+            name = next(p.name for p in term.parameters()[1:] if term.is_free(p))
+            units += [term.replace(**{name: float(time)}) for time in times]
+        octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
+        time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
+        variances = np.array([term.with_unit_amplitude().allan_variance(time) for term in units])
+        sets = term_sets(plain, len(times), bool(ramps))
+        every = np.arange(len(units))
+        if len(shaped) > 1:
+            # A second one is of the same kind.
+            every = np.append(every, every[plain:])
+            none = np.zeros(len(sets.ramp), int)
+            sets = TermSets(np.c_[sets.columns, none + len(units)], np.c_[sets.used, none > 0], sets.ramp)
+        owner = np.array([*fixed, *np.repeat(shaped, len(times))], int)
+        levels, ramp = columns_of(units, bins).mean(axis=1)[every], ramps[0] if ramps else None
+        return cls(model, bins, ramp, plain, len(times), owner, levels, time, variances[every], sets)
+
+    def with_two_times(self, found: Evidence) -> TermSets:
+        """All pairs of times with what those sets with one have besides that are not far behind the best."""
+        one = found.used[:, self.plain]
+        near = one & (found.log_evidence > found.log_evidence[one].max() - _FAR)
+        besides = np.unique(np.c_[found.used[near, : self.plain], found.ramp[near]], axis=0)
+        pairs = np.array(list(itertools.combinations(range(self.grid), 2)))
+        rows, each = np.repeat(besides, len(pairs), axis=0), np.tile(pairs, (len(besides), 1))
+        columns = np.c_[np.tile(np.arange(self.plain), (len(rows), 1)), self.plain + each + [0, self.grid]]
+        return TermSets(columns, np.c_[rows[:, :-1], np.ones((len(rows), 2), bool)], rows[:, -1])
+
+    def terms_of(self, found: Evidence) -> Bool[np.ndarray, "sets terms"]:
+        """Which terms each set has."""
+        has = np.zeros((len(found.ramp), len(self.model)), bool)
+        np.put_along_axis(has, self.owner[found.columns], found.used, axis=1)
+        if self.ramp is not None:
+            has[:, self.ramp] = found.ramp
+        return has
+
+
+def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
+    """Indices of the random terms without a free shape, of those with a free time, and of the ramp.
+
+    Raises:
+        AllanjaxError: candidates that cannot be compared.
+    """
+    fixed, shaped, ramps = list[int](), list[int](), list[int]()
+    for k, term in enumerate(model.terms):
+        free = [p for p in term.parameters()[1:] if term.is_free(p)]
+        if not term.has_free_amplitude:
+            raise AllanjaxError(
+                f"{term.name()}: a term with a held amplitude cannot be ranked; leave it free"
+            )
+        if isinstance(term, DriftRamp):
+            ramps.append(k)
+        elif term.deterministic or term.narrow_band or len(free) > 1 or any(p.kind != "time" for p in free):
+            raise AllanjaxError(
+                f"{term.name()} cannot be compared by evidence; fit with and without it, and compare the fits"
+            )
+        else:
+            (shaped if free else fixed).append(k)
+    kinds = {type(model.terms[k]) for k in shaped}
+    few = 1 <= len(fixed) + len(kinds) <= 6 - len(ramps)
+    if len(shaped) > 2 or len(kinds) > 1 or len(ramps) > 1 or not few:
+        raise AllanjaxError(
+            "select_terms takes at most six terms, not only a ramp, with at most one ramp and one term with "
+            "a free time (or two of one kind); hold other times, e.g. Markov().hold(correlation_time=100.0)"
+        )
+    return fixed, shaped, ramps
+
+
+class _Spectrum(NamedTuple):
+    """Spectrum of one axis, by which the candidates are ranked: sums over bins, and their coefficients."""
+
+    of: _Candidates
+    statistics: SpectralStatistics
+    size: Float[np.ndarray, " m"]
+
+    def selection(self, axis: Axis) -> AxisSelection:
+        """Ranking of the sets, and their average."""
+        spectrum, found, error = self, self.evidence(self.of.sets), 0.0
+        if found.columns.shape[1] > self.of.plain + 1:
+            pairs = self.evidence(self.of.with_two_times(found))
+            found = Evidence(*map(np.concatenate, zip(found, pairs, strict=True)))
+        if self.error_of(found) > 0.0:
+            # Without other terms, those with a free time are kept.
+            if self.of.plain:
+                found = found.of(~found.used[:, self.of.plain :].any(axis=1))
+            for _ in range(_ROUNDS):
+                error = max(error, self.error_of(found))
+                share = share_with_error(self.size, self.of.bins.per_octave(), error)
+                weighted = SpectralStatistics(*(share * x for x in self.statistics))
+                spectrum = self._replace(statistics=weighted, size=share * self.size)
+                found = spectrum.evidence(TermSets(*found[:3]))
+        sets, which = np.unique(self.of.terms_of(found), axis=0, return_inverse=True)
+        which = which.ravel()
+        # The evidence of a set with free times is the mean over the grid of times.
+        each = found.log_evidence - np.log(np.bincount(which))[which]
+        total = np.array([np.logaddexp.reduce(each[which == k]) for k in range(len(sets))])
+        probability, ranking = np.exp(total - np.logaddexp.reduce(total)), []
+        labels, parameters = self.of.model.term_labels, self.of.model.parameters
+        free = np.array([sum(p.free for p in parameters if p.term == k) for k in range(len(labels))])
+        for k in np.argsort(-total, kind="stable"):
+            behind, rows = float(total[k] - total.max()), np.flatnonzero(which == k)
+            best = found.of(rows[[np.argmax(each[rows])]])
+            known = spectrum.intervals(best) if behind > -np.log(_ODDS) else {}
+            names, count = tuple(itertools.compress(labels, sets[k])), int(free @ sets[k])
+            ranking.append(TermSet(names, count, behind, float(probability[k]), known))
+        also = spectrum.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
+        return AxisSelection(axis, tuple(ranking), error / 2.0, also)
+
+    def evidence(self, sets: TermSets) -> Evidence:
+        """Evidence of some sets."""
+        return evidence(sets, self.of.levels, self.statistics, self.size)
+
+    def ramps(self, found: Evidence) -> Ramps:
+        """Ramps of these sets."""
+        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
+
+    def mean(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
+        """Expected levels of sets at the maxima of their likelihoods."""
+        return np.maximum((found.power[:, None] @ self.of.levels[found.columns])[:, 0], 1e-300)
+
+    def error_of(self, found: Evidence) -> float:
+        """Relative error that makes the best set fit; 0 if it does."""
+        best = found.of([np.argmax(found.log_evidence)])
+        level, mean = self.statistics.squares / self.size, self.mean(best)
+        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
+        ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
         if chi_squared(ratio, dof) <= beyond_doubt(degrees):
             return 0.0
-        return error_of_powers(ratio, dof, per_octave, degrees)
+        return error_of_powers(ratio, dof, self.of.bins.per_octave(), degrees)
 
-    error = np.zeros(len(rows))
-    incomplete = [k for k in range(len(rows)) if error_of(k) > 0.0]
-    for k in incomplete if candidates.fixed else ():
-        rows[k] = [row for row in rows[k] if not len(row.members) or row.members[-1] < len(candidates.fixed)]
-    for _ in range(_ROUNDS if incomplete else 0):
-        for k in incomplete:
-            error[k] = max(error[k], error_of(k))
-        again = _rows(candidates, plain, statistics, share_with_error(size, per_octave, error[:, None]))
-        for k in incomplete:
-            rows[k] = again[k]
-    return rows, share_with_error(size, per_octave, error[:, None]), error
+    def covariance(self, found: Evidence) -> Float[np.ndarray, "sets places places"]:
+        """Covariance of the logarithms of the powers of sets."""
+        F = information(self.of.levels[found.columns], self.mean(found), self.size / 2.0)
+        F *= found.power[:, :, None] * found.power[:, None]
+        # A power that few coefficients determine is as likely half as large as twice as large.
+        return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
+
+    def intervals(self, best: Evidence) -> dict[str, tuple[float, float]]:
+        """95 % interval of each amplitude of a set but the ramp's, by its label."""
+        labels = {p.term: p.label for p in self.of.model.parameters if p.parameter.is_amplitude}
+        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
+        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
+        every = zip(self.of.owner[best.columns[0]].tolist(), *ends.tolist(), strict=True)
+        return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
+
+    def averaged(self, axis: Axis, found: Evidence, probability: Float[np.ndarray, " sets"]) -> Averaged:
+        """Average over the sets, drawn by their probabilities."""
+        rng, of, time = np.random.default_rng(0), self.of, self.of.time
+        likely = probability > _IMPROBABLE * probability.max()
+        found, weight = found.of(likely), probability[likely] / probability[likely].sum()
+        drawn = np.repeat(np.arange(len(weight)), rng.multinomial(_DRAWS, weight))
+        root, columns = np.linalg.cholesky(self.covariance(found)), found.columns[drawn]
+        log = root[drawn] @ rng.standard_normal((_DRAWS, columns.shape[1], 1))
+        power, squares = found.power[drawn] * np.exp(log[..., 0]), np.zeros((_DRAWS, len(of.model)))
+        np.put_along_axis(squares, of.owner[columns], power, axis=1)
+        variance = np.einsum("dp,dpt->dt", power, of.variances[columns])
+        if of.ramp is not None:
+            slope, precision = (x[drawn] for x in self.ramps(found).slope(self.mean(found)))
+            slope += rng.standard_normal(_DRAWS) / np.sqrt(precision)
+            squares[:, of.ramp] = np.where(found.ramp[drawn], slope**2, 0.0)
+            # A ramp of R per second has σ² = R²T²/2 (4.56).
+            variance += np.outer(squares[:, of.ramp], time**2 / 2.0)
+        middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
+        amplitudes = (p for p in of.model.parameters if p.parameter.is_amplitude)
+        coefficients = {p.label: _of_draws(axis, p, np.sqrt(squares[:, p.term])) for p in amplitudes}
+        return Averaged(coefficients, time, middle, np.stack(ends, axis=1))
 
 
-def _pairs(candidates: Candidates, rows: Sequence[Sequence[Row]]) -> TermSubset:
-    """Subsets with two free times, from the sets that are not far behind the best one of any axis."""
-    cut, near = len(candidates.fixed), set()
-    for some in rows:
-        shaped = [row for row in some if len(row.members) and row.members[-1] >= cut]
-        best = max(row.log_evidence for row in shaped)
-        near |= {(row.key(cut), row.ramp) for row in shaped if row.log_evidence > best - _FAR}
-    flags = np.array([[k in key for k in range(cut)] for key, _ in sorted(near)], bool)
-    ramp = np.array([ramp for _, ramp in sorted(near)], bool)
-    return term_pairs(flags.reshape(len(near), cut), ramp, len(candidates.grid))
-
-
-def _ranked(
-    candidates: Candidates, rows: Sequence[Row], weight: Float[np.ndarray, " m"]
-) -> tuple[tuple[TermSet, ...], Float[np.ndarray, " rows"]]:
-    """Ranking of the sets of terms of one axis, and the probability of each row."""
-    model, labels = candidates.model, candidates.model.term_labels
-    names = []
-    for row in rows:
-        chosen = {int(candidates.owner[m]) for m in row.members} | set(candidates.ramps if row.ramp else ())
-        names.append(tuple(labels[k] for k in sorted(chosen)))
-    by_set: dict[tuple[str, ...], list[Row]] = {}
-    for name, row in zip(names, rows, strict=True):
-        by_set.setdefault(name, []).append(row)
-    # The evidence of a set with free times is the mean over the grid of times.
-    total = {
-        s: float(np.logaddexp.reduce([row.log_evidence for row in own]) - np.log(len(own)))
-        for s, own in by_set.items()
-    }
-    norm = float(np.logaddexp.reduce(list(total.values())))
-    ranking = sorted(total.items(), key=lambda item: -item[1])
-    free = {label: sum(p.free for p in model.parameters if p.term_label == label) for label in labels}
-    sets = []
-    for s, value in ranking:
-        behind, best = value - ranking[0][1], max(by_set[s], key=lambda row: row.log_evidence)
-        known = _intervals(candidates, best, weight) if behind > -np.log(_ODDS) else {}
-        sets.append(TermSet(s, sum(free[k] for k in s), behind, float(np.exp(value - norm)), known))
-    each = [row.log_evidence - np.log(len(by_set[name])) for name, row in zip(names, rows, strict=True)]
-    return tuple(sets), np.exp(np.array(each) - norm)
+def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
+    """An averaged amplitude."""
+    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
+    return Estimate(
+        label=p.label,
+        term=p.term_label,
+        parameter=p.parameter,
+        axis=axis,
+        value=median,
+        std=float(draws.std()),
+        interval=(low_95, high_95),
+        interval_68=(low_68, high_68),
+        upper_limit=limit,
+        detected=low_95 > 0.0,
+        source="averaged",
+    )

@@ -15,7 +15,8 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
-from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, one_by_one, sensors_of
+from allanjax.estimate.likely_models import one_by_one
+from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, unit_scale

@@ -195,12 +195,6 @@ def _sampled(posterior: AxisPosterior) -> list[Likely]:
     return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in groups]
 
 
-def one_by_one(model: Model) -> list[Model]:
-    """Models of one term each, with the response if the term passes it."""
-    labels = model.term_labels
-    return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
-
-
 def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:
     """Value in this SI unit, from a number in that unit or a text with a unit, e.g. "0.2 deg/h".
 

@@ -18,16 +18,8 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
-from allanjax.navigation.likely import (
-    AxisNoise,
-    Drawn,
-    NoiseLike,
-    Sensors,
-    in_si,
-    one_by_one,
-    sensors_of,
-    together,
-)
+from allanjax.estimate.likely_models import one_by_one
+from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, in_si, sensors_of, together
 from allanjax.noise.model import Model
 from allanjax.record.units import SI
 

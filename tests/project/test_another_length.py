@@ -27,7 +27,7 @@ CURVES = (aj.allan_deviation, aj.power_spectrum, aj.autocorrelation, aj.wavelet_
 
 def test_a_second_length_compiles_nothing():
     whole = bench.recording("small")
-    for call in (*CURVES, aj.inspect, in_sevenths):
+    for call in (*CURVES, aj.inspect, aj.select_terms, in_sevenths):
         call(whole)
         with compilations() as compiled:
             call(whole.between(0.0, 94.77))
@@ -76,7 +76,7 @@ def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
 
 def test_a_first_fit_compiles_few_programs_and_a_second_one_none():
     """Of other terms and another length, and its posterior: they are data of the same programs."""
-    # Seven for choice of terms, Allan variances, their moments and a fit by them, and six of spectra. Samples
+    # Six for Allan variances, their moments and a fit by them, and six of spectra. Samples
     # of up to the same power of two share one of Allan variances. This is the last test, as it forgets all.
     resonant = NOISE + aj.Resonance(3e-3, 25.0, 15.0)
     first, second = simulated(FILTERED, 60_000, 1), simulated(resonant, 41_234, 2)

@@ -5,11 +5,55 @@ Levels are those of a spectrum, or Allan variances at octaves. Many models are f
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Bool, Float
 
-# Damping of a step, and the longest one in ln.
-_DAMPING, _LONGEST = 0.01, 2.0
+# Damping of the first step, its least and largest values, its factor after each step that gains or loses; and
+# the longest step in ln.
+_DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.01, (1e-6, 1e6), 0.1, 10.0, 2.0
+# A fit ends if the next step would gain less than this [nats].
+_SETTLED = 1e-6
+# Steps after which models that are far behind the best one are left as they are.
+_PATIENCE = 8
+# Fewest degrees of freedom of a level from which a ramp was removed.
+_FEWEST = 1e-3
+
+
+class Ramps(NamedTuple):
+    """Ramps of unknown slope in a record, which are projected out of its levels under each model's noise.
+
+    Attributes:
+        cross: sums over the bin of each level of the coefficients times those of a ramp.
+        gram: sums of the ramp's squared coefficients.
+        present: which models have a ramp; the first axes of the methods' results.
+    """
+
+    cross: Float[np.ndarray, " m"]
+    gram: Float[np.ndarray, " m"]
+    present: Bool[np.ndarray, " models"]
+
+    def removed(
+        self,
+        level: Float[np.ndarray, " m"],
+        shape: Float[np.ndarray, " m"],
+        mean: Float[np.ndarray, "models m"],
+    ) -> tuple[Float[np.ndarray, "models m"], Float[np.ndarray, "models m"], Float[np.ndarray, " models"]]:
+        """Levels less the ramps, half of their degrees of freedom, and the information about each slope."""
+        slope, precision = self.slope(mean)
+        beta, share = slope[:, None], (self.present / precision)[:, None]
+        squares = 2.0 * shape * level - beta * (2.0 * self.cross) + beta**2 * self.gram
+        dof = np.maximum(2.0 * shape - share * self.gram / mean, _FEWEST)
+        return np.maximum(squares, 0.0) / dof, 0.5 * dof, precision
+
+    def slope(
+        self, mean: Float[np.ndarray, "models m"]
+    ) -> tuple[Float[np.ndarray, " models"], Float[np.ndarray, " models"]]:
+        """Slopes under noise of these levels, 0 without a ramp, and their information, 1 without."""
+        inverse = 1.0 / mean
+        precision = np.where(self.present, inverse @ self.gram, 1.0)
+        return np.where(self.present, inverse @ self.cross / precision, 0.0), precision
 
 
 def power_fits(
@@ -19,12 +63,15 @@ def power_fits(
     unit: Float[np.ndarray, "models p m"],
     start: Float[np.ndarray, "models p"] | None = None,
     used: Bool[np.ndarray, "models p"] | None = None,
-    steps: int = 12,
+    steps: int = 30,
+    ramps: Ramps | None = None,
+    far: float = np.inf,
 ) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
     """Most likely powers ≥ 0 of the terms of each model, and minus the log-likelihood [nats].
 
-    Fisher scoring with the curvature of the deviances, in ln(p + s), s being one standard deviation in the
-    smooth levels.
+    Scoring with the mean of the expected and the observed curvature, damped (Levenberg–Marquardt), in
+    ln(p + s), s being one standard deviation in the smooth levels. The likelihood is integrated over the
+    slope of a ramp.
 
     Args:
         level: the levels.
@@ -33,39 +80,79 @@ def power_fits(
         unit: levels of each term for unit power.
         start: powers to start from; by default each is the largest that nowhere exceeds the smooth levels.
         used: which terms are part of a model; all by default.
-        steps: number of steps; the default suffices unless the terms do not describe the levels.
+        steps: largest number of steps.
+        ramps: which models have a ramp besides; none by default.
+        far: models that remain farther behind the best one than this [nats] are not fitted to the end.
     """
     start = (rough / unit).min(axis=-1) if start is None else start
     used = np.ones(start.shape, bool) if used is None else used
     scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
-    p, best, least = np.where(used, start, 0.0), np.where(used, start, 0.0), np.full(len(unit), np.inf)
-    for _ in range(steps):
-        mean = np.maximum(np.einsum("cp,cpm->cm", p, unit), 1e-300)
-        value = (np.log(mean) + level / mean) @ shape
-        better = value < least
-        best[better], least = p[better], np.minimum(value, least)
-        excess = np.maximum(level / mean, 1e-12) - 1.0
-        apart = np.where(abs(excess) < 1e-4, 1e-4, excess)
-        weight = shape * apart**2 / (2.0 * (apart - np.log1p(apart)))
-        slope = unit / mean[:, None] * (p + scale)[..., None]
-        gradient = np.einsum("cpm,cm->cp", slope, shape * excess)
-        moves = used & ~((p <= 0.0) & (gradient < 0.0))
-        slope *= moves[..., None]
-        curvature = (slope * weight[:, None]) @ slope.swapaxes(1, 2)
-        size = 1.0 / np.sqrt(np.maximum(np.einsum("cpp->cp", curvature), 1e-12))
-        scaled = curvature * size[:, :, None] * size[:, None]
-        scaled += np.eye(p.shape[1]) * np.where(moves, _DAMPING, 1.0)[:, None]
-        move = size * np.linalg.solve(scaled, (gradient * moves * size)[..., None])[..., 0]
-        p = np.maximum((p + scale) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - scale, 0.0)
-    return best, least
+    power, loss, going = np.where(used, start, 0.0), np.full(len(unit), np.inf), np.arange(len(unit))
+    trial, damping, gradient = power.copy(), np.full(len(unit), _DAMPING), np.zeros(power.shape)
+    curvature = np.zeros((*power.shape, power.shape[1]))
+    for step in range(steps):
+        own = ramps and ramps._replace(present=ramps.present[going])
+        value, *slopes = _likelihood(level, shape, trial[going], unit[going], own)
+        better = value < loss[going]
+        best = (power, loss, gradient, curvature)
+        for state, new in zip(best, (trial[going], value, *slopes), strict=True):
+            state[going[better]] = new[better]
+        damping[going] = np.clip(damping[going] * np.where(better, _LESS, _MORE), *_DAMPINGS)
+        p, s, uphill = power[going], scale[going], gradient[going]
+        reach = (p + s) * (used[going] & ~((p <= 0.0) & (uphill < 0.0)))
+        bent = curvature[going] * reach[:, :, None] * reach[:, None]
+        move, gain = _move(uphill * reach, bent, damping[going])
+        trial[going] = np.maximum((p + s) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - s, 0.0)
+        going = going[(gain > _SETTLED) & ((step < _PATIENCE) | (loss[going] < loss.min() + far))]
+        if not len(going):
+            break
+    return power, loss
+
+
+def _likelihood(
+    level: Float[np.ndarray, " m"],
+    shape: Float[np.ndarray, " m"],
+    power: Float[np.ndarray, "models p"],
+    unit: Float[np.ndarray, "models p m"],
+    ramps: Ramps | None,
+) -> tuple[Float[np.ndarray, " models"], Float[np.ndarray, "models p"], Float[np.ndarray, "models p p"]]:
+    """Minus the log-likelihood of each model, its gradient by the powers, uphill, and its curvature."""
+    mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
+    value = np.log(mean) @ shape
+    if ramps is not None:
+        level, shape, precision = ramps.removed(level, shape, mean)
+        value += 0.5 * np.log(precision)
+    inverse = 1.0 / mean
+    ratio = level * inverse
+    value += np.sum(ratio * shape, axis=1)
+    relative = unit * inverse[:, None]
+    gradient = (relative @ (shape * (ratio - 1.0))[..., None])[..., 0]
+    # The mean of the expected and the observed one.
+    weight = shape * (1.0 + ratio) / 2.0
+    return value, gradient, (relative * weight[:, None]) @ relative.swapaxes(1, 2)
+
+
+def _move(
+    gradient: Float[np.ndarray, "models p"],
+    curvature: Float[np.ndarray, "models p p"],
+    damping: Float[np.ndarray, " models"],
+) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
+    """Damped Newton step of each model, and what it should gain [nats]."""
+    size = 1.0 / np.sqrt(np.maximum(np.einsum("cpp->cp", curvature), 1e-12))
+    scaled = curvature * size[:, :, None] * size[:, None]
+    # Powers that do not move have no curvature.
+    still = np.einsum("cpp->cp", scaled) < 0.5
+    scaled += np.eye(gradient.shape[1]) * (damping[:, None] + still)[:, None]
+    move = size * np.linalg.solve(scaled, (gradient * size)[..., None])[..., 0]
+    return move, np.sum(gradient * move, axis=1)
 
 
 def information(
-    unit: Float[np.ndarray, "p m"], mean: Float[np.ndarray, " m"], shape: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, "p p"]:
+    unit: Float[np.ndarray, "... p m"], mean: Float[np.ndarray, "... m"], shape: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "... p p"]:
     """Fisher information of levels with these means about the powers of terms."""
-    relative = unit / mean
-    return (relative * shape) @ relative.T
+    relative = unit / mean[..., None, :]
+    return (relative * shape) @ relative.swapaxes(-1, -2)
 
 
 def bounds(information: Float[np.ndarray, "p p"], present: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
