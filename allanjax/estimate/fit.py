@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, get_args
 
 import numpy as np
@@ -177,15 +178,20 @@ def _fitted(
     if objective == "exact":
         check_exact(None if model is None else model_to_fit(model, recording.axes, True), recording)
     release_programs(0.75)
-    selection = ranked(recording) if model is None else None
-    template, active = terms_to_fit(model, selection, recording.axes, objective)
     # Haar wavelet variances are half the Allan variances at octaves.
     octaves = objective == "wavelet" and wavelet == "haar"
-    curve = allan_deviation(recording, cluster_times="octave" if octaves else _PER_OCTAVE)
+    joint, selection = None, None
+    with ThreadPoolExecutor(1) as pool:
+        pending = pool.submit(allan_deviation, recording, cluster_times="octave" if octaves else _PER_OCTAVE)
+        if model is None or recording.others:
+            # Segments are taken to be independent.
+            joint = joint_statistics((recording.values, *recording.others), recording.rate)
+        if model is None:
+            selection = ranked(recording, None, joint)
+        curve = pending.result()
+    template, active = terms_to_fit(model, selection, recording.axes, objective)
     check_length(curve, template, recording.name)
-    if recording.others:
-        # Segments are taken to be independent.
-        joint = joint_statistics((recording.values, *recording.others), recording.rate)
+    if joint is not None and recording.others:
         results, objective = fit_statistics(*joint, template, recording.axes, active), "whittle"
     elif objective == "allan" or octaves:
         results, curve = fit_allan(curve, recording.axes, template, active, recording.values)

@@ -375,16 +375,20 @@ def select_terms(
     return dataclasses.replace(ranked(quiet, candidates), facts=seen.facts)
 
 
-def ranked(recording: Recording, candidates: ModelLike | None = None) -> TermSelection:
-    """Ranking of the terms for a whole recording; see `select_terms`."""
+def ranked(
+    recording: Recording,
+    candidates: ModelLike | None = None,
+    joint: tuple[Bins, SpectralStatistics] | None = None,
+) -> TermSelection:
+    """Ranking of the terms for a whole recording; see `select_terms`. `joint`: its statistics, if known."""
     model = candidates_of(candidates, recording.rate)
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64 samples, or fit given terms (--terms)"
         )
-    bins, statistics = joint_statistics((recording.values, *recording.others), recording.rate)
-    return rank_terms(model, bins, statistics, recording.axes, recording.name)
+    joint = joint or joint_statistics((recording.values, *recording.others), recording.rate)
+    return rank_terms(model, *joint, recording.axes, recording.name)
 
 
 def candidates_of(candidates: ModelLike | None, rate: float) -> Model:

@@ -234,9 +234,12 @@ class Model(eqx.Module):
             owners.append((self.response, self.response.name()))
         parameters = []
         for i, (owner, name) in enumerate(owners):
-            for p in owner.parameters():
+            # Methods of modules are slow: each access makes an object.
+            kind = type(owner)
+            for p in kind.parameters():
                 label = name if p.name == "coefficient" else f"{name}_{p.name}"
-                parameters.append(ModelParameter(label, i, name, p, owner.is_free(p), getattr(owner, p.name)))
+                free = kind.is_free(owner, p)
+                parameters.append(ModelParameter(label, i, name, p, free, getattr(owner, p.name)))
         return tuple(parameters)
 
     @property

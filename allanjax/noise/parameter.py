@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import re
 from typing import Any, Literal, Self, TypeAlias
@@ -74,6 +75,12 @@ def option(default: int) -> Any:
     return eqx.field(default=default, static=True, metadata={"option": True})
 
 
+@functools.cache
+def _declared(of: type[Parametrized]) -> tuple[Parameter, ...]:
+    fields = ((field.name, field.metadata.get("parameter")) for field in dataclasses.fields(of))
+    return tuple(Parameter(name, **declared) for name, declared in fields if declared is not None)
+
+
 class Parametrized(eqx.Module):
     """What has parameters that are declared as fields: a noise term, or a response."""
 
@@ -82,11 +89,7 @@ class Parametrized(eqx.Module):
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Declared parameters, in order."""
-        return tuple(
-            Parameter(field.name, **field.metadata["parameter"])
-            for field in dataclasses.fields(cls)
-            if "parameter" in field.metadata
-        )
+        return _declared(cls)
 
     @classmethod
     def option_names(cls) -> tuple[str, ...]:

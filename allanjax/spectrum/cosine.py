@@ -244,6 +244,7 @@ def joint_statistics(
     return Bins(len(segments[0]), rate, tuple(parts)), joint
 
 
+@functools.lru_cache(maxsize=2)
 def ramp_column(n: int, rate: float) -> Float[np.ndarray, " n-1"]:
     """Cosine coefficients of a ramp of 1 per second in n samples."""
     return term_column(DriftRamp(), n, rate)

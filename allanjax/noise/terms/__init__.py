@@ -20,6 +20,8 @@ Allan variances by equation of Hou (2004), and units of the parameters for gyros
 N is the root of the two-sided PSD.
 """
 
+import functools
+
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter
 from allanjax.noise.terms.correlated import LowPass, Markov, Resonance, Telegraph, WanderingResonance
@@ -33,6 +35,7 @@ from allanjax.noise.terms.power_laws import (
 )
 
 
+@functools.cache
 def basic_terms() -> Model:
     """The thesis's five basic terms: quantization, random walk, bias instability, rate random walk, ramp."""
     return Quantization() + AngleRandomWalk() + BiasInstability() + RateRandomWalk() + DriftRamp()
