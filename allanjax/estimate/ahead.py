@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
@@ -41,30 +40,14 @@ def _compile(programs: Callable[[], Programs], ended: threading.Event) -> None:
         program()
 
 
-def of_variances() -> Programs:
-    """The inference from Allan variances, which is compiled while terms are chosen."""
-    from allanjax.estimate.axis_fits import ALLAN_CAPACITY
-    from allanjax.estimate.design import AllanDesign
-    from allanjax.estimate.gls import Solution
-    from allanjax.estimate.inference import infer
-    from allanjax.noise.terms import basic_terms
-
-    design = AllanDesign.of(basic_terms(), 64, 1.0, np.array([1, 2, 4, 8, 16]), None, ALLAN_CAPACITY)
-    yes = np.ones(ALLAN_CAPACITY[1], bool)
-    at: Any = (np.ones((1, len(yes))), np.zeros((1, 0)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
-    yield lambda: infer(design, np.ones((1, ALLAN_CAPACITY[0])), yes, yes[None], Solution(*at))
-
-
 def of_spectra() -> Programs:
     """Programs of a fit without a given model, which are the same for all recordings.
 
     They run with data of no meaning, in the order in which fits need them.
     """
     from allanjax.estimate.axis_fits import fit_whittle
-    from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import ranked
     from allanjax.estimate.spectral.components import CAPACITIES, levels_of
-    from allanjax.estimate.spectral.fit import LevelDesign, infer_levels
     from allanjax.estimate.spectral.model import FULL, Slots, maximize
     from allanjax.noise.terms import basic_terms
     from allanjax.record.recording import Recording
@@ -74,12 +57,8 @@ def of_spectra() -> Programs:
     recording = Recording.from_array(x, rate=1.0, gyro_unit="rad/s", names=["gyro"])
     yield lambda: ranked(recording)
     yield lambda: fit_whittle(recording, 0, model, np.ones(len(model), bool), {})
-    # The same for many levels and terms.
-    m, terms = CAPACITIES[-1], FULL.columns + 1
+    # The same for many levels.
+    m = CAPACITIES[-1]
     slots = Slots.of(FULL, np.zeros(FULL.parameters, bool), np.zeros(FULL.components, bool))
     levels = levels_of(Bins.of(len(x), 1.0), np.zeros((0, 2, 0)), FULL.columns, m)
     yield lambda: maximize(slots.usual(), slots, levels, np.ones(m))
-    ones, here = np.ones((terms, m)), np.ones(terms, bool)
-    design = LevelDesign.of(ones, np.zeros((terms, m, 1)), np.zeros(1), [0], np.ones(m), np.ones(m))
-    at: Any = (np.ones((1, terms)), np.zeros((1, 1)), *map(np.atleast_1d, (0.0, 0.0, True, 0.0)))
-    yield lambda: infer_levels(design, np.ones(m), here, here, Solution(*at))

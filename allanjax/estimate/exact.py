@@ -263,7 +263,7 @@ class _Problem:
         pivot_at = power_at.copy()
         for k in map(int, np.flatnonzero(self.is_power)):
             power_at[places[k]], pivot_at[places[k]] = self._hypotheses(at, k, inside)
-        found: Any = (covariance, np.zeros(0), power_at, pivot_at, np.full(terms, np.inf))
+        found: Any = (covariance, power_at, pivot_at, np.full(terms, np.inf))
         cost = -2.0 * at.log_likelihood
         solved: Any = (values[:terms], values[terms:], 0.0, 0.0, True, cost)
         # As of several axes.

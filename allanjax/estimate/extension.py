@@ -287,10 +287,9 @@ def _tangent(
             if p.term == i:
                 by_shape[i, :, s] -= plateau * by_own[p.parameter.name] * levels_of_white
     owner = [response_of_term if p.term == len(noise) else p.term for p in shapes]
-    values = shape_values(noise)
-    design = LevelDesign.of(base, by_shape, values, owner, degrees, per_octave)
+    design = LevelDesign.of(base, by_shape, owner, degrees, per_octave)
     nothing, converged = np.asarray(0.0), np.asarray(np.isfinite(found.loss))
-    solution: Any = power, values, nothing, nothing, converged, np.asarray(2.0 * found.loss)
+    solution: Any = power, shape_values(noise), nothing, nothing, converged, np.asarray(2.0 * found.loss)
     return design, Solution(*solution)
 
 

@@ -22,7 +22,6 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
-from allanjax.estimate.ahead import compiling_ahead, of_variances
 from allanjax.estimate.axis_fits import (
     check_count,
     estimated,
@@ -163,8 +162,7 @@ def fit_inspected(
         exact = objective == "exact"
         whole = quiet if exact else dataclasses.replace(quiet, missing=None)
         whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
-        with compiling_ahead(of_variances, model is None and objective == "allan" and not whole.others):
-            found = _fitted(whole, model, objective, regressors, plain, wavelet)
+        found = _fitted(whole, model, objective, regressors, plain, wavelet)
         if quiet.missing is not None and not exact:
             found = _with_missing(found, widening(quiet.missing))
         return with_what_was_seen(found, seen)
@@ -640,9 +638,9 @@ def _bulk_fit(
         curve=curve,
         value=known(estimates.value, converged),
         std=known(estimates.std),
-        lower=known(estimates.interval[..., 0]),
-        upper=known(estimates.interval[..., 1]),
-        upper_limit=known(estimates.upper_limit),
+        lower=known(estimates.ends[..., 0]),
+        upper=known(estimates.ends[..., 1]),
+        upper_limit=known(estimates.ends[..., 4]),
         detected=estimates.detected & measured[:, None],
         converged=converged,
         chi2=np.asarray(solution.chi2),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import i0e
@@ -272,14 +271,12 @@ class AllanDensity:
         self._amplitude = _amplitudes(model)
         self._shapes = [k for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
         self._lower = np.array([model.parameters[k].parameter.lower for k in self._shapes])
-        terms, shape = slice(len(model)), np.log(values[self._shapes] - self._lower)
-        products, means = design.constants.products, design.constants.means
-        if self._shapes:
-            products = eqx.filter_jit(AllanDesign.products)(design, shape)
-        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
-        self._products = np.asarray(products)[terms, terms][:, :, pairs]
-        self._ridge, self._octaves = float(design.ridge), design.octaves[np.ix_(rows, rows)]
-        self._design, self._rows, self._constant = design, rows, np.asarray(means)[None, terms, rows]
+        shape = np.log(values[self._shapes] - self._lower)
+        tangent, m = design.tangent(shape[None]), len(curve.cluster_size)
+        products = tangent.products.reshape(len(model), len(model), m, m)
+        self._products = products[:, :, rows[:, None], rows]
+        self._ridge, self._octaves = tangent.ridge, tangent.octaves[np.ix_(rows, rows)]
+        self._design, self._rows, self._constant = design, rows, tangent.means[:, :, rows]
 
     def __call__(self, values: Float[np.ndarray, "b all"]) -> Float[np.ndarray, " b"]:
         _, mean, relative = self._moments(values)

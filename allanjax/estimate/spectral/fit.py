@@ -11,19 +11,15 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.base.linalg import CholeskyWhitened
-from allanjax.estimate.design import Design, free_shapes, of_owners
+from allanjax.estimate.design import Tangent, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Inference, infer, without_padding
 from allanjax.estimate.spectral.components import (
     BIQUAD,
     BUTTERWORTH_1,
-    CAPACITIES,
     MOVING_AVERAGE,
     NONE,
     ONE_POLE,
@@ -55,8 +51,6 @@ _NOTHING = 1e-290
 _REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
-# Numbers of terms, of free shapes and of levels to which arrays are padded.
-_ROOMS = tuple(zip((8, 24), (8, 32), CAPACITIES, strict=True))
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
@@ -202,8 +196,7 @@ class Arrangement(NamedTuple):
         if model.response is not None:
             passed = np.asarray(fit.solution.power) * (base @ dof) * np.array(model.inside)
             owner = np.where(owner == len(model), np.argmax(passed), owner)
-        shape = np.asarray(fit.solution.shape)
-        return LevelDesign.of(base, by_shape, shape, owner.tolist(), dof, self.per_octave)
+        return LevelDesign.of(base, by_shape, owner.tolist(), dof, self.per_octave)
 
     def estimated(
         self, free: Bool[np.ndarray, " terms"], active: Bool[np.ndarray, " terms"]
@@ -243,106 +236,51 @@ def _response(model: Model) -> int:
     return kinds[type(model.response)]
 
 
-class LevelDesign(Design):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class LevelDesign(Tangent):
     """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
 
     A relative error of the model is taken to be common to the bins of an octave.
 
     Attributes:
-        base: levels of each term of unit amplitude at the solution.
-        by_shape: their derivatives by the shapes there.
-        centre: the shapes there.
-        degrees: degrees of freedom of each level; 0 for padding.
-        moves: which shapes exist; the others are padding.
+        dof: degrees of freedom of each level.
         per_octave: number of bins in the octave around each bin.
     """
 
-    base: Float[np.ndarray, "terms m"]
-    by_shape: Float[np.ndarray, "terms m shapes"]
-    centre: Float[np.ndarray, " shapes"]
-    degrees: Float[np.ndarray, " m"]
-    moves: Bool[np.ndarray, " shapes"]
+    dof: Float[np.ndarray, " m"]
     per_octave: Float[np.ndarray, " m"]
 
     @classmethod
     def of(
         cls,
-        base: Float[np.ndarray, "terms m"],
-        by_shape: Float[np.ndarray, "terms m shapes"],
-        centre: Float[np.ndarray, " shapes"],
+        base: Float[np.ndarray, "terms capacity"],
+        by_shape: Float[np.ndarray, "terms capacity shapes"],
         owner: Sequence[int],
-        degrees: Float[np.ndarray, " m"],
-        per_octave: Float[np.ndarray, " rows"],
+        dof: Float[np.ndarray, " capacity"],
+        per_octave: Float[np.ndarray, " m"],
     ) -> LevelDesign:
-        """Design in arrays of two sizes, so that two programs serve all models; see the class."""
-        size = len(base), len(centre), len(degrees)
-        terms, shapes, capacity = next((r for r in _ROOMS if all(np.array(r) >= size)), size)
-        room = [(0, terms - len(base)), (0, capacity - base.shape[1])]
+        """Levels of one axis, from arrays that may be padded."""
+        m, owners = len(per_octave), np.array(owner, int)
         return cls(
-            owner=padded(np.array(owner, int), shapes, 0),
-            terms=np.asarray(len(base)),
-            rows=np.asarray(len(per_octave)),
-            base=np.pad(base, room),
-            by_shape=np.pad(by_shape, [*room, (0, shapes - len(centre))]),
-            centre=padded(centre, shapes, 0.0),
-            degrees=padded(degrees, capacity, 0.0),
-            moves=np.arange(shapes) < len(centre),
-            per_octave=padded(per_octave, capacity, 1.0),
+            means=base[None, :, :m],
+            by_shape=by_shape[None, :, :m],
+            owner=owners,
+            movable=np.ones(len(owners), bool),
+            dof=dof[:m],
+            per_octave=per_octave,
         )
 
-    @property
-    def movable(self) -> Bool[np.ndarray, " shapes"]:
-        return self.moves
+    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+        return (power @ self.means) ** 2 / np.maximum(self.dof / 2.0, 1e-9)
 
-    @property
-    def has_shapes(self) -> bool:
-        return True
-
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
-        return padded(V, len(self.per_octave), 1.0)
-
-    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        return padded(values, len(self.base), 0)
-
-    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        return padded(values, len(self.moves), 0)
-
-    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        return jnp.asarray(self.base) + jnp.asarray(self.by_shape) @ (shape - jnp.asarray(self.centre))
-
-    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        return jnp.where(jnp.arange(means.shape[1]) < self.rows, power @ means, 1.0)
-
-    def products(self, shape: Float[Array, " shapes"]) -> Array:
-        return self.means(shape)
-
-    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
-        return self.mean(power, products) ** 2 / jnp.maximum(jnp.asarray(self.degrees) / 2.0, 1e-9)
-
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        return covariance
-
-    def whiten(
+    def weighed(
         self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> CholeskyWhitened:
-        relative = covariance / mean**2 + power_error**2 * self.per_octave
-        known = jnp.asarray(self.degrees) > 0.0
-        scale = jnp.where(known, 1.0 / jnp.sqrt(relative), 0.0)
-        return CholeskyWhitened(X * scale[:, None], 0.5 * jnp.sum(jnp.where(known, jnp.log(relative), 0.0)))
-
-    def whiten_and_weigh(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
-        scale = self.whiten(covariance, mean, power_error, jnp.ones((len(mean), 1))).values
-        return X * scale, (X * scale**2).T
+        power: Float[np.ndarray, "axes h terms"],
+        error: Float[np.ndarray, " axes"],
+        X: Float[np.ndarray, "axes h m k"],
+    ) -> Float[np.ndarray, "axes h m k"]:
+        variance = 1.0 / np.maximum(self.dof / 2.0, 1e-9) + error[:, None] ** 2 * self.per_octave
+        return X * np.where(self.dof > 0.0, 1.0 / variance, 0.0)[:, None, :, None]
 
 
 class LevelFit(NamedTuple):
@@ -491,27 +429,3 @@ def best_of(fits: Sequence[LevelFit]) -> LevelFit:
     cost = [float(np.nan_to_num(fit.solution.cost, nan=np.inf)) for fit in fits]
     close = [fit for fit, c in zip(fits, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
     return next((fit for fit in close if fit.solution.converged), close[0])
-
-
-def infer_levels(
-    design: LevelDesign,
-    level: Float[np.ndarray, " m"],
-    free: Bool[np.ndarray, " terms"],
-    active: Bool[np.ndarray, " terms"],
-    solution: Solution,
-) -> Inference:
-    """Inference of one axis around its solution, [1, …]; see `infer`."""
-    padded = _padded(design, solution)
-    V = design.padded_estimates(level[None])
-    of_terms = design.padded_terms(free), design.padded_terms(active[None])
-    found = infer(design, V, *of_terms, padded)
-    return without_padding(found, len(level), len(free), np.shape(solution.shape)[-1])
-
-
-def _padded(design: LevelDesign, solution: Solution) -> Solution:
-    """Solution in arrays of the design's length."""
-    padded: dict[str, Any] = {
-        "power": design.padded_terms(np.asarray(solution.power)),
-        "shape": design.padded_shapes(np.asarray(solution.shape)),
-    }
-    return solution._replace(**padded)

@@ -13,9 +13,9 @@ _DAMPING, _LONGEST = 0.01, 2.0
 
 
 def power_fits(
-    level: Float[np.ndarray, " m"],
+    level: Float[np.ndarray, "*models m"],
     shape: Float[np.ndarray, " m"],
-    rough: Float[np.ndarray, " m"],
+    rough: Float[np.ndarray, "*models m"],
     unit: Float[np.ndarray, "models p m"],
     start: Float[np.ndarray, "models p"] | None = None,
     used: Bool[np.ndarray, "models p"] | None = None,
@@ -27,7 +27,7 @@ def power_fits(
     smooth levels.
 
     Args:
-        level: the levels.
+        level: the levels, of all models or of each.
         shape: half the degrees of freedom of each; 0 for one that is left out.
         rough: smooth levels, a first guess.
         unit: levels of each term for unit power.
@@ -35,6 +35,7 @@ def power_fits(
         used: which terms are part of a model; all by default.
         steps: number of steps; the default suffices unless the terms do not describe the levels.
     """
+    rough = rough[..., None, :]
     start = (rough / unit).min(axis=-1) if start is None else start
     used = np.ones(start.shape, bool) if used is None else used
     scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
