@@ -25,7 +25,6 @@ from allanjax.estimate.design import (
     Starts,
     Tangent,
     different,
-    find_lines,
     find_starts,
     free_powers,
     free_shapes,
@@ -35,7 +34,7 @@ from allanjax.estimate.design import (
     random_terms,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
+from allanjax.estimate.deterministic import AxisSpectrum, Projection, find_lines, lines_of, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Coefficients,
@@ -70,6 +69,8 @@ _ROUNDS = 3
 _FEW = 8.0
 # Bins per octave where the spectrum is not smooth: for resonances, and for filters.
 _FINE = 24
+# Difference of minus twice the log-likelihood below which two solutions are the same.
+_AS_LIKELY = 0.02
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
@@ -429,7 +430,7 @@ def solve_and_infer(
         if not doubtful.any():
             break
         other = solve(design, variance, free, active, power, shape)
-        better = other.converged & ~(other.cost >= solution.cost) | ~solution.converged
+        better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
         solution = _choose(doubtful & better, other, solution)
     tangent = design.tangent(np.asarray(solution.shape))
     misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)

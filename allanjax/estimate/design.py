@@ -23,6 +23,7 @@ from allanjax.allan.covariance import AllanCovariance
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened, whiten
+from allanjax.estimate.deterministic import find_lines
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
@@ -39,12 +40,10 @@ _OSCILLATING_RIDGE = 5e-3
 _ORDER, _OSCILLATING_ORDER = 8, 32
 # Pairs of estimates that are computed together: few enough to stay in a core's cache.
 _FEW_PAIRS = 256
-# Number of shapes that are evaluated roughly, and of those at a time; number of starts of a fit, and of
-# frequencies that are tried for lines.
+# Number of shapes that are evaluated roughly, and of those at a time; and number of starts of a fit.
 _CANDIDATES = 512
 _BLOCK = 512
 _STARTS = 4
-_PEAKS = 4
 # Starts that differ by less than this in ln lead to the same solution; 1 for unlisted kinds of shapes.
 _APART = {"line": 0.02}
 
@@ -492,7 +491,8 @@ def different(
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
-    order = list(np.argsort(misfit))
+    # Of two orders of like terms, which fit equally well, that of descending shapes comes first.
+    order = np.lexsort((*-shape.T[::-1], np.round(misfit - misfit.min(), 2))).tolist()
     chosen: list[int] = []
     for i in order:
         if all(np.any(abs(shape[i] - shape[k]) > apart) for k in chosen):
@@ -539,31 +539,3 @@ def shape_candidates(
     if len(grid) > _CANDIDATES:
         grid = grid[np.random.default_rng(0).choice(len(grid), _CANDIDATES, replace=False)]
     return np.log(grid - np.array([p.parameter.lower for p in shapes]))
-
-
-def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarray, " peaks"]:
-    """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
-
-    A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
-    several resolutions; a peak found at one resolution is not counted again at another.
-    """
-    from scipy.ndimage import median_filter
-    from scipy.signal import welch
-
-    found: list[tuple[float, float, float]] = []
-    for length in {len(x), min(len(x), 8192), min(len(x), 512)}:
-        f, S = welch(x, rate, nperseg=length, detrend="linear")
-        f, S = f[2:-1], S[2:-1]
-        ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
-        # Gain in log-likelihood from a free level of a mean of len(x)/length periodograms.
-        excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
-        for i in np.argsort(excess)[::-1][:40]:
-            found.append((excess[i], f[i], 2.0 * rate / length))
-    found.sort(reverse=True)
-    chosen: list[float] = []
-    for _, f, width in found:
-        if all(abs(f - g) > width for g in chosen):
-            chosen.append(f)
-        if len(chosen) == _PEAKS:
-            break
-    return np.array(chosen + [rate / 8.0] * (_PEAKS - len(chosen)))

@@ -35,7 +35,7 @@ _INSIDE = 1e-2
 _WARM_UP = np.array([[0.5, 0.2, 0.05, 0.0], [0.5, 0.2, 0.05, 0.1]])
 _WARM = _WARM_UP.shape[1]
 # Largest number of reweightings, and of steps of the shapes within each.
-_STEPS, _INNER_STEPS = _WARM + 100, 8
+_STEPS, _INNER_STEPS = _WARM + 100, 20
 # Largest factor by which the acceleration extrapolates the last move.
 _MAX_EXTRAPOLATION = 5.0
 # Number of full steps; afterwards shapes move by at most _LATE in ln, times _SHORTER after each step.

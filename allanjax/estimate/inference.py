@@ -39,6 +39,8 @@ ABOVE = len(_BELOW)
 _FAR_ENOUGH = -2.0
 # Probability that a ceiling is too low.
 _CHANCE = 0.025
+# Numbers that are computed together.
+_TOGETHER = 400_000
 # Rounds in which all powers of a wrong sign are exchanged at once, and most rounds.
 _ALL_AT_ONCE, _ROUNDS = 5, 100
 
@@ -77,13 +79,18 @@ def infer(
     with v. It exists for inactive terms too, whose upper limits it gives.
     """
     power, error = np.asarray(solution.power), np.asarray(solution.power_error)
-    owner = tangent.owner
+    owner, count = tangent.owner, power.shape
     has_shape = active[:, owner] & (power[:, owner] > 0.0) & tangent.movable
     axes = _Axes(tangent, V, active, active & free, power, error, has_shape)
     estimated = np.concatenate([axes.fitted, has_shape], axis=1)
     covariance = axes.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
-    of_terms = [axes.hypotheses(k) for k in range(power.shape[1])]
-    power_at, pivot_at = (np.stack(x, axis=1) for x in zip(*of_terms, strict=True))
+    # Every term of every axis, as many together as fit into little memory.
+    axis, term = (x.ravel() for x in np.indices(count))
+    blocks = np.array_split(
+        np.arange(len(axis)), -(-len(axis) * V.shape[1] * estimated.shape[1] // _TOGETHER)
+    )
+    tests = [axes.of_axes(axis[some]).hypotheses(term[some]) for some in blocks]
+    power_at, pivot_at = (np.concatenate(x).reshape(*count, -1) for x in zip(*tests, strict=True))
     return Inference(covariance, power_at, pivot_at, axes.ceiling())
 
 
@@ -147,22 +154,20 @@ class _Axes(NamedTuple):
 
     def scores(
         self,
-        term: int,
+        term: Int[np.ndarray, " axes"],
         power: Float[np.ndarray, "axes h terms"],
         estimated: Bool[np.ndarray, "axes h params"],
     ) -> Float[np.ndarray, "axes h"]:
-        """Distance of the data from these powers, one of which is under test, as a normal score."""
-        there = self.linearized(power, estimated)
-        row = there.inverse[:, :, term, :, None]
-        variance = there.covariance[:, :, term, term]
+        """Distance of the data from these powers, that of one term being tested, as a normal score."""
+        there, axis = self.linearized(power, estimated), np.arange(len(term))
+        row, variance = there.inverse[axis, :, term][..., None], there.covariance[axis, :, term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
         third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(2, 3))
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
-        most = 2.0 * np.sqrt(variance) / np.maximum(power[:, :, term], 1e-300)
-        return _normal_score(
-            there.step[:, :, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
-        )
+        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, :, term], 1e-300)
+        t = there.step[axis, :, term] / np.sqrt(variance)
+        return _normal_score(t, np.minimum(third / variance**1.5, most))
 
     def profiled(
         self, power: Float[np.ndarray, "axes terms"], allowed: Bool[np.ndarray, "axes terms"]
@@ -175,45 +180,51 @@ class _Axes(NamedTuple):
         products = both.swapaxes(1, 2) @ self.tangent.weighed(power[:, None], self.error, both[:, None])[:, 0]
         return np.where(allowed, _non_negative(products, allowed), power)
 
-    def hypotheses(self, term: int) -> tuple[Float[np.ndarray, "axes grid"], Float[np.ndarray, "axes grid"]]:
-        """Hypothetical powers of a term, and the data's distance from each."""
-        power, terms, owner = self.power, self.power.shape[1], self.tangent.owner
+    def hypotheses(
+        self, term: Int[np.ndarray, " axes"]
+    ) -> tuple[Float[np.ndarray, "axes grid"], Float[np.ndarray, "axes grid"]]:
+        """Hypothetical powers of a term of each axis, and the data's distance from each."""
+        power, owner, axis = self.power, self.tangent.owner, np.arange(len(term))
         # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
-        alone, own = np.arange(terms) == term, owner == term
+        alone, own = np.eye(power.shape[1], dtype=bool)[term], owner == term[:, None]
         tested = self.fitted | alone
         estimated = np.concatenate([tested, self.has_shape & ~own], axis=1)
-        local = self.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
-        sd = np.sqrt(local[:, term, term])[:, None]
-        slope = np.where(tested, local[:, :terms, term] / local[:, term, term, None], 0.0)
-        here = power[:, [term]]
+        local = self.linearized(power[:, None], estimated[:, None]).covariance[axis, 0, term]
+        variance, here = local[axis, term][:, None], power[axis, term][:, None]
+        slope = np.where(tested, local[:, : power.shape[1]] / variance, 0.0)
+        down, up = (here + sds * np.sqrt(variance) for sds in (_BELOW, _ABOVE))
+        down, least = np.maximum(down, 0.0), 1e-9 * here
         # The only term cannot vanish altogether.
-        down, up = np.maximum(here + _BELOW * sd, 0.0), here + _ABOVE * sd
-        v, least = np.maximum(down, 1e-9 * here)[..., None], np.maximum(up, 1e-9 * here)
+        v = np.maximum(down, least)[..., None]
         others = np.maximum(power[:, None] + slope[:, None] * (v - here[..., None]), 0.05 * power[:, None])
-        at = np.where(alone, v, np.where(self.active[:, None], others, 0.0))
-        shaped = np.where(own, (v > 0.0) & self.active[:, None, owner], self.has_shape[:, None])
+        at = np.where(alone[:, None], v, np.where(self.active[:, None], others, 0.0))
+        known = (v > 0.0) & self.active[:, None, owner]
+        shaped = np.where(own[:, None], known, self.has_shape[:, None])
         known = np.concatenate([np.broadcast_to(tested[:, None], at.shape), shaped], axis=2)
-        below, left = np.full(down.shape, np.nan), np.arange(len(down))
+        below, left = np.full(down.shape, np.nan), axis
         for some in _NEAREST, _FARTHER:
             rows = np.ix_(left, some)
-            below[rows] = self.of_axes(left).scores(term, at[rows], known[rows])
+            below[rows] = self.of_axes(left).scores(term[left], at[rows], known[rows])
             left = left[~(below[left, _NEAREST[1]] - below[left, -1] > -_FAR_ENOUGH)]
             if not len(left):
                 break
-        above = self._above(term, least)
+        above = self._above(term, np.maximum(up, least))
         return np.concatenate([down, up], axis=1), np.concatenate([below, above], axis=1)
 
-    def _above(self, term: int, v: Float[np.ndarray, "axes grid"]) -> Float[np.ndarray, "axes grid"]:
+    def _above(
+        self, term: Int[np.ndarray, " axes"], v: Float[np.ndarray, "axes grid"]
+    ) -> Float[np.ndarray, "axes grid"]:
         """Distance from each of the powers above the estimate, as far as the data do not exclude one."""
         scores, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
-        owner, alone = self.tangent.owner, np.arange(at.shape[1]) == term
+        owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
         for k in range(v.shape[1]):
-            some = self.of_axes(left)
-            new = some.profiled(np.where(alone, v[left, k, None], at[left]), some.fitted & ~alone)
-            own = (new[:, owner] > 0.0) & some.active[:, owner]
-            shaped = np.where(owner == term, own, some.has_shape & (new[:, owner] > 0.0))
-            known = np.concatenate([some.fitted | alone, shaped], axis=1)
-            scores[left, k] = some.scores(term, new[:, None], known[:, None])[:, 0]
+            some, here = self.of_axes(left), alone[left]
+            new = some.profiled(np.where(here, v[left, k, None], at[left]), some.fitted & ~here)
+            there = new[:, owner] > 0.0
+            own = owner == term[left, None]
+            shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
+            known = np.concatenate([some.fitted | here, shaped], axis=1)
+            scores[left, k] = some.scores(term[left], new[:, None], known[:, None])[:, 0]
             at[left] = new
             left = left[~(scores[left, k] - np.minimum(scores[left, 0], 0.0) < _FAR_ENOUGH)]
             if not len(left):
