@@ -491,8 +491,8 @@ def different(
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
-    # Of two orders of like terms, which fit equally well, that of descending shapes comes first.
-    order = np.lexsort((*-shape.T[::-1], np.round(misfit - misfit.min(), 2))).tolist()
+    # Of two orders of like terms, which fit equally well, that of ascending shapes comes first.
+    order = np.lexsort((*shape.T[::-1], np.round(misfit - misfit.min(), 2))).tolist()
     chosen: list[int] = []
     for i in order:
         if all(np.any(abs(shape[i] - shape[k]) > apart) for k in chosen):
