@@ -76,7 +76,7 @@ def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
 
 def test_a_first_fit_compiles_few_programs_and_a_second_one_none():
     """Of other terms and another length, and its posterior: they are data of the same programs."""
-    # Choice of terms, Allan variances, the fit by them, and the joint spectral model. Samples of up to the same
+    # Choice of terms, Allan variances, a fit by them, and the spectral model. Samples of up to the same
     # power of two share one of Allan variances. This is the last test, as it forgets all.
     resonant = NOISE + aj.Resonance(3e-3, 25.0, 15.0)
     first, second = simulated(FILTERED, 60_000, 1), simulated(resonant, 41_234, 2)
