@@ -29,7 +29,7 @@ scatter from record to record.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -38,6 +38,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from allanjax.base.arrays import namespace
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 
@@ -48,8 +49,6 @@ _LONG_SUM = 256
 # Terms with a memory longer than a cluster (resonances, flicker with a cutoff) leave C_ij a tail. It is
 # summed over ever longer intervals that end at these multiples of m_i + m_j; the rest is left out.
 _TAIL = (2, 5, 20, 80, 320)
-# Pairs of cluster sizes that are computed together: few enough to stay in a core's cache.
-_FEW_PAIRS = 256
 
 
 def discrete_gauss(
@@ -122,7 +121,8 @@ def padded_quadrature(
     """Fields of an `AllanCovariance` with these sizes, lags and weights, padded to a capacity of sizes."""
     i, j = np.triu_indices(len(sizes))
     size = max(capacity, len(sizes))
-    place = np.full((size, size), len(i))
+    # What is padded has no weight.
+    place = np.full((size, size), min(len(i), size * (size + 1) // 2 - 1))
     place[i, j] = place[j, i] = np.arange(len(i))
     more = ((0, 0), (0, size * (size + 1) // 2 - len(i)))
     return {
@@ -203,59 +203,34 @@ class AllanCovariance(eqx.Module):
         """Cluster times [s]."""
         return self.sizes * self.sample_interval
 
-    def known(self, values: Float[ArrayLike, " m"], otherwise: float) -> Float[Array, " m"]:
-        """Values of the estimates, and another value in the padding."""
-        return jnp.where(jnp.arange(len(self.place)) < self.count, values, otherwise)
+    def of_pairs(self, first: ArrayLike, count: int) -> AllanCovariance:
+        """The quadrature for a few pairs only, from this one on."""
+        arrays = (jax.lax.dynamic_slice_in_dim(x, first, count, 1) for x in self._by_pair)
+        return eqx.tree_at(lambda of: of._by_pair, self, tuple(arrays))
 
-    def over_pairs(self, function: Callable[..., Any], *more: Float[Array, "... pairs"]) -> Any:
-        """Result of a function for all pairs, [..., pairs], computed for a few of them at a time.
+    def chosen(self, pairs: Int[np.ndarray, " chosen"] | slice) -> AllanCovariance:
+        """The quadrature for these pairs only, in arrays of NumPy."""
+        return eqx.tree_at(lambda of: of._by_pair, self, tuple(x[:, pairs] for x in self._by_pair))
 
-        Args:
-            function: takes the quadrature for a few pairs, and the part of each array for these.
-            more: further arrays by pairs.
-        """
-        total = self.lags.shape[-1]
-        few = min(_FEW_PAIRS, total)
-        arrays = tuple(map(jnp.asarray, (self.pairs, self.lags, self.weights, *more)))
-
-        def of_part(first: ArrayLike) -> Any:
-            some = [jax.lax.dynamic_slice_in_dim(x, first, few, x.ndim - 1) for x in arrays]
-            part = eqx.tree_at(lambda of: (of.pairs, of.lags, of.weights), self, tuple(some[:3]))
-            return function(part, *some[3:])
-
-        def add(k: Array, results: Any) -> Any:
-            # The last part begins earlier where it would not be whole.
-            return jax.tree.map(
-                lambda x, part: jax.lax.dynamic_update_slice_in_dim(x, part, k * few, x.ndim - 1),
-                results,
-                of_part(k * few),
-            )
-
-        nothing = jax.tree.map(
-            lambda x: jnp.zeros((*x.shape[:-1], total)), jax.eval_shape(of_part, jnp.asarray(0))
-        )
-        real = jnp.asarray(self.count) * (self.count + 1) // 2
-        return jax.lax.fori_loop(0, -(-real // few), add, nothing)
+    @property
+    def _by_pair(self) -> tuple[np.ndarray, ...]:
+        return self.pairs, self.lags, self.weights
 
     def kernel(self, term: Process) -> Float[Array, "lags pairs"]:
-        """C_ij(u) of one noise term at the quadrature's lags."""
-        mi, mj = jnp.asarray(self.sizes)[jnp.asarray(self.pairs)]
-        offsets = jnp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj])
-        coefficient = jnp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
-
-        def of_pair(u: Array, offset: Array) -> Array:
-            # A row for each lag: the constants of G are those of a row.
-            return term.phase_covariance(jnp.abs(u[:, None] + offset) * self.sample_interval) @ coefficient
-
-        return jax.vmap(of_pair, in_axes=1, out_axes=1)(jnp.asarray(self.lags), offsets)
+        """C_ij(u) of one noise term at the quadrature's lags; of NumPy or JAX, as the lags are."""
+        xp = namespace(self.lags, self.pairs, term)
+        mi, mj = xp.asarray(self.sizes)[xp.asarray(self.pairs)]
+        offsets = xp.stack([0 * mi, mi, -mi, mj, -mj, mi + mj, mi - mj, mj - mi, -mi - mj], axis=-1)
+        coefficient = xp.asarray([4.0, -2.0, -2.0, -2.0, -2.0, 1.0, 1.0, 1.0, 1.0])
+        # A row for each lag: the constants of G are those of a row.
+        lag = abs(xp.asarray(self.lags)[..., None] + offsets) * self.sample_interval
+        return term.phase_covariance(lag) @ coefficient
 
     def mean(self, term: Process) -> Float[Array, " m"]:
         """Allan variance of a term [rate²]; zero where there is no estimate."""
-        return self.known(term.allan_variance(self.cluster_time), 0.0)
-
-    def symmetric(self, values: Float[Array, " pairs"]) -> Float[Array, "m m"]:
-        """Symmetric matrix with these values for the pairs; zero where there is no estimate."""
-        return jnp.asarray(values).at[jnp.asarray(self.place)].get(mode="fill", fill_value=0.0)
+        xp = namespace(self.sizes, term)
+        there = xp.arange(len(self.sizes)) < self.count
+        return xp.where(there, term.allan_variance(self.cluster_time), 0.0)
 
     def of_terms(self, terms: Sequence[Process]) -> Float[Array, "m m"]:
         """Covariance [rate⁴] of the estimates for a sum of terms, as sampled."""
@@ -263,7 +238,7 @@ class AllanCovariance(eqx.Module):
         nothing = jnp.zeros(self.lags.shape)
         total = sum((k for _, k in kernels), nothing)
         deterministic = sum((k for is_deterministic, k in kernels if is_deterministic), nothing)
-        return self.symmetric(jnp.sum(self.weights * (total**2 - deterministic**2), axis=0))
+        return jnp.sum(self.weights * (total**2 - deterministic**2), axis=0)[jnp.asarray(self.place)]
 
 
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.

@@ -5,11 +5,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Shaped
+from jaxtyping import ArrayLike, Bool, Float, Shaped
 
 from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
@@ -18,10 +16,12 @@ from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     AllanDesign,
     Starts,
+    Tangent,
     find_starts,
     free_powers,
     free_shapes,
     moments_behind,
+    quadrature_order,
 )
 from allanjax.estimate.deterministic import lines_of, needs_record, take_out_lines
 from allanjax.estimate.gls import Solution, solve
@@ -30,7 +30,6 @@ from allanjax.estimate.inference import (
     coefficients_of,
     deterministic_coefficients,
     infer,
-    without_padding,
 )
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
@@ -43,6 +42,8 @@ from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
+# Difference of minus twice the log-likelihood below which two solutions are the same.
+_AS_LIKELY = 0.02
 # Expectation and variance of estimates of power.
 _Moments = tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]
 
@@ -65,9 +66,8 @@ def fit_allan(
     """
     design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ALLAN_CAPACITY)
     place = curve.n, curve.rate
-    results, scatter = _fit_estimates(design, curve.variance, place, axes, template, active, values)
-    means = [_moments_of(design, template, result)[0] for result in results]
-    return results, _with_model_edf(curve, results, list(zip(means, scatter, strict=True)))
+    results = _fit_estimates(design, curve.variance, place, axes, template, active, values)
+    return results, _with_model_edf(curve, results, _moments_under(curve, template, results))
 
 
 def fit_wavelet(
@@ -91,7 +91,7 @@ def fit_wavelet(
         template, recording.rate, geometry_of(found, levels, *place), ALLAN_CAPACITY[1]
     )
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
-    return _fit_estimates(design, variance, place, recording.axes, template, active, None)[0]
+    return _fit_estimates(design, variance, place, recording.axes, template, active, None)
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
@@ -119,8 +119,8 @@ def _fit_estimates(
     template: Model,
     active: Bool[np.ndarray, "axes terms"],
     values: Float[np.ndarray, "n axes"] | None,
-) -> tuple[tuple[AxisFit, ...], list[Float[np.ndarray, " m"]]]:
-    """Fits of every axis to its estimates, and the variances of these under the fits; see `fit_allan`.
+) -> tuple[AxisFit, ...]:
+    """Fits of every axis to its estimates; see `fit_allan`.
 
     `place`: number of samples and their rate [Hz].
     """
@@ -128,7 +128,7 @@ def _fit_estimates(
     # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
     free = free_powers(template) & ~np.isin(np.arange(len(template)), indices)
-    results, scatter = [], []
+    results = []
     for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
         here, variance = active[[k]], variances[:, [k]].T
         starts = find_starts(template, design, variance, here, [x], *place)
@@ -150,8 +150,7 @@ def _fit_estimates(
         result = axis_fit(axis, template, active[k], coefficients, solution, dof, misfit)
         # With one or two degrees of freedom, as at the longest cluster times, the χ² tail is not valid.
         results.append(dataclasses.replace(result, p_value=np.nan))
-        scatter.append(np.asarray(inference.estimate_variance)[0])
-    return tuple(results), scatter
+    return tuple(results)
 
 
 def solve_and_infer(
@@ -162,35 +161,35 @@ def solve_and_infer(
     starts: Starts,
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution of each axis over its starts, the inference around it, and its misfit."""
-    V, powers = design.padded_estimates(variance), design.padded_terms(starts.power)
-    of_terms = (design.padded_terms(free), design.padded_terms(active))
-    solution = jax.device_get(solve(design, V, *of_terms, powers[:, 0], starts.shape[:, 0]))
+    powers, shapes = starts.power.swapaxes(0, 1), starts.shape.swapaxes(0, 1)
+    solution = solve(design, variance, free, active, powers[0], shapes[0])
     # The cost may have several minima in a correlation time: all starts are tried.
-    for k in range(1, powers.shape[1]):
-        doubtful = ~solution.converged | design.has_shapes
+    for power, shape in zip(powers[1:], shapes[1:], strict=True):
+        doubtful = np.asarray(~solution.converged | design.has_shapes)
         if not doubtful.any():
             break
-        other = jax.device_get(solve(design, V, *of_terms, powers[:, k], starts.shape[:, k]))
-        better = other.converged & ~(other.cost >= solution.cost) | ~solution.converged
+        other = solve(design, variance, free, active, power, shape)
+        better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
         solution = _choose(doubtful & better, other, solution)
-    misfits = _misfits(design, variance, solution)
+    tangent = design.tangent(np.asarray(solution.shape))
+    misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)
     solution = widened(solution, misfits)
-    inference = infer(design, V, *of_terms, solution)
-    terms, shapes = active.shape[1], starts.shape.shape[-1]
-    inference = without_padding(inference, variance.shape[1], terms, shapes)
-    return solution._replace(power=solution.power[:, :terms]), inference, misfits
+    return solution, infer(tangent, variance, free, active, solution), misfits
 
 
 def _misfits(
-    design: AllanDesign, variance: Float[np.ndarray, "axes m"], solution: Solution
+    tangent: Tangent,
+    cluster_time: Float[np.ndarray, " capacity"],
+    variance: Float[np.ndarray, "axes m"],
+    solution: Solution,
 ) -> list[Misfit | None]:
     """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
-    incomplete = np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)
-    for k in np.flatnonzero(incomplete):
-        mean, scatter = _moments(design, solution.power[k], solution.shape[k])
-        time = design.geometry.cluster_time[: len(mean)]
-        found[k] = misfit_of(time, np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter, "s")
+    for k in np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)):
+        own, power = tangent.of_axes(np.array([k])), np.asarray(solution.power)[None, [k]]
+        mean, scatter = (power @ own.means)[0, 0], own.variances(power)[0, 0]
+        ratio = np.sqrt(variance[k] / mean)
+        found[k] = misfit_of(cluster_time[: len(mean)], ratio, 2.0 * mean**2 / scatter, "s")
     return found
 
 
@@ -269,11 +268,8 @@ def _with_model_edf(
 
 def _moments_under(curve: AllanDeviation, template: Model, results: Sequence[AxisFit]) -> list[_Moments]:
     """Moments of the Allan variances of each axis under its fitted model."""
-    of_curve = (curve.n, curve.rate, curve.cluster_size)
-    if template.response is None:
-        design = AllanDesign.of(template, *of_curve, curve.strides, ALLAN_CAPACITY)
-        return [_moments_of(design, template, result) for result in results]
-    geometry = AllanCovariance.of(*of_curve, strides=curve.strides, capacity=ALLAN_CAPACITY[0])
+    of_curve, order = (curve.n, curve.rate, curve.cluster_size), quadrature_order(template)
+    geometry = AllanCovariance.of(*of_curve, order, curve.strides)
     nothing = np.full(len(curve.cluster_size), np.nan)
     return [
         moments_behind(_with_all_terms(template, result).sampled(curve.rate), geometry)
@@ -291,29 +287,3 @@ def _with_all_terms(template: Model, result: AxisFit) -> Model:
         absent = 0.0 if p.parameter.is_amplitude else p.parameter.lower + 1.0
         values[p.label] = absent if value is None or np.isnan(value) else float(value)
     return template.with_values(**values)
-
-
-def _moments_of(design: AllanDesign, template: Model, result: AxisFit) -> _Moments:
-    """Moments of the Allan variances under a fitted model; meaningless without a fit."""
-    values = {label: c.value for label, c in result.coefficients.items()} if result.converged else {}
-    amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
-    power = np.array([float(values.get(p.label, p.start) or 0.0) ** 2 for p in amplitudes])
-    # The shape of an absent term does not matter.
-    places = [values.get(p.label, np.nan) - p.parameter.lower for p in free_shapes(template)]
-    return _moments(design, design.padded_terms(power), np.nan_to_num(np.log(places)))
-
-
-def _moments(
-    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
-) -> _Moments:
-    mean, variance = jax.device_get(_padded_moments(design, power, shape))
-    return mean[: int(design.rows)], variance[: int(design.rows)]
-
-
-@eqx.filter_jit
-def _padded_moments(
-    design: AllanDesign, power: Float[ArrayLike, " terms"], shape: Float[ArrayLike, " shapes"]
-) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
-    power, shape = jnp.asarray(power), jnp.asarray(shape)
-    covariance = design.covariance(power, design.products(shape))
-    return design.mean(power, design.means(shape)), design.variances(covariance)

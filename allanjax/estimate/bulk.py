@@ -180,9 +180,9 @@ def _of_block(
     arrays = {
         "value": known(found.value, converged),
         "std": known(found.std),
-        "lower": known(found.interval[..., 0]),
-        "upper": known(found.interval[..., 1]),
-        "upper_limit": known(found.upper_limit),
+        "lower": known(found.ends[..., 0]),
+        "upper": known(found.ends[..., 1]),
+        "upper_limit": known(found.ends[..., 4]),
         "detected": found.detected & measured[:, None],
         "converged": converged,
         "chi2": np.asarray(solution.chi2),

@@ -2,12 +2,13 @@
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
-at given cluster sizes (`AllanDesign`) or levels of the cosine spectrum (`LevelDesign`).
+at given cluster sizes (`AllanDesign`, `AllanTangent`) or levels of the cosine spectrum (`LevelDesign`).
 """
 
 from __future__ import annotations
 
 import abc
+import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
@@ -16,15 +17,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance
+from allanjax.base.arrays import namespace
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened, whiten
+from allanjax.estimate.deterministic import find_lines
+from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.process import Process, numbers_as_data
-from allanjax.noise.terms import NoiseTerm, Parameter, basic_terms
+from allanjax.noise.process import Process
+from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.columns import Column
 from allanjax.record.recording import Axis
 
@@ -33,21 +37,19 @@ from allanjax.record.recording import Axis
 # errors.
 _RIDGE = 1e-4
 _OSCILLATING_RIDGE = 5e-3
-_OSCILLATING_ORDER = 32
-# Terms whose rows every Allan design has, so that any choice among them is data.
-_BASIC = tuple(term.with_unit_amplitude() for term in basic_terms())
-# Number of shapes that are evaluated roughly at a time, number of starts of a fit, and number of frequencies
-# that are tried for lines.
+_ORDER, _OSCILLATING_ORDER = 8, 32
+# Pairs of estimates that are computed together: few enough to stay in a core's cache.
+_FEW_PAIRS = 256
+# Number of shapes that are evaluated roughly, and of those at a time; and number of starts of a fit.
 _CANDIDATES = 512
-_BLOCK = 16
+_BLOCK = 512
 _STARTS = 4
-_PEAKS = 4
 # Starts that differ by less than this in ln lead to the same solution; 1 for unlisted kinds of shapes.
 _APART = {"line": 0.02}
 
 
 class FreeShape(NamedTuple):
-    """Free parameter that is not an amplitude: its term, its declaration, and whether it is fitted.
+    """Free parameter that is not an amplitude: its term among those with one, and whether it is fitted.
 
     Frequencies of lines are not fitted, as they are known from the record.
     """
@@ -57,83 +59,74 @@ class FreeShape(NamedTuple):
     moves: bool
 
 
-class Design(eqx.Module):
-    """Model of the estimates for the inference: see the module's docstring.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Tangent(abc.ABC):
+    """Model of estimates around the solutions of several axes, linear in the shapes; of one axis for all.
 
     Attributes:
-        owner: the term of each free parameter that is not an amplitude ("shape").
-        terms: number of terms.
-        rows: number of estimates.
+        means: expectations of the estimates for each term of unit amplitude.
+        by_shape: their derivatives by the shapes.
+        owner: the term of each shape.
+        movable: which shapes are fitted to these estimates.
     """
 
+    means: Float[np.ndarray, "axes terms m"]
+    by_shape: Float[np.ndarray, "axes terms m shapes"]
     owner: Int[np.ndarray, " shapes"]
-    terms: Int[np.ndarray, ""]
-    rows: Int[np.ndarray, ""]
-
-    @property
-    @abc.abstractmethod
-    def movable(self) -> Bool[np.ndarray, " shapes"]:
-        """Which shapes are fitted to these estimates."""
-
-    @property
-    @abc.abstractmethod
-    def has_shapes(self) -> bool:
-        """Whether there may be shapes; known when a program is compiled."""
+    movable: Bool[np.ndarray, " shapes"]
 
     @abc.abstractmethod
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
-        """Estimates in arrays of the design's length."""
+    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+        """Variances of the estimates for these powers of the terms."""
 
     @abc.abstractmethod
-    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        """Values of terms in arrays of the design's length."""
-
-    @abc.abstractmethod
-    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        """Values of shapes in arrays of the design's length."""
-
-    @abc.abstractmethod
-    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        """Expectation of the estimates for each term of unit amplitude."""
-
-    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        """Expectation of the estimates for these powers of the terms."""
-        return power @ means
-
-    @abc.abstractmethod
-    def products(self, shape: Float[Array, " shapes"]) -> Array:
-        """Part of the covariance that depends only on the shapes."""
-
-    @abc.abstractmethod
-    def covariance(self, power: Float[Array, " terms"], products: Array) -> Array:
-        """Covariance of the estimates for these powers of the terms: a matrix, or variances alone."""
-
-    @abc.abstractmethod
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        """Variances of the estimates, from their covariance."""
-
-    @abc.abstractmethod
-    def whiten(
+    def weighed(
         self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> CholeskyWhitened:
-        """Whitened columns X for relative residuals with a relative error `power_error` of the model."""
+        power: Float[np.ndarray, "axes h terms"],
+        error: Float[np.ndarray, " axes"],
+        X: Float[np.ndarray, "axes h m k"],
+    ) -> Float[np.ndarray, "axes h m k"]:
+        """Columns C⁻¹X for relative residuals of covariance C, with a relative error of the model."""
 
-    def whiten_and_weigh(
+    def of_axes(self, axes: Int[np.ndarray, " few"]) -> Tangent:
+        """The same for these axes only."""
+        names = ("means", "by_shape", "products")
+        arrays = {name: x[axes] for name in names if len(x := getattr(self, name, ())) > 1}
+        return dataclasses.replace(self, **arrays)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class AllanTangent(Tangent):
+    """Allan variances around a solution, see `AllanDesign`; an error of the model is common to an octave.
+
+    `products` are the covariance as a bilinear form in the powers.
+    """
+
+    products: Float[np.ndarray, "axes terms*terms m*m"]
+    octaves: Float[np.ndarray, "m m"]
+    ridge: float
+
+    def covariance(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m m"]:
+        """Covariance of the estimates for these powers of the terms."""
+        squares = (power[..., None] * power[..., None, :]).reshape(*power.shape[:2], -1)
+        return (squares @ self.products).reshape(*power.shape[:2], *self.octaves.shape)
+
+    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+        return np.einsum("...ii->...i", self.covariance(power))
+
+    def weighed(
         self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
-    ) -> tuple[Float[Array, "m k"], Float[Array, "k m"]]:
-        """Whitened columns L⁻¹X, and X'C⁻¹, for relative residuals of covariance C = LL'."""
-        k = X.shape[1]
-        both = jnp.concatenate([X, jnp.eye(len(mean))], axis=1)
-        values = self.whiten(covariance, mean, power_error, both).values
-        return values[:, :k], values[:, :k].T @ values[:, k:]
+        power: Float[np.ndarray, "axes h terms"],
+        error: Float[np.ndarray, " axes"],
+        X: Float[np.ndarray, "axes h m k"],
+    ) -> Float[np.ndarray, "axes h m k"]:
+        relative, mean = self.covariance(power), power @ self.means
+        relative /= mean[..., None]
+        relative /= mean[..., None, :]
+        np.einsum("...ii->...i", relative)[...] *= 1.0 + self.ridge
+        if np.any(error):
+            relative += error[:, None, None, None] ** 2 * self.octaves
+        return np.linalg.solve(relative, X)
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -175,33 +168,38 @@ def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
     return np.array([term.has_free_amplitude for term in model.terms])
 
 
-class _Constants(NamedTuple):
-    """Parts of the terms without a free shape, computed once for all iterations; zero for the others."""
-
-    means: Float[Array, "basis m"]
-    kernels: Float[Array, "basis lags pairs"] | None
-    products: Float[Array, "basis basis pairs"]
-
-
-class AllanDesign(Design):
+class AllanDesign(eqx.Module):
     """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
-    Lengths, rates, cluster sizes, and which of the basic terms the model has, are data. Other terms are part
-    of the structure, not their values: a program is compiled once for each set of these.
+    All but the terms with free shapes is data, padded, so that a program is compiled once for each set of
+    such terms: lengths, rates, cluster sizes and all other terms.
 
     Attributes:
-        shapes: the free parameters that are not amplitudes.
-        others: the terms that are not basic ones, with unit amplitude; free shapes are None.
-        columns: row of each term among the basic ones and these.
+        geometry, octaves, ridge: quadrature of the covariance; what two estimates share of a relative error
+            of the model; relative addition to the variances.
+        terms, rows: number of terms and of estimates.
+        fixed: expectation of the estimates for each term of unit amplitude, `products` their covariance as a
+            bilinear form in the powers; zero for terms with free shapes.
+        kernels: kernels of the terms; None if there are no free shapes.
+        scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
+            every record, and that of a narrow-band term by `_narrow_band_scatter`.
+        moving: terms with free shapes, which are None, of unit amplitude, and `places` of these among all.
+        shapes, owner: the free shapes, and the term of each.
     """
 
     shapes: tuple[FreeShape, ...] = eqx.field(static=True)
     geometry: AllanCovariance
     octaves: Float[np.ndarray, "m m"]
     ridge: Float[np.ndarray, ""]
-    others: tuple[NoiseTerm, ...]
-    columns: Int[np.ndarray, " terms"]
-    constants: _Constants
+    terms: Int[np.ndarray, ""]
+    rows: Int[np.ndarray, ""]
+    fixed: Float[np.ndarray, "terms m"]
+    products: Float[np.ndarray, "terms terms pairs"]
+    kernels: Float[np.ndarray, "terms lags pairs"] | None
+    scatters: Bool[np.ndarray, " terms"]
+    moving: tuple[NoiseTerm, ...]
+    places: Int[np.ndarray, " moving"]
+    owner: Int[np.ndarray, " shapes"]
 
     @classmethod
     def of(
@@ -218,42 +216,34 @@ class AllanDesign(Design):
         `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays are
         padded to at least the `capacity` of cluster sizes and terms, so that compiled functions are reused.
         """
-        oscillates = any(term.oscillates for term in model.terms)
-        order = {"order": _OSCILLATING_ORDER} if oscillates else {}
-        geometry = AllanCovariance.of(n, rate, sizes, strides=strides, capacity=capacity[0], **order)
+        geometry = AllanCovariance.of(n, rate, sizes, quadrature_order(model), strides, capacity[0])
         return cls.of_geometry(model, rate, geometry, capacity[1])
 
     @classmethod
     def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
         """Design of a noise model for the estimates of a quadrature, padded to at least so many terms."""
-        others: list[NoiseTerm] = []
-        columns, basic = np.full(max(slots, len(model)), -1), [type(term) for term in _BASIC]
-        for k, term in enumerate(model.sampled(rate).terms):
-            # Flicker noise with a cutoff is none of the basic terms.
-            row = basic.index(type(term)) if type(term) in basic and not term.oscillates else -1
-            if row < 0 or row in columns:
-                row = len(_BASIC) + len(others)
-                others.append(_structure(term))
-            columns[k] = row
-        shapes = tuple(
-            FreeShape(int(columns[p.term]) - len(_BASIC), p.parameter, not model.terms[p.term].deterministic)
-            for p in free_shapes(model)
-        )
-        oscillates = any(term.oscillates for term in model.terms)
-        distance = np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))
-        # Padding is beyond all rows.
-        columns = np.where(columns < 0, len(_BASIC) + len(others), columns)
+        free, slots = free_shapes(model), max(slots, len(model))
+        places = sorted({p.term for p in free})
+        seen = model.sampled(rate).terms
+        terms = {k: t.with_unit_amplitude() for k, t in enumerate(seen) if k not in places}
+        fixed, kernels, products = _parts(terms, geometry, slots)
         return cls(
-            shapes=shapes,
-            owner=np.array([p.term for p in free_shapes(model)], int),
+            shapes=tuple(
+                FreeShape(places.index(p.term), p.parameter, not model.terms[p.term].deterministic)
+                for p in free
+            ),
+            geometry=geometry,
+            octaves=np.exp(-np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))),
+            ridge=np.asarray(_OSCILLATING_RIDGE if quadrature_order(model) > _ORDER else _RIDGE),
             terms=np.asarray(len(model)),
             rows=geometry.count,
-            geometry=geometry,
-            octaves=np.exp(-distance),
-            ridge=np.asarray(_OSCILLATING_RIDGE if oscillates else _RIDGE),
-            others=tuple(others),
-            columns=columns,
-            constants=_constants(tuple(others), shapes, columns, geometry),
+            fixed=fixed,
+            products=products,
+            kernels=kernels if free else None,
+            scatters=_scatters(seen, slots),
+            moving=tuple(_structure(seen[k]) for k in places),
+            places=np.array(places, int),
+            owner=np.array([p.term for p in free], int),
         )
 
     @property
@@ -262,57 +252,52 @@ class AllanDesign(Design):
 
     @property
     def has_shapes(self) -> bool:
+        """Whether there are shapes to be fitted."""
         return bool(self.movable.any())
 
-    def padded_estimates(self, V: Float[np.ndarray, "axes m"]) -> Float[np.ndarray, "axes capacity"]:
-        more = np.shape(self.geometry.sizes)[0] - V.shape[1]
-        return np.pad(V, ((0, 0), (0, more)), constant_values=1.0)
-
-    def padded_terms(self, values: Shaped[np.ndarray, "... terms"]) -> Shaped[np.ndarray, "... slots"]:
-        more = np.shape(self.columns)[0] - values.shape[-1]
-        return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)])
-
-    def padded_shapes(self, values: Float[np.ndarray, "... shapes"]) -> Float[np.ndarray, "... slots"]:
-        return values
-
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
-        """Allan variance of each term of unit amplitude."""
-        means = jnp.asarray(self.constants.means)
-        if not self.shapes:
-            return means
-        for k, term in self._moving(shape).items():
-            means = means.at[k].set(self.geometry.mean(term))
-        return _chosen(means, self.columns)
+        """Expectation of the estimates for each term of unit amplitude."""
+        means = jnp.asarray(self.fixed)
+        for k, term in enumerate(self._moving(shape)):
+            means = means.at[self.places[k]].set(self.geometry.mean(term))
+        return means
 
     def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        """Expected Allan variances; one where there is no estimate."""
-        return self.geometry.known(power @ means, 1.0)
+        """Expectation for these powers of the terms; one where there is no estimate."""
+        return jnp.where(jnp.arange(means.shape[1]) < self.rows, power @ means, 1.0)
 
-    def products(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms terms pairs"]:
+    def products_at(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms terms pairs"]:
         """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
-        products = jnp.asarray(self.constants.products)
-        if not self.shapes:
+        products, terms, place = jnp.asarray(self.products), self._moving(shape), jnp.asarray(self.places)
+        if not terms:
             return products
-        moving, rows = self._moving(shape), np.array(list(self._moving(shape)))
+        total = products.shape[-1]
+        few = min(_FEW_PAIRS, total)
 
-        def of_moving(part: AllanCovariance, kernels: Array) -> Array:
-            own = jnp.stack([part.kernel(term) for term in moving.values()])
-            return _products(own, kernels.at[rows].set(own), part)
+        def of_some(k: Array, found: Array) -> Array:
+            first = jnp.minimum(k * few, total - few)
+            part = self.geometry.of_pairs(first, few)
+            own = jnp.stack([part.kernel(term) for term in terms])
+            every = jax.lax.dynamic_slice_in_dim(jnp.asarray(self.kernels), first, few, 2).at[place].set(own)
+            sums = jnp.sum((own * part.weights)[:, None] * every, axis=2)
+            return jax.lax.dynamic_update_slice_in_dim(found, sums, first, 2)
 
-        found = self.geometry.over_pairs(of_moving, jnp.asarray(self.constants.kernels))
-        products = products.at[rows].set(found).at[:, rows].set(found.swapaxes(0, 1))
-        terms = [moving.get(k, t) for k, t in enumerate((*_BASIC, *self.others))]
-        return _bilinear(terms, self.geometry, products, self.columns)
+        real = jnp.asarray(self.rows) * (self.rows + 1) // 2
+        found = jax.lax.fori_loop(0, -(-real // few), of_some, jnp.zeros((len(terms), *products.shape[1:])))
+        scatters = jnp.asarray(self.scatters)
+        found = found * (scatters[place][:, None] | scatters)[..., None]
+        products = products.at[place].set(found).at[:, place].set(found.swapaxes(0, 1))
+        for k, term in enumerate(terms):
+            if term.narrow_band:
+                products = products.at[place[k], place[k]].set(_narrow_band_scatter(term, self.geometry))
+        return products
 
     def covariance(
         self, power: Float[Array, " terms"], products: Float[Array, "terms terms pairs"]
     ) -> Float[Array, "m m"]:
         """Covariance of the estimates for these powers of the terms."""
-        by_pair = products.reshape(-1, products.shape[-1])
-        return self.geometry.symmetric(jnp.outer(power, power).ravel() @ by_pair)
-
-    def variances(self, covariance: Array) -> Float[Array, " m"]:
-        return jnp.diag(covariance)
+        by_pair = jnp.outer(power, power).ravel() @ products.reshape(-1, products.shape[-1])
+        return by_pair[jnp.asarray(self.geometry.place)]
 
     def whiten(
         self,
@@ -321,23 +306,57 @@ class AllanDesign(Design):
         power_error: Float[Array, ""],
         X: Float[Array, "m k"],
     ) -> CholeskyWhitened:
-        """Whitened columns, with a model error that is correlated over about an octave."""
+        """Whitened columns X for relative residuals, with a model error that is common to about an octave."""
         relative = covariance / (mean[:, None] * mean)
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
         return whiten(relative, X, self.rows)
 
-    @property
-    def weight(self) -> Float[Array, " m"]:
-        """Weight proportional to the number of clusters."""
-        return self.geometry.known(1.0 / self.geometry.cluster_time, 0.0)
+    def tangent(self, shape: Float[np.ndarray, "axes shapes"]) -> AllanTangent:
+        """The model around these shapes of each axis, without padding."""
+        means, products = self.fixed[None], self.products[None]
+        by_shape = np.zeros((*means.shape, shape.shape[1]))
+        if self.shapes:
+            means, by_shape, products = jax.device_get(_around(self, shape))
+        terms, m, axes = int(self.terms), int(self.rows), len(means)
+        pairs = np.asarray(self.geometry.place)[:m, :m].ravel()
+        return AllanTangent(
+            means=means[:, :terms, :m],
+            by_shape=np.where(self.movable, by_shape[:, :terms, :m], 0.0),
+            owner=self.owner,
+            movable=self.movable,
+            products=products[:, :terms, :terms, pairs].reshape(axes, terms**2, m**2),
+            octaves=self.octaves[:m, :m],
+            ridge=float(self.ridge),
+        )
 
-    def _moving(self, shape: Float[Array, " shapes"]) -> dict[int, NoiseTerm]:
-        """Terms with free shapes, which they have here, by their row among all."""
-        terms = list(self.others)
+    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
+        """Expectation of the estimates for each term of unit amplitude, for many shapes, in NumPy."""
+        m = int(self.rows)
+        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
+        for b, at in enumerate(shape if self.moving else ()):
+            for k, term in zip(self.places, self._moving(at), strict=True):
+                found[b, k] = self.geometry.mean(term)[:m]
+        return found
+
+    def _moving(self, shape: Float[Array | np.ndarray, " shapes"]) -> list[NoiseTerm]:
+        """Terms with free shapes, which they have here."""
+        terms, xp = list(self.moving), namespace(shape)
         for s, u in zip(self.shapes, shape, strict=True):
-            value = s.parameter.lower + jnp.exp(u)
+            value = s.parameter.lower + xp.exp(u)
             terms[s.term] = terms[s.term].replace(**{s.parameter.name: value})
-        return {len(_BASIC) + k: terms[k] for k in sorted({s.term for s in self.shapes})}
+        return terms
+
+
+@eqx.filter_jit
+def _around(design: AllanDesign, shape: Float[ArrayLike, "axes shapes"]) -> tuple[Array, Array, Array]:
+    """Means, their derivatives by the shapes, and products for each axis."""
+    slope = jax.jacfwd(design.means)
+    return jax.lax.map(lambda u: (design.means(u), slope(u), design.products_at(u)), jnp.asarray(shape))
+
+
+def quadrature_order(model: Model) -> int:
+    """Order of the quadrature of covariances; terms that oscillate need more nodes."""
+    return _OSCILLATING_ORDER if any(term.oscillates for term in model.terms) else _ORDER
 
 
 def _structure(term: NoiseTerm) -> NoiseTerm:
@@ -352,79 +371,52 @@ def _structure(term: NoiseTerm) -> NoiseTerm:
     return term.replace(**held, held=frozenset()).with_unit_amplitude()
 
 
-@eqx.filter_jit
-def _constants(
-    others: tuple[NoiseTerm, ...],
-    shapes: tuple[FreeShape, ...],
-    columns: Int[ArrayLike, " terms"],
-    geometry: AllanCovariance,
-) -> _Constants:
-    """Means, kernels and products of the terms without a free shape."""
-    terms = (*_BASIC, *others)
-    moving = {len(_BASIC) + shape.term for shape in shapes}
+def _scatters(terms: Sequence[Process], slots: int) -> Bool[np.ndarray, " slots"]:
+    own = [not (term.deterministic or term.narrow_band) for term in terms]
+    return np.pad(np.array(own, bool), (0, slots - len(own)))
 
-    def of_part(part: AllanCovariance) -> tuple[Array, Array | None]:
-        nothing = jnp.zeros(part.lags.shape)
-        kernels = jnp.stack([nothing if k in moving else part.kernel(t) for k, t in enumerate(terms)])
-        return _products(kernels, kernels, part), kernels if moving else None
 
-    products, kernels = geometry.over_pairs(of_part)
-    nothing = jnp.zeros(geometry.cluster_time.shape)
-    means = jnp.stack([nothing if k in moving else geometry.mean(t) for k, t in enumerate(terms)])
-    if moving:
-        return _Constants(means, kernels, products)
-    return _Constants(_chosen(means, columns), None, _bilinear(terms, geometry, products, columns))
+def _parts(
+    terms: dict[int, Any], geometry: AllanCovariance, slots: int
+) -> tuple[
+    Float[np.ndarray, "slots m"],
+    Float[np.ndarray, "slots lags pairs"],
+    Float[np.ndarray, "slots slots pairs"],
+]:
+    """Expectations, kernels and products of the terms in these slots; zero for the others."""
+    means = np.zeros((slots, len(geometry.sizes)))
+    kernels = np.zeros((slots, *geometry.lags.shape))
+    products = np.zeros((slots, slots, geometry.lags.shape[1]))
+    here, m = sorted(terms), int(geometry.count)
+    real = min(m * (m + 1) // 2, geometry.lags.shape[1])
+    scatters = _scatters([terms[k] for k in here], len(here))
+    both = (scatters[:, None] | scatters)[..., None]
+    for k in here:
+        means[k] = geometry.mean(terms[k])
+    for first in range(0, real, _FEW_PAIRS):
+        some = slice(first, min(first + _FEW_PAIRS, real))
+        part = geometry.chosen(some)
+        own = np.array([part.kernel(terms[k]) for k in here]).reshape(-1, *part.lags.shape)
+        kernels[here, :, some] = own
+        products[np.array(here)[:, None], here, some] = both * np.einsum(
+            "klp,jlp->kjp", own * part.weights, own
+        )
+    for k in here:
+        if terms[k].narrow_band:
+            products[k, k, :real] = _narrow_band_scatter(terms[k], geometry.chosen(slice(real)))
+    return means, kernels, products
 
 
 def moments_behind(
     model: Model, geometry: AllanCovariance
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    mean, variance = jax.device_get(_moments_behind(numbers_as_data(model.processes), geometry))
-    rows = int(geometry.count)
-    return mean[:rows], variance[:rows]
-
-
-@eqx.filter_jit
-def _moments_behind(
-    seen: tuple[Process, ...], geometry: AllanCovariance
-) -> tuple[Float[Array, " capacity"], Float[Array, " capacity"]]:
-    def of_part(part: AllanCovariance) -> Array:
-        kernels = jnp.stack([part.kernel(process) for process in seen])
-        return _products(kernels, kernels, part)
-
-    products = _bilinear(seen, geometry, geometry.over_pairs(of_part), np.arange(len(seen)))
-    mean = sum(geometry.mean(process) for process in seen)
-    return jnp.asarray(mean), jnp.diag(geometry.symmetric(jnp.sum(products, axis=(0, 1))))
-
-
-def _products(
-    some: Float[Array, "some lags pairs"], every: Float[Array, "basis lags pairs"], part: AllanCovariance
-) -> Float[Array, "some basis pairs"]:
-    """Sums over the lags of the products of two terms' kernels."""
-    return jnp.sum((some * part.weights)[:, None] * every, axis=2)
-
-
-def _bilinear(
-    terms: Sequence[Process],
-    geometry: AllanCovariance,
-    products: Float[Array, "basis basis pairs"],
-    columns: Int[ArrayLike, " terms"],
-) -> Float[Array, "terms terms pairs"]:
-    """Covariance of the estimates as a bilinear form in the powers of a model's terms, from all products."""
-    # A line or a ramp is the same in every record: its own square does not scatter. That of a narrow-band
-    # term does, but its kernel oscillates too fast for the quadrature.
-    own_scatter = np.array([not (t.deterministic or t.narrow_band) for t in terms])
-    products = products * (own_scatter[:, None] | own_scatter)[..., None]
-    for k, term in enumerate(terms):
-        if term.narrow_band:
-            products = products.at[k, k].set(_narrow_band_scatter(term, geometry))
-    return _chosen(_chosen(products, columns).swapaxes(0, 1), columns)
-
-
-def _chosen(rows: Float[Array, "basis ..."], columns: Int[ArrayLike, " terms"]) -> Float[Array, "terms ..."]:
-    """Rows of a model's terms among all rows; zero where there is no term."""
-    return rows.at[jnp.asarray(columns)].get(mode="fill", fill_value=0.0)
+    i, j = geometry.pairs
+    m = int(geometry.count)
+    own = np.flatnonzero(i[: m * (m + 1) // 2] == j[: m * (m + 1) // 2])
+    processes = dict(enumerate(model.processes))
+    means, _, products = _parts(processes, geometry.chosen(own), len(processes))
+    return means.sum(axis=0)[:m], products.sum(axis=(0, 1))[:m]
 
 
 def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Array, " pairs"]:
@@ -437,7 +429,7 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
     mean = geometry.mean(term)
     common = term.power_scatter(geometry.duration)
     clusters = geometry.cluster_time[i] / geometry.duration
-    return mean[i] * mean[j] * (common + jnp.where(i == j, common + 1.5 * clusters, 0.0))
+    return mean[i] * mean[j] * (common + (i == j) * (common + 1.5 * clusters))
 
 
 class Starts(NamedTuple):
@@ -458,46 +450,38 @@ def find_starts(
 ) -> Starts:
     """Start values for every axis, from its Allan variances and, for lines, its record of n samples.
 
-    Shape parameters without a value of their own are tried on a grid (`shape_candidates`); see `best_starts`.
-    """
-    shapes = free_shapes(model)
-    searched = any(p.parameter.kind == "line" and p.start is None for p in shapes)
-    peaks = (find_lines(x, rate) if searched and x is not None else () for x in records)
-    candidates = [shape_candidates(shapes, n / rate, rate, of_axis) for of_axis in peaks]
-    return best_starts(model, design, V, active, np.stack(candidates))
-
-
-def best_starts(
-    model: Model,
-    design: AllanDesign,
-    V: Float[np.ndarray, "axes m"],
-    active: Bool[np.ndarray, "axes terms"],
-    shape: Float[np.ndarray, "axes candidates shapes"],
-) -> Starts:
-    """Start values for every axis from candidate shapes: the best few, with the powers that fit best.
-
-    The powers come from a non-negative least squares fit weighted by the number of clusters.
+    Shape parameters without a value of their own are tried on a grid (`shape_candidates`): the best few, with
+    the powers that fit best, clusters being independent.
     """
     from scipy.ndimage import median_filter
 
-    given = [getattr(t, t.amplitude_parameter().name) for t in model.terms]
+    shapes, free = free_shapes(model), free_powers(model)
+    searched = any(p.parameter.kind == "line" and p.start is None for p in shapes)
     # A single estimate that is small by chance must not lower all powers.
     smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
-    data = design.padded_estimates(smooth), design.padded_terms(active)
-    count = shape.shape[1]
-    # In blocks of one size: one program serves any number of candidates.
-    shapes, block = design.padded_shapes(shape), min(count, _BLOCK)
-    order = np.arange(-(-count // block) * block) % count
-    found = (_rough_powers(design, *data, shapes[:, rows]) for rows in order.reshape(-1, block))
-    rough, misfit = (np.concatenate(part, axis=1) for part in zip(*map(jax.device_get, found), strict=True))
-    power, misfit = rough[:, :count, : len(model)], misfit[:, :count]
-    for k, (term, value) in enumerate(zip(model.terms, given, strict=True)):
-        if value is not None and not term.has_free_amplitude:
-            power[:, :, k] = value**2
-    of_axes = zip(shape, misfit, strict=True)
-    best = np.stack([different(*of_axis, free_shapes(model)) for of_axis in of_axes])
-    axis = np.arange(len(V))[:, None]
-    return Starts(power[axis, best], shape[axis, best])
+    amplitudes = (p.start for p in model.parameters if p.parameter.is_amplitude)
+    held = np.array([0.0 if value is None else value**2 for value in amplitudes])
+    clusters = 0.5 * n / design.geometry.sizes[: V.shape[1]]
+    peaks = [find_lines(x, rate) if searched and x is not None else () for x in records]
+    shape = np.stack([shape_candidates(shapes, n / rate, rate, of_axis) for of_axis in peaks])
+    axes, count = shape.shape[:2]
+    # Where no lines are searched for, all axes have the same candidates.
+    units = [design.units(of_axis) for of_axis in (shape if searched else shape[:1])]
+    axis, candidate = (x.ravel() for x in np.indices((axes, count)))
+    power, misfit = np.empty((axes * count, len(model))), np.empty(axes * count)
+    for some in np.array_split(np.arange(axes * count), -(-axes * count // _BLOCK)):
+        unit = np.stack(
+            [units[k if searched else 0][c] for k, c in zip(axis[some], candidate[some], strict=True)]
+        )
+        level, used = smooth[axis[some]], active[axis[some]]
+        start = np.min(level[:, None] / np.maximum(unit, 1e-300), axis=-1)
+        power[some], misfit[some] = power_fits(
+            level, clusters, level, unit, np.where(free, start, held), used
+        )
+    power, misfit = np.where(free, power, held).reshape(axes, count, -1), misfit.reshape(axes, count)
+    best = np.stack([different(*of_axis, shapes) for of_axis in zip(shape, misfit, strict=True)])
+    rows = np.arange(axes)[:, None]
+    return Starts(power[rows, best], shape[rows, best])
 
 
 def different(
@@ -507,41 +491,13 @@ def different(
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
-    order = list(np.argsort(misfit))
+    # Of two orders of like terms, which fit equally well, that of ascending shapes comes first.
+    order = np.lexsort((*shape.T[::-1], np.round(misfit - misfit.min(), 2))).tolist()
     chosen: list[int] = []
     for i in order:
         if all(np.any(abs(shape[i] - shape[k]) > apart) for k in chosen):
             chosen.append(i)
     return np.array((chosen + [i for i in order if i not in chosen])[:_STARTS])
-
-
-@eqx.filter_jit
-def _rough_powers(
-    design: AllanDesign,
-    V: Float[ArrayLike, "axes m"],
-    active: Bool[ArrayLike, "axes terms"],
-    shape: Float[ArrayLike, "axes candidates shapes"],
-) -> tuple[Float[Array, "axes candidates terms"], Float[Array, "axes candidates"]]:
-    """Non-negative powers that fit each candidate's shapes best, and their weighted misfit."""
-    weight = design.weight
-    # One after another, for what is idle costs nothing then.
-    means = jax.lax.map(lambda of_axis: jax.lax.map(design.means, of_axis), jnp.asarray(shape))
-
-    def at(V: Array, active: Array, means: Array) -> tuple[Array, Array]:
-        A = means / V
-        normal, target = (A * weight) @ A.T, A @ weight
-
-        # Lee & Seung's (2001) multiplicative steps keep powers positive and never increase the misfit.
-        def step(_: int, v: Array) -> Array:
-            return jnp.where(active, v * target / (normal @ v), 0.0)
-
-        # The start is so low that no term alone exceeds the curve.
-        start = jnp.where(active, 1.0 / jnp.max(A, axis=1) / design.terms, 0.0)
-        v = jax.lax.fori_loop(0, 500, step, start)
-        return v, jnp.sum(weight * (v @ A - 1.0) ** 2)
-
-    of_axis = jax.vmap(at, (None, None, 0))
-    return jax.vmap(of_axis)(jnp.asarray(V), jnp.asarray(active), means)
 
 
 def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"]:
@@ -583,31 +539,3 @@ def shape_candidates(
     if len(grid) > _CANDIDATES:
         grid = grid[np.random.default_rng(0).choice(len(grid), _CANDIDATES, replace=False)]
     return np.log(grid - np.array([p.parameter.lower for p in shapes]))
-
-
-def find_lines(x: Float[np.ndarray, " samples"], rate: float) -> Float[np.ndarray, " peaks"]:
-    """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
-
-    A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
-    several resolutions; a peak found at one resolution is not counted again at another.
-    """
-    from scipy.ndimage import median_filter
-    from scipy.signal import welch
-
-    found: list[tuple[float, float, float]] = []
-    for length in {len(x), min(len(x), 8192), min(len(x), 512)}:
-        f, S = welch(x, rate, nperseg=length, detrend="linear")
-        f, S = f[2:-1], S[2:-1]
-        ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
-        # Gain in log-likelihood from a free level of a mean of len(x)/length periodograms.
-        excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
-        for i in np.argsort(excess)[::-1][:40]:
-            found.append((excess[i], f[i], 2.0 * rate / length))
-    found.sort(reverse=True)
-    chosen: list[float] = []
-    for _, f, width in found:
-        if all(abs(f - g) > width for g in chosen):
-            chosen.append(f)
-        if len(chosen) == _PEAKS:
-            break
-    return np.array(chosen + [rate / 8.0] * (_PEAKS - len(chosen)))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import quantile
@@ -21,21 +21,17 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 from allanjax.spectrum.cosine import Bins, cosine_transform
 
-# A line is fitted to so many coefficients on either side; farther away its best fit is subtracted.
-LINE_REACH = 64
-# Grid points per coefficient in the search for a line's frequency.
-_GRID = 4
-# A line is searched within so many coefficients of a conspicuous place.
-_SEARCH = 4.0
-# Coefficients that hold nine tenths of the power of a line of any phase.
-_CORE = 5
-# Conspicuous places that are tried.
-_CANDIDATES = 8
-# Coefficients on either side of a line whose mean square is the noise there.
-_LEVEL_REACH = 512
+# A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
+# farther around have the level of the noise.
+LINE_REACH, _LEVEL_REACH = 64, 512
+# A line is searched within so many coefficients of a conspicuous place, first at so many points in each.
+_SEARCH, _GRID = 4.0, 4
+# Conspicuous places that are tried for a line, and frequencies that are tried for a resonance.
+_PLACES, _PEAKS = 8, 4
+# Longest spectra, in samples, in which broad peaks are searched for.
+_COARSER = (8192, 512)
 # Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
-_MEDIAN = 0.4549
-_OUTLYING = 16.0
+_MEDIAN, _OUTLYING = 0.4549, 16.0
 
 
 def needs_record(term: NoiseTerm) -> bool:
@@ -66,39 +62,43 @@ def line_columns(
 class Line:
     """Spectral line found in a record.
 
-    Attributes:
-        frequency: frequency [Hz]; `frequency_std` is its standard deviation, 0 if it was given.
-        gain: log-likelihood gained by the line [nats].
-        amplitude, amplitude_std: amplitude in the samples [rate] by least squares, and its standard
-            deviation.
-        first: index of the first cosine coefficient of its neighbourhood.
-        coefficients: the record's coefficients there, this line included, other lines subtracted.
+    `frequency_std` is 0 if the frequency [Hz] was given; `gain` is in log-likelihood [nats]; `beta` are the
+    amplitudes of cosine and sine in the samples by least squares. `coefficients` are the record's from index
+    `first` on, this line included and other lines subtracted.
     """
 
     frequency: float
     frequency_std: float
     gain: float
-    amplitude: float
+    beta: Float[np.ndarray, " 2"]
     amplitude_std: float
     first: int
     coefficients: Float[np.ndarray, " k"]
+
+    @property
+    def amplitude(self) -> float:
+        return float(np.hypot(*self.beta))
 
     @property
     def indices(self) -> Int[np.ndarray, " k"]:
         """Indices of these coefficients."""
         return self.first + np.arange(len(self.coefficients))
 
+    def samples(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """The line in time, given 2πt."""
+        phase = angle * self.frequency
+        return self.beta[0] * np.cos(phase) + self.beta[1] * np.sin(phase)
+
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
     """Indices of a model's lines, with the start of each frequency (or None) and whether it is held."""
-    lines: list[int] = []
-    wanted: list[tuple[float | None, bool]] = []
-    for k, term in enumerate(model.terms):
-        for p in term.parameters():
-            if term.deterministic and p.kind == "line":
-                lines.append(k)
-                wanted.append((getattr(term, p.name), not term.is_free(p)))
-    return lines, wanted
+    of = [
+        (k, (getattr(term, p.name), not term.is_free(p)))
+        for k, term in enumerate(model.terms)
+        for p in term.parameters()
+        if term.deterministic and p.kind == "line"
+    ]
+    return [k for k, _ in of], [wanted for _, wanted in of]
 
 
 def take_out_lines(
@@ -114,68 +114,71 @@ def take_out_lines(
     Returns:
         The coefficients, and the lines in the order wanted. Near a line the coefficients still contain it.
     """
-    n = len(x)
-    rest = np.array(x, float)
-    angle = 2.0 * np.pi * (np.arange(n) + 0.5) / rate if len(wanted) else None
-    found: dict[int, tuple[Line, np.ndarray]] = {}
-    # Lines with a given frequency first, then the strongest.
+    if not wanted:
+        return cosine_transform(x), ()
+    n, rest = len(x), np.array(x, float)
+    angle = 2.0 * np.pi * (np.arange(n) + 0.5) / rate
+    found: dict[int, Line] = {}
+    # Lines with a given frequency first, then the strongest; then each again without the others.
     order = sorted(range(len(wanted)), key=lambda k: wanted[k][0] is None)
-    for sweep in range(2 if len(wanted) > 1 else 1):
-        for k in order:
-            start, held = wanted[k]
-            if sweep:
-                line, beta = found[k]
-                rest += _wave(angle, line.frequency, beta)
-                starts, reach = [line.frequency], _SEARCH
-            elif start is None:
-                starts, reach = _conspicuous(cosine_transform(rest), n, rate), _SEARCH
-            else:
-                starts, reach = [start], LINE_REACH / 2.0
-            c = cosine_transform(rest)
-            options = [_refined(c, f, 0.0 if held else reach, n, rate) for f in starts]
-            line, beta = max(options, key=lambda option: option[0].gain)
-            rest -= _wave(angle, line.frequency, beta)
-            found[k] = (line, beta)
-    rest_c = cosine_transform(rest)
-    c, lines = rest_c.copy(), []
-    for k in range(len(wanted)):
-        line, beta = found[k]
-        own = line_columns(line.frequency, line.indices, n, rate) @ beta
-        lines.append(dataclasses.replace(line, coefficients=rest_c[line.indices - 1] + own))
+    for k in order * (2 if len(order) > 1 else 1):
+        start, held = wanted[k]
+        reach = LINE_REACH / 2.0 if start is not None and k not in found else _SEARCH
+        if k in found:
+            rest += found[k].samples(angle)
+            starts = [found[k].frequency]
+        else:
+            starts = [start] if start is not None else find_lines(rest, rate, (n,), _PLACES).tolist()
+        c = cosine_transform(rest)
+        options = [_refined(c, f, 0.0 if held else reach, rate) for f in starts]
+        found[k] = max(options, key=lambda line: line.gain)
+        rest -= found[k].samples(angle)
+    alone = cosine_transform(rest)
+    c, lines = alone.copy(), []
+    for line in (found[k] for k in range(len(wanted))):
+        own = line_columns(line.frequency, line.indices, n, rate) @ line.beta
+        lines.append(dataclasses.replace(line, coefficients=alone[line.indices - 1] + own))
         c[line.indices - 1] += own
     return c, tuple(lines)
 
 
-def _wave(
-    angle: Float[np.ndarray, " n"] | None, frequency: float, beta: Float[np.ndarray, " 2"]
-) -> Float[np.ndarray, " n"]:
-    """Line in time, β0·cos + β1·sin of 2πf·t, given 2πt."""
-    phase = np.asarray(angle) * frequency
-    return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
+def find_lines(
+    x: Float[np.ndarray, " samples"], rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
+) -> Float[np.ndarray, " peaks"]:
+    """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
+
+    A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
+    several resolutions; a peak found at one resolution is not counted again at another.
+
+    Args:
+        x, rate: samples, and their rate [Hz].
+        lengths: numbers of samples of a periodogram; by default all, and shorter ones for broad peaks.
+        count: number of peaks.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.signal import welch
+
+    found: list[tuple[float, float, float]] = []
+    for length in lengths or {len(x), *(min(len(x), some) for some in _COARSER)}:
+        f, S = welch(x, rate, nperseg=length, detrend="linear")
+        f, S = f[2:-1], S[2:-1]
+        ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
+        # Gain in log-likelihood from a free level of a mean of len(x)/length periodograms.
+        excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
+        found += [(excess[i], f[i], 2.0 * rate / length) for i in np.argsort(excess)[::-1][:40]]
+    found.sort(reverse=True)
+    chosen: list[float] = []
+    for _, frequency, width in found:
+        if len(chosen) < count and all(abs(frequency - other) > width for other in chosen):
+            chosen.append(frequency)
+    return np.array(chosen + [rate / 8.0] * (count - len(chosen)))
 
 
-def _conspicuous(c: Float[np.ndarray, " n-1"], n: int, rate: float) -> list[float]:
-    """Frequencies where a few neighbouring coefficients have most power relative to the others around."""
-    from scipy.ndimage import median_filter, uniform_filter1d
-
-    power = uniform_filter1d(c**2, _CORE, mode="nearest")
-    level = median_filter(power[::_CORE], min(2 * (len(power) // (4 * _CORE)) + 1, 201), mode="nearest")
-    ratio = power / np.maximum(np.repeat(level, _CORE)[: len(power)], 1e-300)
-    found: list[int] = []
-    for j in np.argsort(ratio)[::-1][: 16 * _CANDIDATES]:
-        if all(abs(j - k) > _SEARCH for k in found):
-            found.append(int(j))
-        if len(found) == _CANDIDATES:
-            break
-    return [(j + 1) * rate / (2.0 * n) for j in found]
-
-
-def _refined(
-    c: Float[np.ndarray, " n-1"], start: float, reach: float, n: int, rate: float
-) -> tuple[Line, Float[np.ndarray, " 2"]]:
-    """Best line within `reach` coefficients of a frequency, and its cosine and sine amplitudes."""
+def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: float) -> Line:
+    """Best line within `reach` coefficients of a frequency."""
     from scipy.optimize import minimize_scalar
 
+    n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
     first = max(centre - LINE_REACH, 1)
@@ -197,29 +200,22 @@ def _refined(
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
         grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
-        f = grid[np.argmin([loss(g) for g in grid])]
-        step = spacing / _GRID
-        f = float(
-            minimize_scalar(
-                loss, bounds=(f - step, f + step), method="bounded", options={"xatol": 1e-6 * spacing}
-            ).x
-        )
+        f, step = grid[np.argmin([loss(g) for g in grid])], spacing / _GRID
+        options = {"xatol": 1e-6 * spacing}
+        f = float(minimize_scalar(loss, bounds=(f - step, f + step), method="bounded", options=options).x)
         h = 0.05 * spacing
         curvature = (loss(f + h) - 2.0 * loss(f) + loss(f - h)) / h**2
         std = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else spacing
     gain, beta, amplitude_std = fitted(f)
-    return Line(f, std, gain, float(np.hypot(*beta)), amplitude_std, first, data), beta
+    return Line(f, std, gain, beta, amplitude_std, first, data)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Projection:
     """Levels of the noise after the projection of deterministic parts, and the amplitudes of these.
 
-    Attributes:
-        level: mean square of the coefficients [rate²] in each bin, per degree of freedom.
-        dof: degrees of freedom in each bin.
-        amplitude: amplitude of each column by weighted least squares; zero for columns not in use.
-        covariance: covariance of these amplitudes.
+    `level` is the mean square [rate²] per degree of freedom in each bin; amplitudes are by weighted least
+    squares, zero for columns not in use.
     """
 
     level: Float[np.ndarray, " m"]
@@ -237,14 +233,9 @@ class Projection:
 class AxisSpectrum(ByValue):
     """Sufficient statistics of one axis: sums over bins of products of cosine coefficients.
 
-    Attributes:
-        bins: the bins.
-        squares: sums of the record's squared coefficients.
-        overlap: part of `squares` that is due to products of two lines.
-        cross: sums of products of the record's coefficients with those of the deterministic columns.
-        gram: sums of products of the columns' coefficients with each other.
-        owners: a regressor's name, or the index of a term, for each column.
-        lines: the lines, by the index of their term.
+    These are the record's (`squares`), and those of deterministic columns with the record's (`cross`) and
+    with each other (`gram`); `overlap` is what products of two lines add to the squares. A column's owner is
+    a regressor's name or the index of a term, as of `lines`.
     """
 
     bins: Bins
@@ -264,22 +255,17 @@ class AxisSpectrum(ByValue):
         lines: dict[int, Line],
     ) -> AxisSpectrum:
         """Statistics of coefficients c with columns over the whole spectrum and lines, which are local."""
-        everywhere = list(columns)
-        present, apart = np.zeros(bins.n - 1), np.zeros(bins.n - 1)
+        everywhere, present, apart = list(columns), np.zeros(bins.n - 1), np.zeros(bins.n - 1)
         for term, line in lines.items():
-            near = line.indices - 1
-            own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
+            near, whole = line.indices - 1, np.zeros((bins.n - 1, 2))
+            whole[near] = own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
             # The rest is due to other lines and is not in a line's own coefficients.
             fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
             apart[near] += fitted**2
             present[near] += fitted
-            for column in own.T:
-                whole = np.zeros(bins.n - 1)
-                whole[near] = column
-                everywhere.append((term, whole))
+            everywhere += [(term, column) for column in whole.T]
         q = len(everywhere)
-        cross = np.zeros((len(bins.size), q))
-        gram = np.zeros((len(bins.size), q, q))
+        cross, gram = np.zeros((len(bins.size), q)), np.zeros((len(bins.size), q, q))
         for a, (_, one) in enumerate(everywhere):
             cross[:, a] = bins.sums(c * one)
             for b, (_, other) in enumerate(everywhere[: a + 1]):
@@ -287,7 +273,7 @@ class AxisSpectrum(ByValue):
         owners = tuple(owner for owner, _ in everywhere)
         return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
 
-    def used(self, absent: Sequence[int] = ()) -> np.ndarray:
+    def used(self, absent: Sequence[int] = ()) -> Bool[np.ndarray, " columns"]:
         """Which columns are in use if the model lacks the terms `absent`."""
         return np.array([owner not in absent for owner in self.owners], bool)
 

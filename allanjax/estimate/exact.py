@@ -182,7 +182,7 @@ class _Problem:
         for k in np.flatnonzero(self.moves[:terms]).tolist():
             tests[:, k] = self._hypotheses(at, k, inside)
         solved: Any = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        found: Any = (covariance, np.zeros(0), *tests, np.full(terms, np.inf))
+        found: Any = (covariance, *tests, np.full(terms, np.inf))
         # As of several axes.
         return jax.tree.map(lambda x: np.asarray(x)[None], (Solution(*solved), Inference(*found)))
 

@@ -11,7 +11,7 @@ then allow for an incomplete model instead of being absurdly narrow.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import lineax as lx
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
@@ -30,28 +30,29 @@ from allanjax.estimate.design import AllanDesign
 _SHAPE_BOUND = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
 # Margin kept from a shape's upper bound in ln, since the bound is open.
 _INSIDE = 1e-2
+# Errors of the model in the first steps, nearly log-log fits, which converge from anywhere; of a model that
+# is tried without an error, and of one that needs one.
+_WARM_UP = np.array([[0.5, 0.2, 0.05, 0.0], [0.5, 0.2, 0.05, 0.1]])
+_WARM = _WARM_UP.shape[1]
 # Largest number of reweightings, and of steps of the shapes within each.
-_OUTER_STEPS = 100
-_INNER_STEPS = 50
+_STEPS, _INNER_STEPS = _WARM + 100, 20
 # Largest factor by which the acceleration extrapolates the last move.
 _MAX_EXTRAPOLATION = 5.0
 # Number of full steps; afterwards shapes move by at most _LATE in ln, times _SHORTER after each step.
-_DAMPING_AFTER_STEP = 25
+_FULL_STEPS = _WARM + 25
 _LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
 # The same after the last step: in a poorly determined direction, such as a long correlation time, steps stay
 # longer, and this share of a standard deviation suffices.
 _CLOSE = 0.05
-# Phases of the iteration: first with large errors of the model, nearly a log-log fit, which converges from
-# anywhere; then without; then, if χ² is too large, with the error that brings it to its degrees of freedom.
-_WARM_UP, _PLAIN, _WITH_ERROR, _DONE = range(4)
-_FIRST_ERROR, _LEAST_ERROR, _LESS_ERROR = 0.1, 1e-4, 0.5
-_WARM_UP_ERROR = np.array([0.5, 0.2, 0.05, 0.0])
+# A model whose χ² is so many times too large after so many steps is not tried further without an error.
+_HOPELESS, _TRIED = 4.0, _WARM + 5
+_LEAST_ERROR, _LESS_ERROR = 1e-4, 0.5
 
 
 class Solution(NamedTuple):
-    """Estimate of one axis.
+    """Estimate of one axis, or of several along a first dimension.
 
     Attributes:
         power: powers (squared amplitudes) of the terms.
@@ -75,28 +76,25 @@ class Solution(NamedTuple):
         return self.power_error / 2.0
 
 
-class _Place(NamedTuple):
-    """An estimate, and the expectation and covariance of the data there."""
+class _State(NamedTuple):
+    """State of the iteration: the estimate, expectation and covariance there, and the last move.
+
+    `tolerant`: whether the model is given an error; `step` counts from the start with or without one.
+    """
 
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
     mean: Float[Array, " m"]
-    covariance: Array
-
-
-class _State(NamedTuple):
-    """State of the iteration: the estimate, the one of the robust phase, the last move, and the phase."""
-
-    here: _Place
-    robust: _Place
+    covariance: Float[Array, "m m"]
     last: tuple[Array, Array]
-    last_step: tuple[Array, Array]
+    last_move: tuple[Array, Array]
     power_error: Float[Array, ""]
-    phase: Int[Array, ""]
+    tolerant: Bool[Array, ""]
     step: Int[Array, ""]
     chi2: Float[Array, ""]
     cost: Float[Array, ""]
-    at_rest: Bool[Array, ""]
+    settled: Bool[Array, ""]
+    ended: Bool[Array, ""]
 
 
 class _Problem(NamedTuple):
@@ -105,8 +103,7 @@ class _Problem(NamedTuple):
     Attributes:
         design, V, free, active: as in `solve`.
         power, shape: where the fit starts; inactive terms have zero power, held ones keep theirs.
-        moves: which shapes are fitted; the others stay at their start.
-        lower, upper: bounds of these.
+        moves, lower, upper: which shapes are fitted, and their bounds.
         still: means and products if no shape moves, computed once.
         dof: degrees of freedom of χ².
     """
@@ -132,7 +129,7 @@ class _Problem(NamedTuple):
         end = jnp.asarray([np.log(p.upper - p.lower) for p in declared]) - _INSIDE
         moves = active[jnp.asarray(design.owner)] & design.movable
         dof = jnp.maximum(design.rows - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-        still = None if design.has_shapes else (design.means(shape), design.products(shape))
+        still = None if design.has_shapes else (design.means(shape), design.products_at(shape))
         bounds = (shape - reach, jnp.minimum(shape + reach, end))
         return cls(design, V, free, active, jnp.where(active, power, 0.0), shape, moves, *bounds, still, dof)
 
@@ -141,186 +138,133 @@ class _Problem(NamedTuple):
         return jnp.where(self.moves, jnp.clip(u, self.lower, self.upper), self.shape)
 
     def means(self, shape: Array) -> Float[Array, "terms m"]:
-        """Expectations for unit powers."""
         return self.design.means(shape) if self.still is None else self.still[0]
 
-    def place(self, power: Array, shape: Array) -> _Place:
+    def moments(self, power: Array, shape: Array) -> tuple[Array, Array]:
         """Expectation and covariance of the data under these parameters."""
-        products = self.design.products(shape) if self.still is None else self.still[1]
-        mean = self.design.mean(power, self.means(shape))
-        return _Place(power, shape, mean, self.design.covariance(power, products))
+        products = self.design.products_at(shape) if self.still is None else self.still[1]
+        return self.design.mean(power, self.means(shape)), self.design.covariance(power, products)
 
-    def misfit(self, place: _Place, power_error: Array) -> tuple[Array, Array]:
+    def start(self, tolerant: bool) -> _State:
+        at, no = (self.power, self.shape), jnp.asarray(False)
+        error, infinite = jnp.asarray(_WARM_UP[int(tolerant), 0]), jnp.asarray(jnp.inf)
+        of_error = (error, jnp.asarray(tolerant), jnp.asarray(0))
+        return _State(*at, *self.moments(*at), at, at, *of_error, infinite, infinite, no, no)
+
+    def misfit(self, mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
         # Plain relative residuals, since normal scores of each would not be jointly normal.
-        residual = (self.V / place.mean - 1.0)[:, None]
-        residual, log_det = self.design.whiten(place.covariance, place.mean, power_error, residual)
+        residual, log_det = self.design.whiten(covariance, mean, power_error, (self.V / mean - 1.0)[:, None])
         return jnp.sum(residual**2), log_det
 
-    def project_powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
+    def powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
         """Best powers for given shapes, and the whitened residual (variable projection)."""
         A = W @ (self.means(shape) / reference).T
         target = W @ (self.V / reference) - A @ jnp.where(self.free, 0.0, self.power)
         v = non_negative_least_squares(A, target, self.active & self.free)
-        v = jnp.where(self.free, v, self.power)
-        return v, target - A @ jnp.where(self.free, v, 0.0)
+        return jnp.where(self.free, v, self.power), target - A @ jnp.where(self.free, v, 0.0)
 
+    def reweighted(self, state: _State, W: Array) -> tuple[Array, Array]:
+        """Powers and shapes by one generalized least squares fit with the weights of the present estimate."""
+        shape = state.shape
+        if self.still is None:
 
-def _reweighted(problem: _Problem, state: _State, W: Array) -> tuple[Array, Array]:
-    """Powers and shapes by one generalized least squares fit with the weights of the present estimate."""
-    here = state.here
-    shape = here.shape
-    if problem.still is None:
+            def residual(u: Array, _: None) -> Array:
+                return self.powers(self.within(u), W, state.mean)[1]
 
-        def residual(u: Array, _: None) -> Array:
-            return problem.project_powers(problem.within(u), W, here.mean)[1]
+            # Not the default QR: see `linalg` about batches of LAPACK calls.
+            linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
+            solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
+                rtol=1e-6, atol=1e-6, linear_solver=linear
+            )
+            found: optx.Solution = optx.least_squares(
+                residual, solver, shape, max_steps=_INNER_STEPS, throw=False
+            )
+            new = jnp.where(jnp.isfinite(found.value), self.within(found.value), shape)
+            late = state.step - _FULL_STEPS
+            longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
+            shape = shape + jnp.clip(new - shape, -longest, longest)
+        return self.powers(shape, W, state.mean)[0], shape
 
-        # Not the default QR: see `linalg` about batches of LAPACK calls.
-        linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
-        solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
-            rtol=1e-6, atol=1e-6, linear_solver=linear
+    def accelerated(self, state: _State, W: Array, move: tuple[Array, Array]) -> tuple[Array, Array]:
+        """Powers and shapes after a longer or shorter move than this one, by Anderson's (1965) method.
+
+        Reweighting converges linearly, sometimes slowly or with alternating sign. The acceleration remedies
+        that, with one step of memory and moves measured by how far they move the curve.
+        """
+        to_curve = W @ (self.means(state.shape) / state.mean).T
+        here, last = to_curve @ move[0], to_curve @ state.last_move[0]
+        change = here - last
+        gamma = jnp.vdot(change, here) / jnp.maximum(jnp.vdot(change, change), 1e-30)
+        # Moves that grow in one direction lead away from a near solution: extrapolate, do not return.
+        gamma = jnp.where((jnp.vdot(here, last) > 0.0) & (gamma > 0.0), -_MAX_EXTRAPOLATION, gamma)
+        # The first steps each solve another problem, and after many the iteration cycles.
+        steady = (state.step > _WARM) & (state.step < _FULL_STEPS)
+        gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
+        power, shape = (
+            x + f - gamma * (x - x_last + f - f_last)
+            for x, f, x_last, f_last in zip(state[:2], move, state.last, state.last_move, strict=True)
         )
-        found: optx.Solution = optx.least_squares(
-            residual, solver, shape, max_steps=_INNER_STEPS, throw=False
+        return jnp.where(self.free, jnp.maximum(power, 0.0), state.power), self.within(shape)
+
+    def next(self, state: _State) -> _State:
+        """State after one step; a model that does not suffice without an error begins anew with one."""
+        k, error, tolerant = state.step, state.power_error, state.tolerant
+        W = self.design.whiten(state.covariance, state.mean, error, jnp.eye(len(self.V))).values
+        power, shape = self.reweighted(state, W)
+        move = (power - state.power, shape - state.shape)
+        at = self.accelerated(state, W, move)
+        mean, covariance = self.moments(*at)
+        # Move of the curve in standard deviations.
+        moved = jnp.linalg.norm(W @ (mean / state.mean - 1.0))
+        (chi2, with_error), (_, log_det) = jax.vmap(lambda s: self.misfit(mean, covariance, s))(
+            jnp.stack([jnp.zeros(()), error])
         )
-        shape = jnp.where(jnp.isfinite(found.value), problem.within(found.value), shape)
-        late = state.step - _DAMPING_AFTER_STEP
-        longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
-        shape = here.shape + jnp.clip(shape - here.shape, -longest, longest)
-    return problem.project_powers(shape, W, here.mean)[0], shape
+        limit, excess = beyond_doubt(self.dof), with_error / self.dof
+        # With few clusters the tail is heavier than that of χ².
+        suffices, last = chi2 < limit, k + 1 == _STEPS
+        known = ~tolerant | (jnp.abs(excess - 1.0) < 0.02) | (error <= _LEAST_ERROR) & suffices
+        settled = (k >= _WARM) & (moved < jnp.where(last, _CLOSE, _TOLERANCE)) & known
+        ended = settled | last | ~tolerant & (k >= _TRIED) & (chi2 > _HOPELESS * limit)
+        # Where the model's error dominates the covariance, χ² is proportional to its inverse square. If the
+        # first steps led far off but the model suffices, its error must vanish in the end.
+        change = jnp.where((k >= _FULL_STEPS) & suffices, _LESS_ERROR, jnp.sqrt(excess))
+        adapted = jnp.where(tolerant, jnp.clip(error * change, _LEAST_ERROR, 10.0), 0.0)
+        warm = jnp.asarray(_WARM_UP)[tolerant.astype(int), jnp.minimum(k + 1, _WARM - 1)]
+        new = _State(
+            *at,
+            mean,
+            covariance,
+            last=state[:2],
+            last_move=move,
+            power_error=jnp.where(ended, error, jnp.where(k + 1 < _WARM, warm, adapted)),
+            tolerant=tolerant,
+            step=k + 1,
+            chi2=chi2,
+            # Minus twice the Gaussian log-likelihood, to choose among starts.
+            cost=with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(mean)),
+            settled=settled,
+            ended=ended,
+        )
+        anew = ended & ~tolerant & ~(settled & suffices)
+        return jax.tree.map(lambda a, b: jnp.where(anew, a, b), self.start(tolerant=True), new)
+
+    def solution(self) -> Solution:
+        end = jax.lax.while_loop(lambda state: ~state.ended, self.next, self.start(tolerant=False))
+        vanished = (end.power_error <= _LEAST_ERROR) & (end.chi2 < beyond_doubt(self.dof))
+        error = jnp.where(vanished, 0.0, end.power_error)
+        return Solution(*end[:2], end.chi2, error, end.settled & jnp.isfinite(end.cost), end.cost)
 
 
-def _accelerated(
-    problem: _Problem, state: _State, W: Array, step: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Powers and shapes after a step that is longer or shorter than this one, by Anderson's (1965) method.
-
-    Reweighting converges linearly, sometimes slowly or with alternating sign. The acceleration remedies that,
-    with one step of memory and steps measured by how far they move the curve.
-    """
-    here = state.here
-    to_curve = W @ (problem.means(here.shape) / here.mean).T
-    here_step, last_step = to_curve @ step[0], to_curve @ state.last_step[0]
-    change = here_step - last_step
-    gamma = jnp.vdot(change, here_step) / jnp.maximum(jnp.vdot(change, change), 1e-30)
-    # Steps that grow in one direction lead away from a near solution: extrapolate, do not return.
-    leaving = (jnp.vdot(here_step, last_step) > 0.0) & (gamma > 0.0)
-    gamma = jnp.where(leaving, -_MAX_EXTRAPOLATION, gamma)
-    # No extrapolation while warming up, as each step solves another problem, nor after many steps, as the
-    # iteration cycles.
-    steady = (state.step > 0) & (state.phase != _WARM_UP) & (state.step < _DAMPING_AFTER_STEP)
-    gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
-    power, shape = (
-        x + f - gamma * (x - x_last + f - f_last)
-        for x, f, x_last, f_last in zip(here[:2], step, state.last, state.last_step, strict=True)
-    )
-    return jnp.where(problem.free, jnp.maximum(power, 0.0), here.power), problem.within(shape)
-
-
-def _next(problem: _Problem, state: _State) -> _State:
-    """State after one step, and the next phase."""
-    here, k = state.here, state.step + 1
-    W = problem.design.whiten(here.covariance, here.mean, state.power_error, jnp.eye(len(problem.V))).values
-    power, shape = _reweighted(problem, state, W)
-    step = (power - here.power, shape - here.shape)
-    new = problem.place(*_accelerated(problem, state, W, step))
-    # Move of the curve in standard deviations.
-    moved = jnp.linalg.norm(W @ (new.mean / here.mean - 1.0))
-    at_rest = moved < jnp.where(k == _OUTER_STEPS, _CLOSE, _TOLERANCE)
-    (chi2, with_error), (_, log_det) = jax.vmap(lambda s: problem.misfit(new, s))(
-        jnp.stack([jnp.zeros(()), state.power_error])
-    )
-    # Minus twice the Gaussian log-likelihood, to choose among starts.
-    cost = with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(new.mean))
-    # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
-    excess = with_error / problem.dof
-    settled = at_rest & ((jnp.abs(excess - 1.0) < 0.02) | _needless(problem, state.power_error, chi2))
-    # If the first steps led far off but the model suffices, its error must vanish in the end.
-    late = state.step >= _DAMPING_AFTER_STEP
-    change = jnp.where(late & _suffices(problem, chi2), _LESS_ERROR, jnp.sqrt(excess))
-    phase, warmed, incomplete = _phase_after(problem, state, at_rest, settled, chi2)
-    power_error = jnp.select(
-        [phase == _WARM_UP, phase == _WITH_ERROR, phase == _DONE],
-        [
-            jnp.asarray(_WARM_UP_ERROR)[k % 4],
-            jnp.where(incomplete, _FIRST_ERROR, jnp.clip(state.power_error * change, _LEAST_ERROR, 10.0)),
-            state.power_error,
-        ],
-        0.0,
-    )
-    robust = jax.tree.map(lambda new, old: jnp.where(warmed, new, old), new, state.robust)
-    return _State(
-        here=jax.tree.map(lambda new, old: jnp.where(incomplete, old, new), new, robust),
-        robust=robust,
-        last=here[:2],
-        last_step=step,
-        power_error=power_error,
-        phase=phase,
-        step=jnp.where(phase == state.phase, k, 0),
-        chi2=chi2,
-        cost=cost,
-        at_rest=jnp.where(state.phase == _WITH_ERROR, settled, at_rest),
-    )
-
-
-def _phase_after(
-    problem: _Problem, state: _State, at_rest: Array, settled: Array, chi2: Array
-) -> tuple[Array, Array, Array]:
-    """Phase after a step, and whether the step ended the warm-up or showed that the model is incomplete."""
-    k = state.step + 1
-    warmed = (state.phase == _WARM_UP) & (k == len(_WARM_UP_ERROR))
-    # A model that is far off is not iterated further without a model error.
-    hopeless = (chi2 > 4.0 * beyond_doubt(problem.dof)) & (k >= 5)
-    plain_ends = (state.phase == _PLAIN) & (at_rest | hopeless | (k == _OUTER_STEPS))
-    incomplete = plain_ends & ~(at_rest & _suffices(problem, chi2))
-    last_ends = (state.phase == _WITH_ERROR) & (settled | (k == _OUTER_STEPS))
-    phase = jnp.select(
-        [warmed, incomplete, plain_ends | last_ends], [_PLAIN, _WITH_ERROR, _DONE], state.phase
-    )
-    return phase, warmed, incomplete
-
-
-def _suffices(problem: _Problem, chi2: Array) -> Array:
-    """Whether the model follows the curve; with few clusters the tail is heavier than that of χ²."""
-    return chi2 < beyond_doubt(problem.dof)
-
-
-def _needless(problem: _Problem, power_error: Array, chi2: Array) -> Array:
-    """Whether the model's error has shrunk to nothing, and the model suffices without it."""
-    return (power_error <= _LEAST_ERROR) & _suffices(problem, chi2)
-
-
-def _solve(problem: _Problem) -> Solution:
-    """Estimate of one axis from one start."""
-    first = problem.place(problem.power, problem.shape)
-    start = _State(
-        here=first,
-        robust=first,
-        last=first[:2],
-        last_step=first[:2],
-        power_error=jnp.asarray(_WARM_UP_ERROR[0]),
-        phase=jnp.asarray(_WARM_UP),
-        step=jnp.asarray(0),
-        chi2=jnp.asarray(jnp.inf),
-        cost=jnp.asarray(jnp.inf),
-        at_rest=jnp.asarray(False),
-    )
-    end = jax.lax.while_loop(lambda state: state.phase != _DONE, lambda s: _next(problem, s), start)
-    converged = end.at_rest & jnp.isfinite(end.cost)
-    power_error = jnp.where(_needless(problem, end.power_error, end.chi2), 0.0, end.power_error)
-    return Solution(*end.here[:2], end.chi2, power_error, converged, end.cost)
-
-
-@eqx.filter_jit
 def solve(
     design: AllanDesign,
-    V: Float[ArrayLike, "axes m"],
-    free: Bool[ArrayLike, " terms"],
-    active: Bool[ArrayLike, "axes terms"],
-    power: Float[ArrayLike, "axes terms"],
-    shape: Float[ArrayLike, "axes shapes"],
+    V: Float[np.ndarray, "axes m"],
+    free: Bool[np.ndarray, " terms"],
+    active: Bool[np.ndarray, "axes terms"],
+    power: Float[np.ndarray, "axes terms"],
+    shape: Float[np.ndarray, "axes shapes"],
 ) -> Solution:
-    """Estimate of every axis from its start.
+    """Estimate of every axis from its start, in arrays of NumPy.
 
     Args:
         design: the model of the estimates.
@@ -329,6 +273,22 @@ def solve(
         active: the terms in use, for each axis.
         power, shape: start values.
     """
-    return jax.vmap(lambda V, *of_axis: _solve(_Problem.of(design, V, jnp.asarray(free), *of_axis)))(
-        V, active, power, shape
-    )
+    room, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
+    of_terms = (np.pad(free, (0, slots)), *(np.pad(x, ((0, 0), (0, slots))) for x in (active, power)))
+    V = np.pad(V, ((0, 0), (0, room)), constant_values=1.0)
+    found: Any = jax.device_get(_solutions(design, V, *of_terms, shape))
+    return found._replace(power=found.power[:, : len(free)])
+
+
+@eqx.filter_jit
+def _solutions(
+    design: AllanDesign,
+    V: Float[Array | np.ndarray, "axes m"],
+    free: Bool[ArrayLike, " terms"],
+    *of_axes: Shaped[Array | np.ndarray, "axes ..."],
+) -> Solution:
+    def of(axis: Any) -> Solution:
+        return _Problem.of(design, axis[0], jnp.asarray(free), *axis[1:]).solution()
+
+    # With shapes one after another, for then no axis waits for the slowest.
+    return jax.lax.map(of, (V, *of_axes)) if design.has_shapes else jax.vmap(of)((V, *of_axes))

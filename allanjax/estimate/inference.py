@@ -4,91 +4,65 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln, ndtri
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Bool, Float, Int
 
-from allanjax.base.arrays import namespace
-from allanjax.base.cache import compiled_once
 from allanjax.base.chi_squared import cube_root_score
-from allanjax.base.linalg import inverse, non_negative_least_squares
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.estimate.design import Design, of_owners
+from allanjax.estimate.design import Tangent, of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantile
 from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
-from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
 
+# Ends of intervals and the one-sided limit, in standard deviations below the value.
+_LEVELS = np.array([TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95])
 # A shape is at a bound if it is closer than this share of the distance between its bounds.
 _INSIDE = 0.0125
 # A limit that is so many times as far from a bound as the estimate is not reported.
 _NOWHERE = 1e4
 # A line at an unknown frequency is detected if noise has a line as strong in at most one of so many records.
 _FALSE_LINE = 1.35e-3
+# Hypothetical powers, in standard deviations from the estimate; the first is zero power.
+_BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
+# Those that are tested first, and those that are only where none of these is excluded.
+_NEAREST, _FARTHER = np.array([0, 6, 7, 8, 9, 10, 11]), np.arange(1, 6)
+# If the scatter grows with the power, as for few long clusters, limits may be far above.
+_NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
+_ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
+#: Number of hypotheses below the estimate, itself included.
+ABOVE = len(_BELOW)
+# No interval ends beyond this score.
+_FAR_ENOUGH = -2.0
+# Probability that a ceiling is too low.
+_CHANCE = 0.025
+# Numbers that are computed together.
+_TOGETHER = 400_000
+# Rounds in which all powers of a wrong sign are exchanged at once, and most rounds.
+_ALL_AT_ONCE, _ROUNDS = 5, 100
 
 
 class Inference(NamedTuple):
-    """Covariance and hypothesis tests of one axis around its estimate.
+    """Covariance and hypothesis tests of several axes around their estimates.
 
     `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
-    and the data's distance from each as a normal score, positive if the data favour a larger power: up to
-    `ESTIMATE` those below the estimate, from `ABOVE` on those above. `ceiling` is, per term, a power that is
-    excluded even without other terms, see `ceiling`.
+    and the data's distance from each as a normal score, positive if the data favour a larger power: first
+    `ABOVE` below the estimate, then those above. `ceiling` is, per term, a power that is excluded even
+    without other terms.
     """
 
-    covariance: Float[Array, "params params"]
-    estimate_variance: Float[Array, " m"]
-    power_at: Float[Array, "terms grid"]
-    pivot_at: Float[Array, "terms grid"]
-    ceiling: Float[Array, " terms"]
+    covariance: Float[np.ndarray, "axes params params"]
+    power_at: Float[np.ndarray, "axes terms grid"]
+    pivot_at: Float[np.ndarray, "axes terms grid"]
+    ceiling: Float[np.ndarray, "axes terms"]
 
 
-class _Linearized(NamedTuple):
-    """One-step estimates at a hypothesis, linear in the relative residuals of the Allan variances.
-
-    `weights` [params, m] multiply the residuals; `weighted` is their product with the residuals' covariance.
-    """
-
-    covariance: Float[Array, "params params"]
-    step: Float[Array, " params"]
-    weights: Float[Array, "params m"]
-    weighted: Float[Array, "params m"]
-    estimate_variance: Float[Array, " m"]
-
-
-def gamma_score(t: Float[Array, ...], skewness: Float[Array, ...]) -> Float[Array, ...]:
-    """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
-
-    With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
-    """
-    xp = namespace(t, skewness)
-    g = xp.where(xp.abs(skewness) > 1e-3, skewness, 1e-3)
-    return xp.sign(g) * cube_root_score(xp.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
-
-
-#: Hypothetical powers, in standard deviations from the estimate; the first is zero power.
-DOWN = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-# If the scatter grows with the power, as for few long clusters, limits may be far above.
-_NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
-UP = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
-#: Indices of the estimate itself, of hypotheses below and above.
-ESTIMATE = len(DOWN) - 1
-ABOVE = len(DOWN)
-#: No interval ends beyond this score.
-FAR_ENOUGH = -2.0
-#: Probability that a ceiling is too low.
-CHANCE = 0.025
-
-
+@np.errstate(all="ignore")
 def infer(
-    design: Design,
+    tangent: Tangent,
     V: Float[np.ndarray, "axes m"],
     free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, "axes terms"],
@@ -102,201 +76,214 @@ def infer(
 
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
     powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
-    with v. It exists for inactive terms too, whose upper limits it gives. All arrays are NumPy's.
+    with v. It exists for inactive terms too, whose upper limits it gives.
     """
-    of_program, structure = jax.tree.flatten((design, V, free, active, solution))
-    with compiled_once((structure, *map(np.shape, of_program))):
-        return jax.device_get(_infer_axes(design, V, free, active, solution))
-
-
-@eqx.filter_jit
-def _infer_axes(
-    design: Design,
-    V: Float[ArrayLike, "axes m"],
-    free: Bool[ArrayLike, " terms"],
-    active: Bool[ArrayLike, "axes terms"],
-    solution: Solution,
-) -> Inference:
-    shared = jnp.asarray(free)
-    return jax.vmap(lambda V, active, s: _infer(design, V, shared, active, s))(V, active, solution)
-
-
-def without_padding(inference: Inference, m: int, terms: int, shapes: int) -> Inference:
-    """Inference for so many estimates, terms and shapes, from that of a padded design."""
-    places, first = np.arange(inference.covariance.shape[-1]), inference.power_at.shape[1]
-    own = places[(places < terms) | (places >= first) & (places < first + shapes)]
-    return Inference(
-        inference.covariance[:, own[:, None], own],
-        inference.estimate_variance[:, :m],
-        inference.power_at[:, :terms],
-        inference.pivot_at[:, :terms],
-        inference.ceiling[:, :terms],
+    power, error = np.asarray(solution.power), np.asarray(solution.power_error)
+    owner, count = tangent.owner, power.shape
+    has_shape = active[:, owner] & (power[:, owner] > 0.0) & tangent.movable
+    axes = _Axes(tangent, V, active, active & free, power, error, has_shape)
+    estimated = np.concatenate([axes.fitted, has_shape], axis=1)
+    covariance = axes.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
+    # Every term of every axis, as many together as fit into little memory.
+    axis, term = (x.ravel() for x in np.indices(count))
+    blocks = np.array_split(
+        np.arange(len(axis)), -(-len(axis) * V.shape[1] * estimated.shape[1] // _TOGETHER)
     )
+    tests = [axes.of_axes(axis[some]).hypotheses(term[some]) for some in blocks]
+    power_at, pivot_at = (np.concatenate(x).reshape(*count, -1) for x in zip(*tests, strict=True))
+    return Inference(covariance, power_at, pivot_at, axes.ceiling())
 
 
-def _infer(
-    design: Design,
-    V: Float[Array, " m"],
-    free: Bool[Array, " terms"],
-    active: Bool[Array, " terms"],
-    s: Solution,
-) -> Inference:
-    axis = _Axis.of(design, V, active, s)
-    owner, terms = axis.owner, len(s.power)
-    is_active = jnp.concatenate([active & free, axis.has_shape]).astype(float)
-    # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
-    alone = jnp.eye(terms, dtype=bool)
-    own_shape = alone[:, owner]
-    tested = jnp.concatenate([(active & free) | alone, axis.has_shape & ~own_shape], axis=1).astype(float)
+class _Linearized(NamedTuple):
+    """One-step estimates at hypotheses, linear in the relative residuals r: `inverse` · `raw`' C⁻¹ r.
 
-    def of_term(k: Array, found: tuple[Array, Array]) -> tuple[Array, Array]:
-        power_at, pivot_at = axis.hypotheses(active & free, k, alone[k], own_shape[k], tested[k])
-        return found[0].at[k].set(power_at), found[1].at[k].set(pivot_at)
+    `weighed` is C⁻¹ `raw`; `covariance` is `inverse` without what is not estimated, `step` the estimate.
+    """
 
-    nothing = jnp.full((terms, len(DOWN) + len(UP)), jnp.nan)
-    power_at, pivot_at = jax.lax.fori_loop(0, design.terms, of_term, (nothing, nothing))
-    found = axis.linearized(s.power, is_active)
-    highest = ceiling(design, V, axis.means, axis.products, s.power_error)
-    return Inference(found.covariance, found.estimate_variance, power_at, pivot_at, highest)
+    raw: Float[np.ndarray, "axes h m params"]
+    weighed: Float[np.ndarray, "axes h m params"]
+    inverse: Float[np.ndarray, "axes h params params"]
+    covariance: Float[np.ndarray, "axes h params params"]
+    step: Float[np.ndarray, "axes h params"]
 
 
-class _Axis(NamedTuple):
-    """One axis at its solution, and the distance of its data from hypotheses about a term's power.
+class _Axes(NamedTuple):
+    """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
     Attributes:
-        design, V, active, s: the design, the estimates of power, the terms in use, and the solution.
-        owner: the term of each shape.
-        means, products: what unit powers contribute at the solution's shapes.
-        by_shape: derivatives of the means by the shapes, [terms, m, shapes].
+        tangent, V, active: the model, the estimates of power, the terms in use.
+        fitted: the terms in use whose power is estimated.
+        power, error: powers, and error of the model.
         has_shape: which shapes the data determine; a term without power has none.
     """
 
-    design: Design
-    V: Float[Array, " m"]
-    active: Bool[Array, " terms"]
-    s: Solution
-    owner: Array
-    means: Float[Array, "terms m"]
-    products: Array
-    by_shape: Float[Array, "terms m shapes"]
-    has_shape: Bool[Array, " shapes"]
+    tangent: Tangent
+    V: Float[np.ndarray, "axes m"]
+    active: Bool[np.ndarray, "axes terms"]
+    fitted: Bool[np.ndarray, "axes terms"]
+    power: Float[np.ndarray, "axes terms"]
+    error: Float[np.ndarray, " axes"]
+    has_shape: Bool[np.ndarray, "axes shapes"]
 
-    @classmethod
-    def of(cls, design: Design, V: Float[Array, " m"], active: Bool[Array, " terms"], s: Solution) -> _Axis:
-        owner = jnp.asarray(design.owner)
-        means, products = design.means(s.shape), design.products(s.shape)
-        by_shape = jnp.zeros((*means.shape, len(s.shape)))
-        if design.has_shapes:
-            by_shape = jax.jacfwd(design.means)(s.shape)
-        has_shape = active[owner] & (s.power[owner] > 0.0) & design.movable
-        return cls(design, V, active, s, owner, means, products, by_shape, has_shape)
+    def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
+        return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
 
-    def linearized(self, power: Float[Array, " terms"], estimated: Float[Array, " params"]) -> _Linearized:
-        """One-step estimates at a hypothesis of those parameters that are estimated."""
-        design, V = self.design, self.V
-        mean = design.mean(power, self.means)
-        covariance = design.covariance(power, self.products)
-        moved = jnp.einsum("k,kms->ms", power, self.by_shape)
-        raw = jnp.concatenate([self.means.T, moved], axis=1) / mean[:, None]
-        raw = raw * estimated
-        columns = jnp.concatenate([raw, (V / mean - 1.0)[:, None]], axis=1)
-        whitened, weighed = design.whiten_and_weigh(covariance, mean, self.s.power_error, columns)
-        D, residual = whitened[:, :-1], whitened[:, -1]
-        size = jnp.sqrt(jnp.sum(D**2, axis=0))
-        size = jnp.where(size > 0.0, size, 1.0)
-        # A zero column (not estimated) gets a unit on the diagonal, and its variance is zeroed later.
-        normal = (D / size).T @ (D / size) + jnp.diag(1.0 - estimated) + 1e-12 * jnp.eye(len(size))
-        normal_inverse = inverse(normal) / (size[:, None] * size)
-        return _Linearized(
-            covariance=normal_inverse * (estimated[:, None] * estimated),
-            step=normal_inverse @ (D.T @ residual),
-            weights=normal_inverse @ weighed[:-1],
-            weighted=normal_inverse @ raw.T,
-            estimate_variance=design.variances(covariance),
+    def linearized(
+        self, power: Float[np.ndarray, "axes h terms"], estimated: Bool[np.ndarray, "axes h params"]
+    ) -> _Linearized:
+        """One-step estimates at hypotheses of those parameters that are estimated."""
+        at = self.tangent
+        mean = power @ at.means
+        moved = np.einsum(
+            "ahk,akms->ahms", power, np.broadcast_to(at.by_shape, (len(power), *at.by_shape.shape[1:]))
         )
+        units = np.broadcast_to(at.means.swapaxes(1, 2)[:, None], (*mean.shape, at.means.shape[1]))
+        raw = np.concatenate([units, moved], axis=-1) / mean[..., None] * estimated[:, :, None]
+        residual = self.V[:, None] / mean - 1.0
+        weighed = at.weighed(power, self.error, raw)
+        normal = raw.swapaxes(2, 3) @ weighed
+        size = np.sqrt(np.einsum("...ii->...i", normal))
+        size = np.where(size > 0.0, size, 1.0)
+        sizes = size[..., None] * size[..., None, :]
+        # A zero column (not estimated) gets a unit on the diagonal.
+        rest = np.where(estimated, 0.0, 1.0) + 1e-12
+        inverse = np.linalg.inv(normal / sizes + rest[..., None] * np.eye(rest.shape[-1])) / sizes
+        covariance = inverse * (estimated[..., None] & estimated[..., None, :])
+        step = (inverse @ (weighed.swapaxes(2, 3) @ residual[..., None]))[..., 0]
+        return _Linearized(raw, weighed, inverse, covariance, step)
 
-    def score(self, term: Array, v: Array, at: Array, fitted: Array) -> Float[Array, ""]:
-        """Distance of the data from these powers as a normal score; the term's own power is v."""
-        there = self.linearized(at, fitted)
-        variance = there.covariance[term, term]
+    def scores(
+        self,
+        term: Int[np.ndarray, " axes"],
+        power: Float[np.ndarray, "axes h terms"],
+        estimated: Bool[np.ndarray, "axes h params"],
+    ) -> Float[np.ndarray, "axes h"]:
+        """Distance of the data from these powers, that of one term being tested, as a normal score."""
+        there, axis = self.linearized(power, estimated), np.arange(len(term))
+        row, variance = there.inverse[axis, :, term][..., None], there.covariance[axis, :, term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-        third = 2.0 * jnp.sum(there.weights[term] * there.weighted[term] ** 2)
+        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(2, 3))
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
-        skewness = jnp.minimum(third / variance**1.5, 2.0 * jnp.sqrt(variance) / jnp.maximum(v, 1e-300))
-        return gamma_score(there.step[term] / jnp.sqrt(variance), skewness)
+        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, :, term], 1e-300)
+        t = there.step[axis, :, term] / np.sqrt(variance)
+        return _normal_score(t, np.minimum(third / variance**1.5, most))
 
-    def profiled(self, power: Array, allowed: Array) -> Float[Array, " terms"]:
+    def profiled(
+        self, power: Float[np.ndarray, "axes terms"], allowed: Bool[np.ndarray, "axes terms"]
+    ) -> Float[np.ndarray, "axes terms"]:
         """Powers, the allowed ones fitted to the data with weights from the covariance at `power`."""
-        mean = self.design.mean(power, self.means)
-        covariance = self.design.covariance(power, self.products)
-        columns = jnp.concatenate([self.means, self.V[None]]) / mean
-        columns = self.design.whiten(covariance, mean, self.s.power_error, columns.T).values
-        A = columns[:, :-1]
-        target = columns[:, -1] - A @ jnp.where(allowed, 0.0, power)
-        return jnp.where(allowed, non_negative_least_squares(A, target, allowed), power)
+        held, mean = np.where(allowed, 0.0, power)[:, None], (power[:, None] @ self.tangent.means)
+        A = (self.tangent.means / mean).swapaxes(1, 2)
+        target = (self.V[:, None] / mean - held @ self.tangent.means / mean).swapaxes(1, 2)
+        both = np.concatenate([A, target], axis=2)
+        products = both.swapaxes(1, 2) @ self.tangent.weighed(power[:, None], self.error, both[:, None])[:, 0]
+        return np.where(allowed, _non_negative(products, allowed), power)
 
     def hypotheses(
-        self, fitted_too: Array, term: Array, alone: Array, own_shape: Array, estimated: Array
-    ) -> tuple[Float[Array, " grid"], Float[Array, " grid"]]:
-        """Hypothetical powers of a term, and the data's distance from each.
-
-        Args:
-            fitted_too: terms that are fitted anew above the estimate.
-            term: the term's index, and `alone`, `own_shape` the same as flags of terms and of shapes.
-            estimated: flags of the parameters that are estimated together with its power.
-        """
-        s, active, owner = self.s, self.active, self.owner
-        terms = len(s.power)
-        local = self.linearized(s.power, estimated).covariance
-        sd = jnp.sqrt(local[term, term])
+        self, term: Int[np.ndarray, " axes"]
+    ) -> tuple[Float[np.ndarray, "axes grid"], Float[np.ndarray, "axes grid"]]:
+        """Hypothetical powers of a term of each axis, and the data's distance from each."""
+        power, owner, axis = self.power, self.tangent.owner, np.arange(len(term))
+        # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
+        alone, own = np.eye(power.shape[1], dtype=bool)[term], owner == term[:, None]
+        tested = self.fitted | alone
+        estimated = np.concatenate([tested, self.has_shape & ~own], axis=1)
+        local = self.linearized(power[:, None], estimated[:, None]).covariance[axis, 0, term]
+        variance, here = local[axis, term][:, None], power[axis, term][:, None]
+        slope = np.where(tested, local[:, : power.shape[1]] / variance, 0.0)
+        down, up = (here + sds * np.sqrt(variance) for sds in (_BELOW, _ABOVE))
+        down, least = np.maximum(down, 0.0), 1e-9 * here
         # The only term cannot vanish altogether.
-        least = 1e-9 * s.power[term]
-        slope = jnp.where(estimated[:terms] > 0.0, local[:terms, term] / local[term, term], 0.0)
-        down = jnp.maximum(s.power[term] + jnp.asarray(DOWN) * sd, 0.0)
-        up = s.power[term] + jnp.asarray(UP) * sd
+        v = np.maximum(down, least)[..., None]
+        others = np.maximum(power[:, None] + slope[:, None] * (v - here[..., None]), 0.05 * power[:, None])
+        at = np.where(alone[:, None], v, np.where(self.active[:, None], others, 0.0))
+        known = (v > 0.0) & self.active[:, None, owner]
+        shaped = np.where(own[:, None], known, self.has_shape[:, None])
+        known = np.concatenate([np.broadcast_to(tested[:, None], at.shape), shaped], axis=2)
+        below, left = np.full(down.shape, np.nan), axis
+        for some in _NEAREST, _FARTHER:
+            rows = np.ix_(left, some)
+            below[rows] = self.of_axes(left).scores(term[left], at[rows], known[rows])
+            left = left[~(below[left, _NEAREST[1]] - below[left, -1] > -_FAR_ENOUGH)]
+            if not len(left):
+                break
+        above = self._above(term, np.maximum(up, least))
+        return np.concatenate([down, up], axis=1), np.concatenate([below, above], axis=1)
 
-        def below(k: Array, scores: Array) -> Array:
-            v = jnp.maximum(down[k], least)
-            others = jnp.maximum(s.power + slope * (v - s.power[term]), 0.05 * s.power)
-            at = jnp.where(alone, v, jnp.where(active, others, 0.0))
-            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], self.has_shape)
-            fitted = jnp.concatenate([estimated[:terms], shaped])
-            return scores.at[k].set(self.score(term, v, at, fitted))
+    def _above(
+        self, term: Int[np.ndarray, " axes"], v: Float[np.ndarray, "axes grid"]
+    ) -> Float[np.ndarray, "axes grid"]:
+        """Distance from each of the powers above the estimate, as far as the data do not exclude one."""
+        scores, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
+        owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
+        for k in range(v.shape[1]):
+            some, here = self.of_axes(left), alone[left]
+            new = some.profiled(np.where(here, v[left, k, None], at[left]), some.fitted & ~here)
+            there = new[:, owner] > 0.0
+            own = owner == term[left, None]
+            shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
+            known = np.concatenate([some.fitted | here, shaped], axis=1)
+            scores[left, k] = some.scores(term[left], new[:, None], known[:, None])[:, 0]
+            at[left] = new
+            left = left[~(scores[left, k] - np.minimum(scores[left, 0], 0.0) < _FAR_ENOUGH)]
+            if not len(left):
+                break
+        return scores
 
-        def above(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            k, scores, others = state
-            v = jnp.maximum(up[k], least)
-            at = self.profiled(jnp.where(alone, v, others), fitted_too & ~alone)
-            shaped = jnp.where(own_shape, (v > 0.0) & active[owner], self.has_shape & (at[owner] > 0.0))
-            fitted = jnp.concatenate([estimated[:terms], shaped])
-            return k + 1, scores.at[k].set(self.score(term, v, at, fitted)), at
+    def ceiling(self) -> Float[np.ndarray, "axes terms"]:
+        """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
-        def goes_on(state: tuple[Array, Array, Array]) -> Array:
-            k, scores, _ = state
-            reached = scores[k - 1] - jnp.minimum(scores[0], 0.0) < FAR_ENOUGH
-            return (k == 0) | (~reached & (k < len(UP)))
+        Other terms can only add to an estimate, so that V ≥ v·mean·e^(error·z)·χ²/ν, with a normal z. With m
+        estimates the chance of either is `_CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). ν is that of
+        the term that scatters most.
+        """
+        from scipy.special import gammaln, ndtri
 
-        nothing = jnp.full(len(UP), jnp.nan)
-        pivots = jax.lax.fori_loop(0, len(DOWN), below, jnp.zeros_like(down))
-        _, further, _ = jax.lax.while_loop(goes_on, above, (jnp.asarray(0), nothing, s.power * active))
-        return jnp.concatenate([down, up]), jnp.concatenate([pivots, further])
+        means, terms = self.tangent.means, self.power.shape[1]
+        each = self.tangent.variances(np.broadcast_to(np.eye(terms), (len(means), terms, terms)))
+        relative = np.max(np.where(means > 0.0, each / means**2, 0.0), axis=1)
+        half, chance = 1.0 / np.maximum(relative, 1e-9), _CHANCE / (2.0 * self.V.shape[1])
+        least = (np.log(chance) + gammaln(half + 1.0)) / half - np.log(half)
+        least = least + self.error[:, None] * ndtri(chance)
+        highest = np.where(means > 0.0, self.V[:, None] / means, np.inf) * np.exp(-least)[:, None]
+        return np.min(highest, axis=2)
 
 
-def ceiling(
-    design: Design, V: Float[Array, " m"], means: Float[Array, "terms m"], products: Array, power_error: Array
-) -> Float[Array, " terms"]:
-    """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
+def _normal_score(
+    t: Float[np.ndarray, "axes h"], skewness: Float[np.ndarray, "axes h"]
+) -> Float[np.ndarray, "axes h"]:
+    """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
-    Other terms can only add to an estimate, so that V ≥ v·mean·e^(power_error·z)·χ²/ν, with a normal z. With
-    m estimates the chance of either is `CHANCE`/2m, and P(χ² < x) < (x/2)^(ν/2)/Γ(ν/2 + 1). ν is that of the
-    term that scatters most.
+    With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
     """
-    each = jax.vmap(lambda power: design.variances(design.covariance(power, products)))(jnp.eye(len(means)))
-    relative = jnp.max(jnp.where(means > 0.0, each / means**2, 0.0), axis=0)
-    half, chance = 1.0 / jnp.maximum(relative, 1e-9), CHANCE / (2.0 * design.rows)
-    least = (jnp.log(chance) + gammaln(half + 1.0)) / half - jnp.log(half) + power_error * ndtri(chance)
-    return jnp.min(jnp.where(means > 0.0, V / means, jnp.inf) * jnp.exp(-least), axis=1)
+    g = np.where(np.abs(skewness) > 1e-3, skewness, 1e-3)
+    return np.sign(g) * cube_root_score(np.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
+
+
+def _non_negative(
+    products: Float[np.ndarray, "axes terms+1 terms+1"], allowed: Bool[np.ndarray, "axes terms"]
+) -> Float[np.ndarray, "axes terms"]:
+    """Non-negative x that minimize |Ax − b|, zero where not allowed, from the products [A b]'[A b].
+
+    By principal pivoting, as `linalg.non_negative_least_squares`.
+    """
+    size = np.sqrt(np.einsum("aii->ai", products))
+    size = np.where(size > 0.0, size, 1.0)
+    size, norm = size[:, :-1], size[:, -1:]
+    normal, target = products[:, :-1, :-1] / (size[..., None] * size[:, None]), products[:, :-1, -1] / size
+    positive = allowed
+    for k in range(_ROUNDS):
+        system = np.where(positive[..., None] & positive[:, None], normal, 0.0)
+        system += np.where(positive, 1e-12, 1.0)[..., None] * np.eye(normal.shape[1])
+        x = np.linalg.solve(system, np.where(positive, target, 0.0)[..., None])[..., 0]
+        wanted = target - (normal @ x[..., None])[..., 0] > 1e-12 * norm
+        bad = allowed & np.where(positive, x < 0.0, wanted)
+        if not bad.any():
+            break
+        last = np.cumsum(bad[:, ::-1], axis=1)[:, ::-1] == 1
+        positive = positive ^ (bad if k < _ALL_AT_ONCE else bad & last)
+    return np.maximum(x, 0.0) / size
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -308,13 +295,11 @@ class Coefficients:
 
     def with_values(self, values: Mapping[str, Estimate]) -> Coefficients:
         """A copy with these coefficients, uncorrelated with the others."""
-        new = {**self.values, **values}
-        covariance = self.covariance.copy()
-        for k, label in enumerate(new):
-            if label in values:
-                covariance[k, :] = covariance[:, k] = 0.0
-                covariance[k, k] = values[label].std ** 2
-        return Coefficients(new, covariance)
+        new, covariance = {**self.values, **values}, self.covariance.copy()
+        for k in (k for k, label in enumerate(new) if label in values):
+            covariance[k, :] = covariance[:, k] = 0.0
+        stds = [values[label].std ** 2 if label in values else 0.0 for label in new]
+        return Coefficients(new, covariance + np.diag(stds))
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
@@ -322,27 +307,25 @@ def reported(model: Model) -> tuple[ModelParameter, ...]:
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Estimates:
+class Estimates(NamedTuple):
     """The coefficients of several axes in SI, [axes, coefficients] in the order of `reported`.
 
     Attributes:
         value, std: estimates and their standard deviations; NaN for the shape of an absent term.
-        interval, interval_68: [axes, coefficients, 2] ends of the 95 and 68 % intervals.
-        upper_limit: one-sided 95 % limits of amplitudes; NaN where there is none.
+        ends: lower and upper end of the 95 % and of the 68 % interval, and the one-sided 95 % limit, which
+            is NaN except for amplitudes.
         detected: whether the term's amplitude excludes zero.
-        covariance: [axes, coefficients, coefficients].
+        covariance: covariance of the coefficients of each axis.
     """
 
     value: Float[np.ndarray, "axes params"]
     std: Float[np.ndarray, "axes params"]
-    interval: Float[np.ndarray, "axes params 2"]
-    interval_68: Float[np.ndarray, "axes params 2"]
-    upper_limit: Float[np.ndarray, "axes params"]
+    ends: Float[np.ndarray, "axes params 5"]
     detected: Bool[np.ndarray, "axes params"]
     covariance: Float[np.ndarray, "axes params params"]
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def estimates_of(
     model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
 ) -> Estimates:
@@ -353,55 +336,43 @@ def estimates_of(
         active: the terms that each axis has.
         solution, inference: what `gls.solve` and `infer` return, of as many axes.
     """
-    parameters = reported(model)
+    parameters, terms = reported(model), len(model)
     shapes = [p for p in parameters if p.free and not p.parameter.is_amplitude]
     power, shape = np.asarray(solution.power), np.asarray(solution.shape)
-    covariance = np.asarray(inference.covariance)
-    power_at, pivot_at = np.asarray(inference.power_at), np.asarray(inference.pivot_at)
-    ceiling = np.asarray(inference.ceiling)
+    sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
     count = (len(power), len(parameters))
-    value, std, limit = np.zeros(count), np.zeros(count), np.full(count, np.nan)
-    interval, interval_68 = np.zeros((*count, 2)), np.zeros((*count, 2))
-    detected = np.zeros(count, bool)
-    jacobian = np.zeros((*count, covariance.shape[-1]))
+    value, std, ends = np.zeros(count), np.zeros(count), np.full((*count, 5), np.nan)
+    jacobian = np.zeros((*count, inference.covariance.shape[-1]))
     has_power = active & (power > 0.0)
-    found = has_power.copy()
+    found, there = has_power.copy(), of_owners(model, has_power)
     for row, p in enumerate(parameters):
-        is_amplitude = p.parameter.is_amplitude
         if not p.free:
             value[:, row] = p.start or 0.0
-            interval[:, row] = interval_68[:, row] = value[:, row, None]
-            if is_amplitude:
+            ends[:, row, :4] = p.start or 0.0
+            if p.parameter.is_amplitude:
                 found[:, p.term] = True
-        elif is_amplitude:
-            column = p.term
-            value[:, row] = np.sqrt(power[:, column])
-            present = power[:, column] > 0.0
-            levels = (TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95)
-            at = (power_at[:, column], pivot_at[:, column], ceiling[:, column])
-            ends = np.stack([np.sqrt(_crossings(*at, level, present)) for level in levels], axis=1)
-            interval[:, row], interval_68[:, row], limit[:, row] = ends[:, :2], ends[:, 2:4], ends[:, 4]
-            found[:, column] = active[:, column] & (ends[:, 0] > 0.0)
-            jacobian[:, row, column] = np.divide(
-                0.5, value[:, row], out=np.zeros(len(power)), where=value[:, row] > 0.0
-            )
-            std[:, row] = jacobian[:, row, column] * np.sqrt(covariance[:, column, column])
+        elif p.parameter.is_amplitude:
+            k = p.term
+            value[:, row] = np.sqrt(power[:, k])
+            ends[:, row] = np.sqrt(_crossings(inference, k, power[:, k] > 0.0))
+            found[:, k] = active[:, k] & (ends[:, row, 0] > 0.0)
+            jacobian[:, row, k] = np.where(power[:, k] > 0.0, 0.5 / value[:, row], 0.0)
+            std[:, row] = jacobian[:, row, k] * sd[:, k]
         else:
-            column = len(model) + shapes.index(p)
-            distance, sd = np.exp(shape[:, column - len(model)]), np.sqrt(covariance[:, column, column])
-            present = of_owners(model, has_power)[:, p.term]
-            value[:, row] = np.where(present, p.parameter.lower + distance, np.nan)
-            std[:, row] = np.where(present, distance * sd, np.nan)
-            jacobian[:, row, column] = np.where(present, distance, 0.0)
-            nowhere = np.array([p.parameter.lower, p.parameter.upper])
-            interval[:, row], interval_68[:, row] = (
-                np.where(present[:, None], _around(p.parameter, distance, level * sd), nowhere)
-                for level in (TWO_SIDED_95, TWO_SIDED_68)
-            )
-        # The response comes after all terms.
-        detected[:, row] = of_owners(model, found)[:, p.term]
-    covariance = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
-    return Estimates(value, std, interval, interval_68, limit, detected, covariance)
+            k, bound, present = terms + shapes.index(p), p.parameter, there[:, p.term]
+            distance = np.exp(shape[:, k - terms])
+            value[:, row] = np.where(present, bound.lower + distance, np.nan)
+            std[:, row] = np.where(present, distance * sd[:, k], np.nan)
+            jacobian[:, row, k] = np.where(present, distance, 0.0)
+            # In ln of the distance from the bound; wider ones are unbounded.
+            ratio = np.exp(np.clip(-_LEVELS[:4] * sd[:, [k]], -300.0, 300.0))
+            around = np.minimum(bound.lower + distance[:, None] * ratio, bound.upper)
+            nowhere = [bound.lower, bound.upper] * 2
+            ends[:, row, :4] = np.where(present[:, None], around, nowhere)
+    # The response comes after all terms.
+    detected = of_owners(model, found)[:, [p.term for p in parameters]]
+    covariance = jacobian @ inference.covariance @ jacobian.swapaxes(1, 2)
+    return Estimates(value, std, ends, detected, covariance)
 
 
 def coefficients_of(
@@ -417,32 +388,43 @@ def coefficients_of(
 
     Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
     """
-    estimates = estimates_of(model, active, solution, inference)
-    found: list[dict[str, Estimate]] = [{} for _ in axes]
-    for row, p in enumerate(reported(model)):
-        limited = p.free and p.parameter.is_amplitude
-        for k, axis in enumerate(axes):
-            c = Estimate(
-                label=p.label,
-                term=p.term_label,
-                parameter=p.parameter,
-                axis=axis,
-                value=float(estimates.value[k, row]),
-                std=float(estimates.std[k, row]),
-                interval=_pair(estimates.interval[k, row]),
-                interval_68=_pair(estimates.interval_68[k, row]),
-                upper_limit=float(estimates.upper_limit[k, row]) if limited else None,
-                detected=bool(estimates.detected[k, row]),
-                held=not p.free,
-            )
-            found[k][p.label] = c if limited or c.held else _within(c, p.parameter, n, rate)
-    return tuple(map(Coefficients, found, estimates.covariance))
+    found = estimates_of(model, active, solution, inference)
+    numbers = [x.tolist() for x in found[:4]]
+    coefficients = []
+    for k, axis in enumerate(axes):
+        of_axis = {
+            p.label: _estimate(p, axis, *(x[k][row] for x in numbers))
+            for row, p in enumerate(reported(model))
+        }
+        seen = {label: _within(c, n, rate) for label, c in of_axis.items()}
+        coefficients.append(Coefficients(seen, found.covariance[k]))
+    return tuple(coefficients)
 
 
-def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
-    """Estimate of a shape, turned into a limit if its interval extends beyond the observable range of the
-    record."""
-    if not (c.detected and c.std > 0.0):
+def _estimate(
+    p: ModelParameter, axis: Axis, value: float, std: float, ends: Sequence[float], detected: bool
+) -> Estimate:
+    """Estimate of a parameter from a row of `Estimates`."""
+    return Estimate(
+        label=p.label,
+        term=p.term_label,
+        parameter=p.parameter,
+        axis=axis,
+        value=value,
+        std=std,
+        interval=(ends[0], ends[1]),
+        interval_68=(ends[2], ends[3]),
+        upper_limit=ends[4] if p.free and p.parameter.is_amplitude else None,
+        detected=detected,
+        held=not p.free,
+    )
+
+
+def _within(c: Estimate, n: int, rate: float) -> Estimate:
+    """Estimate, of a shape turned into a limit if its interval extends beyond the record's observable
+    range."""
+    p: Any = c.parameter
+    if c.held or p.is_amplitude or not (c.detected and c.std > 0.0):
         return c
     # Bounds are open, and searches keep a little away from them.
     inside = _INSIDE * (p.upper - p.lower) if np.isfinite(p.upper) else 0.0
@@ -466,10 +448,6 @@ def _within(c: Estimate, p: Parameter, n: int, rate: float) -> Estimate:
         lower_limit=p.lower + distance / ratio if above and not below else None,
         upper_limit=p.lower + distance * ratio if below and not above else None,
     )
-
-
-def _pair(ends: Float[np.ndarray, " 2"]) -> tuple[float, float]:
-    return float(ends[0]), float(ends[1])
 
 
 def deterministic_coefficients(
@@ -500,80 +478,50 @@ def deterministic_coefficients(
     searched = line is not None and line.frequency_std > 0.0
     chance = np.exp(-square / 2.0) * n if searched else 0.0
     found: dict[str, Estimate] = {}
-    for p in reported(model):
-        if p.term != term:
-            continue
-        limit = None
+    detected = True
+    for p in (p for p in reported(model) if p.term == term):
         if not p.free:
-            value, std = float(p.start or 0.0), 0.0
-            interval = interval_68 = (value, value)
-            detected = True
+            value, std, ends, seen = float(p.start or 0.0), 0.0, [float(p.start or 0.0)] * 5, True
         elif p.parameter.is_amplitude:
-            levels = np.array([TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95, 0.0])
-            ends = [unit * amplitude_quantile(square, components, float(level)) for level in ndtr(levels)]
-            interval, interval_68, limit = (ends[0], ends[1]), (ends[2], ends[3]), ends[4]
-            value = ends[5] if active else 0.0
-            detected = bool(active and interval[0] > 0.0 and chance < _FALSE_LINE)
+            levels = ndtr(np.append(_LEVELS, 0.0)).tolist()
+            *ends, value = (unit * amplitude_quantile(square, components, level) for level in levels)
+            value = value if active else 0.0
             std = unit if value > 0.0 else 0.0
+            seen = detected = bool(active and ends[0] > 0.0 and chance < _FALSE_LINE)
         else:
             assert line is not None
-            value, std = line.frequency, line.frequency_std
-            interval, interval_68 = ((value - z * std, value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
-            detected = next(iter(found.values())).detected
-        found[p.label] = Estimate(
-            label=p.label,
-            term=p.term_label,
-            parameter=p.parameter,
-            axis=axis,
-            value=value,
-            std=std,
-            interval=interval,
-            interval_68=interval_68,
-            upper_limit=limit,
-            detected=detected,
-            held=not p.free,
-        )
+            value, std, seen = line.frequency, line.frequency_std, detected
+            ends = (value - _LEVELS * std).tolist()
+        found[p.label] = _estimate(p, axis, value, std, ends, seen)
     return found
 
 
-def _around(
-    p: Parameter, distance: Float[np.ndarray, " axes"], width: Float[np.ndarray, " axes"]
-) -> Float[np.ndarray, "axes 2"]:
-    """Intervals of a parameter, given the standard deviation of ln(distance from its lower bound)."""
-    # Wider ones are unbounded.
-    ratio = np.exp(np.minimum(width, 300.0))
-    return np.stack([p.lower + distance / ratio, np.minimum(p.lower + distance * ratio, p.upper)], axis=1)
-
-
 def _crossings(
-    power: Float[np.ndarray, "axes grid"],
-    pivot: Float[np.ndarray, "axes grid"],
-    ceiling: Float[np.ndarray, " axes"],
-    level: float,
-    present: Bool[np.ndarray, " axes"],
-) -> Float[np.ndarray, " axes"]:
-    """The hypothetical powers at which the data are `level` standard deviations away.
+    inference: Inference, term: int, present: Bool[np.ndarray, " axes"]
+) -> Float[np.ndarray, "axes 5"]:
+    """The hypothetical powers of a term at which the data are as far away as `_LEVELS`.
 
     Positive levels are sought below the estimate (zero if none is reached), negative ones above (the ceiling,
     if the model error is so large that the data exclude none).
     """
-    below = level > 0.0
-    side = slice(ESTIMATE, None, -1) if below else slice(ABOVE, None)
-    power, pivot = power[:, side], pivot[:, side]
-    # Without this term the others may leave no noise at all: such a hypothesis is excluded.
-    pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
-    # If other powers ended at zero, the score at the estimate may not be zero; it is then subtracted, and
-    # also for an absent term whose score is negative, so that its limit does not shrink.
-    at_estimate = np.where(np.isfinite(pivot[:, 0]), pivot[:, 0], 0.0)
-    pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
-    # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
-    beyond = pivot >= level if below else pivot <= level
-    outer = np.argmax(beyond, axis=1)
-    inner = np.maximum(outer - 1, 0)
-    axis = np.arange(len(power))
-    (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, pivot))
-    between = np.isfinite(far) & (far != near)
-    with np.errstate(invalid="ignore"):  # NaN where there is no distance at the estimate itself
-        share = np.divide(level - near, far - near, out=np.zeros(len(power)), where=between)
-    nowhere = np.zeros(len(power)) if below else np.maximum(ceiling, power[:, 0])
-    return np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere)
+    axis, found = np.arange(len(present)), []
+    for level in _LEVELS:
+        below = level > 0.0
+        side = slice(ABOVE - 1, None, -1) if below else slice(ABOVE, None)
+        power, pivot = inference.power_at[:, term, side], inference.pivot_at[:, term, side]
+        # Without this term the others may leave no noise at all: such a hypothesis is excluded.
+        pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
+        # If other powers ended at zero, the score at the estimate may not be zero; it is then subtracted, and
+        # also for an absent term whose score is negative, so that its limit does not shrink.
+        at_estimate = np.where(np.isfinite(pivot[:, 0]), pivot[:, 0], 0.0)
+        pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
+        # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
+        beyond = pivot >= level if below else pivot <= level
+        outer = np.argmax(beyond, axis=1)
+        inner = np.maximum(outer - 1, 0)
+        (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, pivot))
+        # No share where there is no distance at the estimate itself.
+        share = np.where(np.isfinite(far) & (far != near), (level - near) / (far - near), 0.0)
+        nowhere = np.zeros(len(power)) if below else np.maximum(inference.ceiling[:, term], power[:, 0])
+        found.append(np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere))
+    return np.stack(found, axis=1)

@@ -18,16 +18,21 @@ from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     different,
-    find_lines,
     free_powers,
     free_shapes,
     of_owners,
     random_terms,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, take_out_lines
+from allanjax.estimate.deterministic import AxisSpectrum, Projection, find_lines, lines_of, take_out_lines
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Coefficients, coefficients_of, deterministic_coefficients, reported
+from allanjax.estimate.inference import (
+    Coefficients,
+    coefficients_of,
+    deterministic_coefficients,
+    infer,
+    reported,
+)
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
 from allanjax.estimate.spectral.expected import ExpectedLevels
 from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
@@ -148,7 +153,7 @@ def fit_spectrum(
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
     tangent, solution = arrangement.tangent(fit, plateaus, white)
     solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
-    inference = tangent.inference(free_powers(noise), here, solution)
+    inference = infer(tangent, projection.level[None], free_powers(noise), here[None], solution)
     place = int(spectrum.bins.n), spectrum.bins.rate
     (found,) = coefficients_of(noise, [axis], here[None], solution, inference, *place)
     values = dict(found.values)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 from scipy.special import i0e
@@ -132,16 +131,13 @@ class AllanDensity:
         self._amplitude = [k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude]
         self._shapes = [model.parameters.index(p) for p in shapes]
         self._lower = np.array([p.parameter.lower for p in shapes])
-        terms, products, means = slice(len(model)), design.constants.products, design.constants.means
-        if self._shapes:
-            shape = np.log(values[self._shapes] - self._lower)
-            products = eqx.filter_jit(AllanDesign.products)(design, shape)
-        self._design, self._terms, self._rows = design, terms, rows
-        self._constant = np.asarray(means)[None, terms, rows]
-        pairs = np.asarray(design.geometry.place)[np.ix_(rows, rows)]
-        self._products = np.asarray(products)[terms, terms][:, :, pairs]
-        self._octaves = self._error**2 * np.asarray(design.octaves)[np.ix_(rows, rows)]
-        self._ridge = 1.0 + float(design.ridge) * np.eye(len(rows))
+        shape = np.log(values[self._shapes] - self._lower)
+        tangent, m = design.tangent(shape[None]), len(curve.cluster_size)
+        self._design, self._rows, self._constant = design, rows, tangent.means[:, :, rows]
+        products = tangent.products.reshape(len(model), len(model), m, m)
+        self._products = products[:, :, rows[:, None], rows]
+        self._octaves = self._error**2 * tangent.octaves[np.ix_(rows, rows)]
+        self._ridge = 1.0 + tangent.ridge * np.eye(len(rows))
 
     def __call__(self, values: _Values) -> _Logs:
         _, mean, correlated = self._moments(values)
@@ -168,7 +164,7 @@ class AllanDensity:
         power, units = values[:, self._amplitude] ** 2, self._constant
         if self._shapes:
             shape = np.log(values[:, self._shapes] - self._lower)
-            units = in_batches(AllanDesign.means, self._design, shape)[:, self._terms, self._rows]
+            units = in_batches(AllanDesign.means, self._design, shape)[:, : power.shape[1], self._rows]
         mean = np.einsum("bk,bkm->bm", power, np.broadcast_to(units, (len(values), *units.shape[1:])))
         covariance = np.einsum("bk,bl,klij->bij", power, power, self._products, optimize=True)
         relative = covariance / (mean[:, :, None] * mean[:, None])

@@ -13,14 +13,14 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance, padded_quadrature
+from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
@@ -203,15 +203,15 @@ class WaveletCovariance(AllanCovariance):
 
     def kernel(self, term: Process) -> Float[Array, "lags pairs"]:
         """Spectrum of one noise term at the quadrature's frequencies, the same for all pairs."""
-        return jnp.broadcast_to(self._density(term)[:, None], self.lags.shape)
+        density = self._density(term)
+        return namespace(density).broadcast_to(density[:, None], self.lags.shape)
 
     def mean(self, term: Process) -> Float[Array, " m"]:
         """Expected wavelet variances of one term [rate²]; zero where there is no estimate."""
         return self._density(term) @ self.gains
 
     def _density(self, term: Process) -> Float[Array, " lags"]:
-        rate: Any = 1.0 / jnp.asarray(self.sample_interval)
-        return jnp.asarray(term.sampled_psd(jnp.asarray(self.lags)[:, 0], rate))
+        return term.sampled_psd(self.lags[:, 0], 1.0 / self.sample_interval)  # type: ignore[arg-type]
 
 
 def _quadrature() -> tuple[

@@ -76,8 +76,8 @@ def test_what_is_made_of_a_fit_compiles_nothing(tmp_path):
 
 def test_a_first_fit_compiles_few_programs_and_a_second_one_none():
     """Of other terms and another length, and its posterior: they are data of the same programs."""
-    # Six for Allan variances, their moments and a fit by them, and six of spectra. Samples
-    # of up to the same power of two share one of Allan variances. This is the last test, as it forgets all.
+    # Allan variances and a fit by them. Samples of up to the same power of two share one of Allan variances.
+    # This is the last test, as it forgets all.
     resonant = NOISE + aj.Resonance(3e-3, 25.0, 15.0)
     first, second = simulated(FILTERED, 60_000, 1), simulated(resonant, 41_234, 2)
     jax.clear_caches()

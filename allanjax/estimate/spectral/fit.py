@@ -16,11 +16,10 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.estimate.design import free_powers, free_shapes, of_owners
+from allanjax.estimate.design import Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
 from allanjax.estimate.spectral.expected import Others
-from allanjax.estimate.spectral.intervals import Tangent
 from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Slots, maximize
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
@@ -173,7 +172,7 @@ class Arrangement(NamedTuple):
 
     def tangent(
         self, fit: LevelFit, plateaus: Mapping[int, Mapping[str, float]], white: int
-    ) -> tuple[Tangent, Solution]:
+    ) -> tuple[LevelTangent, Solution]:
         """Levels around a fit, linear in all shapes, and the solution in them.
 
         Args:
@@ -196,8 +195,14 @@ class Arrangement(NamedTuple):
             for s, p in enumerate(free_shapes(self.model)):
                 if p.term == k:
                     by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
-        per_octave = self.bins.per_octave()
-        tangent = Tangent(base, by_shape, owner, self.levels.level, fit.degrees, per_octave)
+        tangent = LevelTangent(
+            means=base[None],
+            by_shape=by_shape[None],
+            owner=owner,
+            movable=np.ones(len(owner), bool),
+            degrees=fit.degrees,
+            per_octave=self.bins.per_octave(),
+        )
         return tangent, fit.solution._replace(power=power)
 
     def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " m"]:
@@ -223,6 +228,31 @@ class Arrangement(NamedTuple):
             beside = abs(f - middle) > _BESIDE * middle / quality
             common += np.where(beside, _SKIRT * share, 0.0) ** 2
         return drifting**2 + common * bins.per_octave()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class LevelTangent(Tangent):
+    """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
+
+    Attributes:
+        degrees: degrees of freedom of each level.
+        per_octave: number of levels in the octave around each, which share an error of the model.
+    """
+
+    degrees: Float[np.ndarray, " m"]
+    per_octave: Float[np.ndarray, " m"]
+
+    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+        return 2.0 * (power @ self.means) ** 2 / np.maximum(self.degrees, 1e-9)
+
+    def weighed(
+        self,
+        power: Float[np.ndarray, "axes h terms"],
+        error: Float[np.ndarray, " axes"],
+        X: Float[np.ndarray, "axes h m k"],
+    ) -> Float[np.ndarray, "axes h m k"]:
+        variance = 2.0 / np.maximum(self.degrees, 1e-9) + error[:, None] ** 2 * self.per_octave
+        return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, None, :, None]
 
 
 def _kinds(model: Model) -> Int[np.ndarray, " terms"]:

@@ -57,9 +57,9 @@ class Ramps(NamedTuple):
 
 
 def power_fits(
-    level: Float[np.ndarray, " m"],
+    level: Float[np.ndarray, "*models m"],
     shape: Float[np.ndarray, " m"],
-    rough: Float[np.ndarray, " m"],
+    rough: Float[np.ndarray, "*models m"],
     unit: Float[np.ndarray, "models p m"],
     start: Float[np.ndarray, "models p"] | None = None,
     used: Bool[np.ndarray, "models p"] | None = None,
@@ -74,7 +74,7 @@ def power_fits(
     slope of a ramp.
 
     Args:
-        level: the levels.
+        level: the levels, of all models or of each.
         shape: half the degrees of freedom of each; 0 for one that is left out.
         rough: smooth levels, a first guess.
         unit: levels of each term for unit power.
@@ -84,6 +84,7 @@ def power_fits(
         ramps: which models have a ramp besides; none by default.
         far: models that remain farther behind the best one than this [nats] are not fitted to the end.
     """
+    rough = rough[..., None, :]
     start = (rough / unit).min(axis=-1) if start is None else start
     used = np.ones(start.shape, bool) if used is None else used
     scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
@@ -92,7 +93,8 @@ def power_fits(
     curvature = np.zeros((*power.shape, power.shape[1]))
     for step in range(steps):
         own = ramps and ramps._replace(present=ramps.present[going])
-        value, *slopes = _likelihood(level, shape, trial[going], unit[going], own)
+        data = level if level.ndim == 1 else level[going]
+        value, *slopes = _likelihood(data, shape, trial[going], unit[going], own)
         better = value < loss[going]
         best = (power, loss, gradient, curvature)
         for state, new in zip(best, (trial[going], value, *slopes), strict=True):
@@ -110,7 +112,7 @@ def power_fits(
 
 
 def _likelihood(
-    level: Float[np.ndarray, " m"],
+    level: Float[np.ndarray, "*models m"],
     shape: Float[np.ndarray, " m"],
     power: Float[np.ndarray, "models p"],
     unit: Float[np.ndarray, "models p m"],
