@@ -84,7 +84,7 @@ def test_a_first_fit_compiles_few_programs_and_a_second_one_none():
     with compilations() as compiled:
         drawn_from(aj.fit(first, as_is=True, vibrating=True))
         aj.fit(first, "N + K + markov", "whittle", as_is=True)
-    assert 5 < len(compiled) <= 14, compiled
+    assert 1 <= len(compiled) <= 3, compiled
     with compilations() as compiled:
         drawn_from(fit := aj.fit(second, as_is=True, vibrating=True))
         aj.fit(second, "Q + N + B + markov", "whittle", as_is=True)
