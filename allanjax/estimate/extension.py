@@ -21,7 +21,7 @@ from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import NONE
 from allanjax.estimate.spectral.fit import CLOSE
 from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.search import Record, completed, narrow, refitted, searched
+from allanjax.estimate.structure.search import Record, bins_around, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
@@ -155,7 +155,7 @@ def extended(
     if not besides or not content.plain_terms:
         return None
     selection = _selection(content, plain.axis)
-    template, result = _detected(*_template(content, selection), plain.axis, x, content.bins)
+    template, result = _detected(*_template(content, selection), plain.axis, x, rate)
     if not result.converged:
         return None
     deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
@@ -222,24 +222,28 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
 
 
 def _detected(
-    template: Model, active: Bool[np.ndarray, " terms"], axis: Axis, x: Float[np.ndarray, " n"], bins: Bins
+    template: Model, active: Bool[np.ndarray, " terms"], axis: Axis, x: Float[np.ndarray, " n"], rate: float
 ) -> tuple[Model, AxisFit]:
     """Model without what its fit does not detect, and its fit."""
     last: tuple[Model, AxisFit] | None = None
-    spectrum = None
     for _ in range(_ROUNDS):
-        if spectrum is None or spectrum.lines or any(isinstance(term, Sinusoid) for term in template.terms):
-            spectrum = spectrum_of(template, x, bins.rate, bins=bins)
+        spectrum = spectrum_of(template, x, rate, bins=bins_around(_resonances(template), len(x), rate))
         result = fit_spectrum(template, axis, spectrum, active, at_low=True)
         if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
             # What was taken out was needed, though its size is not known.
             return last
         last = template, result
-        if not result.converged or (tidied := _tidied(template, active, result, bins)) is None:
+        if not result.converged or (tidied := _tidied(template, active, result, spectrum.bins)) is None:
             break
         template, active = tidied
     assert last is not None
     return last
+
+
+def _resonances(model: Model) -> list[tuple[float, float]]:
+    """Frequency and quality factor of each resonance of a model with values."""
+    found = [term for term in model.terms if isinstance(term, Resonance)]
+    return [(float(term.frequency or 0.0), float(term.quality_factor or 1.0)) for term in found]
 
 
 def _tidied(

@@ -116,10 +116,13 @@ class Record(NamedTuple):
     def binned(self, structure: Structure) -> Spectrum:
         """Spectrum in bins that are finer around the resonances of a structure."""
         hertz = self.rate / (2.0 * np.pi)
-        around = [
-            (structure.frequency(k) * hertz, 2.0 * structure.width(k) * hertz) for k in structure.oscillators
-        ]
-        return Spectrum.of(self.squares, Bins.of(self.n, self.rate, around, _PER_OCTAVE), self.further)
+        around = [(structure.frequency(k) * hertz, structure.quality(k)) for k in structure.oscillators]
+        return Spectrum.of(self.squares, bins_around(around, self.n, self.rate), self.further)
+
+
+def bins_around(resonances: Sequence[tuple[float, float]], n: int, rate: float) -> Bins:
+    """Bins of a record that are finer around resonances of these frequencies [Hz] and quality factors."""
+    return Bins.of(n, rate, [(f, 2.0 * f / quality) for f, quality in resonances], _PER_OCTAVE)
 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
