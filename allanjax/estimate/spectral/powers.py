@@ -56,6 +56,7 @@ class Ramps(NamedTuple):
         return np.where(self.present, inverse @ self.cross / precision, 0.0), precision
 
 
+@np.errstate(all="ignore")
 def power_fits(
     level: Float[np.ndarray, "*models m"],
     shape: Float[np.ndarray, " m"],
@@ -87,7 +88,7 @@ def power_fits(
     rough = rough[..., None, :]
     start = (rough / unit).min(axis=-1) if start is None else start
     used = np.ones(start.shape, bool) if used is None else used
-    scale = 1.0 / np.sqrt(np.maximum(np.minimum(unit / rough, 1e100) ** 2 @ shape, 1e-300))
+    scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
     power, loss, going = np.where(used, start, 0.0), np.full(len(unit), np.inf), np.arange(len(unit))
     trial, damping, gradient = power.copy(), np.full(len(unit), _DAMPING), np.zeros(power.shape)
     curvature = np.zeros((*power.shape, power.shape[1]))
