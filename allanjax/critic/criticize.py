@@ -41,6 +41,7 @@ from allanjax.estimate.result import Fit
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.record.recording import Axis, DeadAxis, Recording
+from allanjax.spectrum.cosine import fast_length
 
 _T = TypeVar("_T")
 
@@ -175,6 +176,10 @@ def _undisturbed(recording: Recording, vibrating: bool) -> tuple[Recording, Insp
     elif seen.refusal:
         text = f"{seen.left_out}: the critique uses all samples, because too few would remain"
         facts.insert(0, Fact("disturbances", text, recording.names, NOT_A_MEASUREMENT))
+    if (fast := fast_length(recording.n)) < recording.n:
+        # Up to but not including the sample with this number.
+        cut = recording.between(0.0, (fast - 0.5) / recording.rate)
+        recording = dataclasses.replace(cut, notes=recording.notes)
     return recording, dataclasses.replace(seen, facts=tuple(facts), parts=(), lost={}, refusal="")
 
 

@@ -36,7 +36,7 @@ from allanjax.estimate.whittle import fit_spectrum, spectrum_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
+from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_column
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
@@ -148,6 +148,7 @@ def extended(
     """
     if len(x) < _SHORTEST:
         return None
+    x = x[: fast_length(len(x))]
     content = content_of(x, rate)
     of = content.structure
     besides = of.kind != NONE or len(of.oscillators) or len(of.markovs) or content.lines

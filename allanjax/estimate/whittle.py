@@ -41,7 +41,14 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import PER_OCTAVE, Bins, SpectralStatistics, cosine_transform, term_column
+from allanjax.spectrum.cosine import (
+    PER_OCTAVE,
+    Bins,
+    SpectralStatistics,
+    cosine_transform,
+    fast_length,
+    term_column,
+)
 
 # Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
@@ -73,12 +80,13 @@ def spectrum_of(
     Bins that are not given are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those
     without one.
     """
-    n = len(x)
+    n = fast_length(len(x))
+    x = x[:n]
     lines, wanted = lines_of(template)
     known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
     c, found = take_out_lines(x - x.mean(), rate, wanted)
     columns: list[tuple[str | int, np.ndarray]] = []
-    columns += [(name, cosine_transform(z)) for name, z in (regressors or {}).items()]
+    columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
     columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
     if bins is None:
         around = [line.frequency for line in found]

@@ -5,6 +5,7 @@ import itertools
 import dense
 import numpy as np
 import pytest
+from dense_fits import recording
 from numpy.testing import assert_allclose
 from scipy.fft import dct
 from scipy.optimize import minimize
@@ -183,3 +184,16 @@ def test_fits_are_those_of_the_levels_by_definition():
         np.testing.assert_array_less(abs(ratio - 1.0), [1e-4, 0.01, 0.01])
         np.testing.assert_array_less(abs(value - truth), 4.0 * error)
         assert fit[name].p_value > 1e-3
+
+
+def test_long_records_are_cut_to_a_length_whose_transform_is_fast():
+    """No more than needed: none between it and the record's has small prime factors only."""
+
+    def largest_factor(m: int) -> int:
+        return max(p for p in range(2, m + 1) if m % p == 0 and all(p % d for d in range(2, int(p**0.5) + 1)))
+
+    n = 40_009  # a prime
+    white = recording(np.random.default_rng(0).standard_normal(n), RATE)
+    used = aj.fit(white, "N", "whittle", as_is=True).results[0]
+    m = used.spectrum.bins.n
+    assert largest_factor(m) <= 31 < min(map(largest_factor, range(m + 1, n + 1)))
