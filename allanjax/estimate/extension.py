@@ -56,13 +56,9 @@ _LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
-    """Components of a spectrum.
+    """Components of a spectrum, its lines [Hz], bins that are fine around resonances, and the coefficients.
 
-    Attributes:
-        structure: terms, response and resonances.
-        lines: frequencies of the lines [Hz].
-        bins: bins that are fine around the resonances.
-        c: cosine coefficients without the lines.
+    These are without the lines.
     """
 
     structure: Structure
@@ -130,13 +126,7 @@ def extended(
 ) -> tuple[AxisFit, AxisSelection] | None:
     """Fit of one axis with components besides the plain terms, and the ranking of these.
 
-    None if the components explain little.
-
-    Args:
-        x: samples.
-        rate: sample rate [Hz].
-        plain: the fit of the plain terms.
-        curve: Allan deviations of all axes, of which this one is k.
+    None if the components explain little. Samples are at a rate [Hz]; the axis is k of the Allan deviations.
     """
     if len(x) < _SHORTEST:
         return None

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Shaped
+from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.numerics import averaged_lags, mean_lags
@@ -55,20 +55,12 @@ _NEARLY_CONSTANT = 0.01
 class Levels(NamedTuple):
     """Levels of the cosine spectrum and what their expectations depend on, in units of the sample interval.
 
-    A level follows a χ² law around its expectation, with 2·shape degrees of freedom; shape 0 for no data.
-
-    Attributes:
-        level: mean squares of coefficients [rate²].
-        shape: half the degrees of freedom of each.
-        angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
-            are those of its coefficients (2, m).
-        square: sin² of half the angle between the values that were transformed, at the nodes (2, m).
-        interval: number of samples that were averaged to each value before the transform; one for all
-            levels of a record, as powers of numbers are faster than those of arrays.
-        length: number of values in the transform, likewise.
-        parity: (−1)^j for a level of a single coefficient j, else 0.
-        columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
-            (columns, 2, m).
+    A level [rate²] follows a χ² law around its expectation, with 2·shape degrees of freedom; shape 0 for no
+    data. The angles are at two nodes of each level (2, m), whose mean and variance are those of its
+    coefficients, and the squares sin² of half the angle between the values that were transformed. Each value
+    is the mean of `interval` samples, and a transform has `length` of them: one number for all levels of a
+    record. The parity is (−1)^j for a level of a single coefficient j, else 0. Columns are the expectations
+    of the terms without a free shape, for unit power (columns, 2, m).
     """
 
     level: Any
@@ -101,20 +93,10 @@ class Levels(NamedTuple):
         return self._replace(level=level, shape=dof / 2.0)
 
 
-def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
-    """Values of m levels, terms or shapes, padded with `fill`."""
-    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
-
-
 class Place(NamedTuple):
-    """Where the expectations for a part of a spectrum are evaluated.
+    """Where the expectations for a part of a spectrum are evaluated: frequencies of the nodes [Hz] (2, m).
 
-    Attributes:
-        frequency: nodes of the bins [Hz] (2, m).
-        rate: rate of the values that were transformed [Hz].
-        length: number of values in a transform.
-        lags, weights: lags [s] and weights of G there, whose sums are the exact expectations of the lowest
-            coefficients; empty if these are not part of the spectrum.
+    Of the lowest coefficients they are sums over lags [s] with weights of G, if these are part of it.
     """
 
     frequency: Any

@@ -18,16 +18,8 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.estimate.design import Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.spectral.components import (
-    COLUMN,
-    MARKOV,
-    OSCILLATOR,
-    OTHER,
-    Levels,
-    bandwidths,
-    columns_of,
-    kind_of,
-)
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
 from allanjax.estimate.spectral.model import Component, Composition, Joint, Maximum, maximize, response_of
 from allanjax.estimate.spectral.others import Others
 from allanjax.noise.model import Model
@@ -37,8 +29,8 @@ from allanjax.spectrum.cosine import Bins
 # Names and bounds of the shapes of a kind of component, in ln and units of the sample interval; of the shapes
 # of other terms [SI]; and a value to hold what has none.
 _SHAPES = {
-    MARKOV: {"correlation_time": (-3.0, 40.0)},
-    OSCILLATOR: {"frequency": (-30.0, math.log(math.pi)), "quality_factor": (-7.0, 14.0)},
+    kinds.MARKOV: {"correlation_time": (-3.0, 40.0)},
+    kinds.OSCILLATOR: {"frequency": (-30.0, math.log(math.pi)), "quality_factor": (-7.0, 14.0)},
 }
 _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), math.log(5.0)
 # Power of what is not in use, which has levels, too, for its limit.
@@ -62,15 +54,10 @@ _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 
 
 class Arrangement(NamedTuple):
-    """A model of random terms as a composition, of which each term is one component.
+    """A model of random terms as a composition, of which each term is one component, and levels for it.
 
-    Attributes:
-        model: the model.
-        composition: the same with the shapes that have a value, and no powers.
-        parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
-        owner: term of each free shape; the number of terms for the response.
-        levels: the levels, without data yet.
-        bins: bins of the levels.
+    Each free shape has a parameter, an offset that is added to ln(value − lower bound) for it, and an owner:
+    its term, or the number of terms for the response.
     """
 
     model: Model
@@ -85,16 +72,18 @@ class Arrangement(NamedTuple):
     def of(cls, model: Model, bins: Bins) -> Arrangement:
         """Arrangement of a model for the levels of these bins."""
         model = model.sampled(bins.rate)
-        kinds, inside = [*map(_kind, model.terms)], model.inside or [False] * len(model)
-        shapes = _shapes_of(model, kinds, bins.rate)
+        of_terms, inside = [*map(_kind, model.terms)], model.inside or [False] * len(model)
+        shapes = _shapes_of(model, of_terms, bins.rate)
         values: list[list[float]] = [[] for _ in range(len(model) + 1)]
         for shape in shapes:
             values[shape.owner].append(shape.value)
         components = tuple(
-            Component(kind, 0.0, tuple(values[k]), bool(inside[k]), kinds[:k].count(kind))
-            for k, kind in enumerate(kinds)
+            Component(kind, 0.0, tuple(values[k]), bool(inside[k]), of_terms[:k].count(kind))
+            for k, kind in enumerate(of_terms)
         )
-        columns, others = ([k for k, own in enumerate(kinds) if own == kind] for kind in (COLUMN, OTHER))
+        columns, others = (
+            [k for k, own in enumerate(of_terms) if own == kind] for kind in (kinds.COLUMN, kinds.OTHER)
+        )
         own = [(others.index(s.owner), s.name, s.lower) for s in shapes if s.owner in others]
         further = Others.of(tuple(model.terms[k] for k in others), tuple(own), bins) if others else None
         composition = Composition(
@@ -116,7 +105,7 @@ class Arrangement(NamedTuple):
         """
         power, of = np.ones((*theta.shape[:-1], len(self.model))), self.composition
         for k, component in enumerate(of.components):
-            if component.kind == MARKOV:
+            if component.kind == kinds.MARKOV:
                 power[..., k] = np.exp(theta[..., of.first[k]]) / (2.0 * self.bins.rate)
         return power
 
@@ -139,7 +128,7 @@ class Arrangement(NamedTuple):
         for c in of.components:
             bounds += [*_SHAPES[c.kind].values()] if c.kind in _SHAPES else [_OF_OTHERS] * len(c.shape)
         least, most = bandwidths(of.kind)
-        bounds += [(math.log(least), math.log(most)), _SHAPES[OSCILLATOR]["quality_factor"]]
+        bounds += [(math.log(least), math.log(most)), _SHAPES[kinds.OSCILLATOR]["quality_factor"]]
         lower, upper = np.array(bounds).T
         free = np.zeros(len(lower), bool)
         free[np.append(np.arange(count), self.parameter)] = estimated
@@ -154,20 +143,20 @@ class Arrangement(NamedTuple):
         self, maximum: Maximum
     ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
         """Levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
-        of, model, theta, count = self.composition, maximum.model, maximum.theta, len(self.model)
+        of, theta, count = self.composition, maximum.theta, len(self.model)
         unit = self.unit_power(theta)[:, None]
-        base = model.unit * unit
+        base = maximum.unit * unit
         by_shape = np.zeros((*base.shape, len(self.parameter)))
         # What passes through the response changes in proportion.
         passing = of.inside[:, None] * base
         total = theta[:count] @ (passing / unit)
         for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
             if k == count:
-                slope = model.by_response[p - of.first[-1]]
+                slope = maximum.by_response[p - of.first[-1]]
                 by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
             else:
-                by_shape[k, :, s] = model.by_shape[p - count] * unit[k]
-                by_shape[k, :, s] += base[k] if of.components[k].kind == MARKOV else 0.0
+                by_shape[k, :, s] = maximum.by_shape[p - count] * unit[k]
+                by_shape[k, :, s] += base[k] if of.components[k].kind == kinds.MARKOV else 0.0
         return base, by_shape
 
     def tangent(
@@ -175,12 +164,8 @@ class Arrangement(NamedTuple):
     ) -> tuple[LevelTangent, Solution]:
         """Levels around a fit, linear in all shapes, and the solution in them.
 
-        Args:
-            fit: the fit.
-            plateaus: for each term that is white at low frequencies its density there, for unit amplitude
-                (""), and the logarithmic derivatives of that by its shapes. What it has there is counted
-                as white noise, so that its own power is what it has beyond.
-            white: index of the white noise term.
+        A plateau is the density at low frequencies of a term that is white there, for unit amplitude (""),
+        with logarithmic derivatives by its shapes. It counts as white noise; a term's own power is what is beyond.
         """
         base, by_shape = self.unit_levels(fit.maximum)
         power: Any = np.array(fit.solution.power)
@@ -195,13 +180,10 @@ class Arrangement(NamedTuple):
             for s, p in enumerate(free_shapes(self.model)):
                 if p.term == k:
                     by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
+        movable, per_octave = np.ones(len(owner), bool), self.bins.per_octave()
+        of_levels: Any = {"degrees": fit.degrees, "per_octave": per_octave}
         tangent = LevelTangent(
-            means=base[None],
-            by_shape=by_shape[None],
-            owner=owner,
-            movable=np.ones(len(owner), bool),
-            degrees=fit.degrees,
-            per_octave=self.bins.per_octave(),
+            means=base[None], by_shape=by_shape[None], owner=owner, movable=movable, **of_levels
         )
         return tangent, fit.solution._replace(power=power)
 
@@ -222,7 +204,7 @@ def model_error(
         common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
     resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
     for k, own in zip(of.oscillators, resonances, strict=True):
-        share = own.power * maximum.model.unit[k] / maximum.mean
+        share = own.power * maximum.unit[k] / maximum.mean
         unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
         beside = abs(angle - own.frequency) > _BESIDE * own.width
         common += (skirt * np.where(beside, share, 0.0)) ** 2
@@ -233,9 +215,7 @@ def model_error(
 class LevelTangent(Tangent):
     """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
 
-    Attributes:
-        degrees: degrees of freedom of each level.
-        per_octave: number of levels in the octave around each, which share an error of the model.
+    Those in the octave around each, of this number, share an error of the model.
     """
 
     degrees: Float[np.ndarray, " m"]
@@ -265,15 +245,15 @@ class _Shape(NamedTuple):
     value: float
 
 
-def _shapes_of(model: Model, kinds: Sequence[int], rate: float) -> list[_Shape]:
+def _shapes_of(model: Model, of_terms: Sequence[int], rate: float) -> list[_Shape]:
     """All shapes of the components with a closed form and of the response, and the free ones of others."""
     angle, found = math.log(2.0 * math.pi / rate), []
     units = {"correlation_time": math.log(rate), "frequency": angle, "bandwidth": angle}
     known = {(p.term, p.parameter.name): p for p in model.parameters if not p.parameter.is_amplitude}
-    for k, kind in enumerate([*kinds, None]):
+    for k, kind in enumerate([*of_terms, None]):
         free = [name for (owner, name), p in known.items() if owner == k and p.free]
         for name in _RESPONSE if kind is None else _SHAPES.get(kind, free):
-            p, unit = known.get((k, name)), 0.0 if kind == OTHER else units.get(name, 0.0)
+            p, unit = known.get((k, name)), 0.0 if kind == kinds.OTHER else units.get(name, 0.0)
             lower = 0.0 if p is None else p.parameter.lower
             value = _HELD if p is None or p.start is None else math.log(p.start - lower) + unit
             found.append(_Shape(k, name, lower, p is not None and p.free, unit, value))
@@ -283,20 +263,16 @@ def _shapes_of(model: Model, kinds: Sequence[int], rate: float) -> list[_Shape]:
 def _kind(term: NoiseTerm) -> int:
     free = [p for p in term.parameters()[1:] if term.is_free(p)]
     if not free:
-        return COLUMN
+        return kinds.COLUMN
     if isinstance(term, Markov) and term.has_free_amplitude:
-        return MARKOV
-    return OSCILLATOR if isinstance(term, Resonance) else OTHER
+        return kinds.MARKOV
+    return kinds.OSCILLATOR if isinstance(term, Resonance) else kinds.OTHER
 
 
 class LevelFit(NamedTuple):
-    """Maximum of the likelihood of a model's levels.
+    """Maximum of the likelihood of a model's levels, and whether that follows them within their scatter.
 
-    Attributes:
-        solution: powers and shapes of its terms.
-        maximum: the same as a composition, with the expected levels.
-        sufficient: whether the model follows the levels within their scatter.
-        degrees: degrees of freedom of the levels, less what the model's uncertainty costs.
+    The degrees of freedom are those of the levels, less what the model's uncertainty costs.
     """
 
     solution: Solution
@@ -325,13 +301,9 @@ def error_of_powers(
     per_octave: Float[np.ndarray, " m"],
     degrees: float,
 ) -> float:
-    """Relative error of a model's levels that brings χ² to its degrees of freedom; 0 if χ² is not above them.
+    """Relative error of a model that brings χ² to its degrees of freedom; 0 if χ² is not above them.
 
-    Args:
-        ratio: levels over their expectations.
-        dof: degrees of freedom of the levels.
-        per_octave: number of levels in an octave, which share the error.
-        degrees: degrees of freedom of χ².
+    The ratios are those of levels to their expectations; the levels in an octave share the error.
     """
     from scipy.optimize import brentq
 
@@ -348,14 +320,7 @@ def fit_levels(
     shape: Float[ArrayLike, " shapes"],
     noise: Float[np.ndarray, " m"],
 ) -> LevelFit:
-    """Maximum of the likelihood of one axis from a start.
-
-    Args:
-        arrangement: the model, with data.
-        active: terms in use.
-        power, shape: start values.
-        noise: rough levels of the noise [rate²].
-    """
+    """Maximum of the likelihood of one axis from a start, in noise of these rough levels [rate²]."""
     dof, per_octave = 2.0 * arrangement.levels.shape, arrangement.bins.per_octave()
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
 

@@ -24,17 +24,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from allanjax.estimate.spectral.components import (
-    CLOSED,
-    COLUMN,
-    NONE,
-    OSCILLATOR,
-    OTHER,
-    Levels,
-    passed,
-    passed_and_slopes,
-    response_of_kind,
-)
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.components import Levels, passed, passed_and_slopes, response_of_kind
 from allanjax.estimate.spectral.others import Others
 from allanjax.noise.response import Response
 
@@ -59,15 +50,11 @@ CLOSE = 1.5
 
 
 class Component(NamedTuple):
-    """Component of a spectrum, with values.
+    """Component of a spectrum, of a kind of `spectral.components`, with its power [rate²].
 
-    Attributes:
-        kind: kind, see `spectral.components`.
-        power: power [rate²].
-        shape: shapes in ln: of a Markov process T_c in samples; of an oscillator ω_0 in radians per sample
-            and Q − ½; of another term what its free parameters are above their lower bounds.
-        inside: whether it passes through the response.
-        which: which one of the columns, or of the other terms.
+    Its shapes are logarithms: of a Markov process T_c in samples; of an oscillator ω_0 in radians per sample
+    and Q − ½; of another term what its free parameters are above their lower bounds. `inside` says whether it
+    passes through the response, and `which` one of the columns it is.
     """
 
     kind: int
@@ -103,17 +90,13 @@ class Component(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Composition:
-    """Components of a spectrum, and the response that some pass through, with values.
+    """Components of a spectrum, and a response that some pass through, with values.
 
-    Attributes:
-        components: the components.
-        kind: kind of the response.
-        response: its bandwidth [radians per sample], and quality factor less ½, in ln.
-        others: the terms that have no closed form.
+    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½.
     """
 
     components: tuple[Component, ...]
-    kind: int = NONE
+    kind: int = kinds.NONE
     response: tuple[float, float] = (0.0, math.log(5.0))
     others: Others | None = None
 
@@ -138,7 +121,7 @@ class Composition:
     @property
     def oscillators(self) -> list[int]:
         """Places of the oscillators among the components."""
-        return self.of_kind(OSCILLATOR)
+        return self.of_kind(kinds.OSCILLATOR)
 
     @property
     def parameters(self) -> Float[np.ndarray, " parameters"]:
@@ -166,13 +149,13 @@ class Composition:
     def _groups(self) -> list[tuple[int, list[int], Int[np.ndarray, ...]]]:
         """Kinds of components, their places among all, and their columns or their shapes' parameters."""
         found = []
-        for kind in (COLUMN, *CLOSED, OTHER):
+        for kind in (kinds.COLUMN, *kinds.CLOSED, kinds.OTHER):
             if places := self.of_kind(kind):
                 columns = [self.components[k].which for k in places]
                 own = [k for place in places for k in range(self.first[place], self.first[place + 1])]
-                rows = 1 if kind == OTHER else len(places)
+                rows = 1 if kind == kinds.OTHER else len(places)
                 shapes = np.array(own, int).reshape(rows, -1)
-                found.append((kind, places, np.array(columns) if kind == COLUMN else shapes))
+                found.append((kind, places, np.array(columns) if kind == kinds.COLUMN else shapes))
         return found
 
     def squares(
@@ -184,22 +167,22 @@ class Composition:
         derivatives by these [..., 2, m].
         """
         for kind, places, own in self._groups:
-            if kind == COLUMN:
+            if kind == kinds.COLUMN:
                 yield places, own, levels.columns[own], None
-            elif kind == OTHER and self.others is not None:
+            elif kind == kinds.OTHER and self.others is not None:
                 values, m = theta[..., own[0]], levels.angle.shape[1]
                 others = self.others
                 found = others.squares_and_slopes(values, m) if sloped else (others.squares(values, m), None)
                 yield places, own, *found
             else:
-                yield places, own, *CLOSED[kind](levels, theta[..., own], sloped)
+                yield places, own, *kinds.CLOSED[kind](levels, theta[..., own], sloped)
 
     def levels(
         self, theta: Float[np.ndarray, "b parameters"], levels: Levels
     ) -> Float[np.ndarray, "b components m"]:
         """Expected levels of all components of unit power [rate²] for many values of the parameters."""
         unit, response = np.empty((len(theta), len(self.components), levels.angle.shape[1])), None
-        if self.kind != NONE:
+        if self.kind != kinds.NONE:
             wc, excess = np.exp(theta[:, -2:]).T[:, :, None, None]
             response = passed(levels, self.kind, wc, 0.5 + excess)
         for places, _, value, _ in self.squares(theta, levels):
@@ -213,7 +196,7 @@ class Composition:
 def response_of(of: Composition, rate: float) -> Response | None:
     """Response of a composition, for samples at `rate` [Hz]; None without one."""
     w, quality = of.bandwidth
-    return None if of.kind == NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -232,31 +215,17 @@ class Joint:
     precision: Float[np.ndarray, " parameters"]
 
 
-class Expected(NamedTuple):
-    """Expected levels of components of unit power [rate²], and their derivatives.
+def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
+    """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
 
-    These are by the shapes, each of which has a component as its owner, and of the sum of all components by
-    bandwidth and quality factor of the response.
+    Then those of the sum of all components by bandwidth and quality factor of the response.
     """
-
-    unit: Float[np.ndarray, "components m"]
-    by_shape: Float[np.ndarray, "shapes m"]
-    owner: Int[np.ndarray, " shapes"]
-    by_response: Float[np.ndarray, "2 m"]
-
-    def slope(self, power: Float[np.ndarray, " components"]) -> Float[np.ndarray, "parameters m"]:
-        """Derivatives of the expected levels by the parameters."""
-        return np.concatenate([self.unit, power[self.owner, None] * self.by_shape, self.by_response])
-
-
-def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> Expected:
-    """Expected levels of all components of unit power, each differentiated by its own shapes only."""
     count, owner, m = len(of.components), of.owner, levels.angle.shape[1]
     unit, by_shape, passing = np.empty((count, m)), np.empty((len(owner), m)), np.zeros((2, m))
     passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
 
     def seen(values: Any, components: Any) -> Any:
-        if of.kind != NONE:
+        if of.kind != kinds.NONE:
             values = values * np.where(of.inside[components, None, None], passed, 1.0)
         return 0.5 * (values[:, 0] + values[:, 1])
 
@@ -266,31 +235,25 @@ def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: L
         if slope is not None:
             shapes = own.ravel() - count
             by_shape[shapes] = seen(slope.reshape(-1, 2, m), owner[shapes])
-    return Expected(unit, by_shape, owner, np.mean(moved * passing, axis=1))
+    return unit, by_shape, np.mean(moved * passing, axis=1)
 
 
 class Maximum(NamedTuple):
     """Maximum of the likelihood, or a place on the way there.
 
-    Attributes:
-        theta: the parameters there.
-        scale: power of each component that would be one standard deviation: powers are in ln(p + scale).
-        loss: minus the log-likelihood of the levels, without what depends on the data alone, prior included:
-            Σ k(ln μ + y/μ).
-        mean: the expected levels [rate²].
-        model: expected levels of each component, and their derivatives.
-        information: Fisher's information of the parameters that are estimated and not at a bound, prior
-            included; the others have a unit on the diagonal.
-        interior: which parameters these are.
-        steps: number of steps taken.
-        converged: whether the iteration converged.
+    The loss is Σ k(ln μ + y/μ) over the levels, minus the logarithm of the prior. Powers are in
+    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior included, of what is
+    estimated and not at a bound (`interior`); the others have a unit on the diagonal.
     """
 
     theta: Float[np.ndarray, " parameters"]
     scale: Float[np.ndarray, " components"]
     loss: float
     mean: Float[np.ndarray, " m"]
-    model: Expected
+    unit: Float[np.ndarray, "components m"]
+    by_shape: Float[np.ndarray, "shapes m"]
+    by_response: Float[np.ndarray, "2 m"]
+    owner: Int[np.ndarray, " shapes"]
     information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
     interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
     steps: int = 0
@@ -300,9 +263,9 @@ class Maximum(NamedTuple):
     def slope(self) -> Float[np.ndarray, "parameters m"]:
         """Derivatives of the logarithms of the levels by ln(p + scale) of the powers and by the shapes."""
         power = self.theta[: len(self.scale)]
-        slope = self.model.slope(power) / self.mean
-        slope[: len(power)] *= (power + self.scale)[:, None]
-        return slope
+        of_powers = (power + self.scale)[:, None] * self.unit
+        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response]
+        return np.concatenate(slope) / self.mean
 
 
 def maximize(
@@ -314,21 +277,18 @@ def maximize(
 ) -> Maximum:
     """Maximum of the likelihood from a start.
 
-    Args:
-        theta: the start.
-        joint: the model.
-        levels: the levels.
-        noise: rough levels [rate²], in which the scales of the powers are one standard deviation.
-        tolerance: gain of the next step at which the iteration ends [nats].
+    The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
+    ends where the next step would gain less than the tolerance [nats].
     """
-    count = len(joint.composition.components)
+    of, count = joint.composition, len(joint.composition.components)
 
     def place(theta: Any, scale: Any = None) -> Maximum:
-        model = expected(theta, joint.composition, levels)
-        scale = power_scales(model.unit, levels.shape, noise) if scale is None else scale
-        mean = np.maximum(theta[:count] @ model.unit, _LEAST * np.max(scale))
-        prior = 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
-        return Maximum(theta, scale, levels.shape @ (np.log(mean) + levels.level / mean) + prior, mean, model)
+        unit, by_shape, by_response = expected(theta, of, levels)
+        scale = power_scales(unit, levels.shape, noise) if scale is None else scale
+        mean = np.maximum(theta[:count] @ unit, _LEAST * np.max(scale))
+        loss = levels.shape @ (np.log(mean) + levels.level / mean)
+        loss += 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
+        return Maximum(theta, scale, loss, mean, unit, by_shape, by_response, of.owner)
 
     with np.errstate(all="ignore"):
         best = place(np.clip(theta, joint.lower, joint.upper))

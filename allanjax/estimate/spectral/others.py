@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from allanjax.estimate.spectral.components import Place, padded
+from allanjax.estimate.spectral.components import Place
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
@@ -37,12 +37,9 @@ def _mapped(function: Callable[[Any, Array], Array], data: Any, rows: ArrayLike)
 
 
 class Others(eqx.Module):
-    """Terms whose free shapes have no closed form in `components`; they are evaluated directly.
+    """Terms of unit amplitude whose free shapes have no closed form, and the places where they are evaluated.
 
-    Attributes:
-        terms: the terms, with unit amplitude.
-        shapes: index of the term, name and lower bound of each free shape.
-        places: where they are evaluated.
+    Each shape has the index of its term, its name and its lower bound.
     """
 
     terms: tuple[NoiseTerm, ...]
@@ -56,8 +53,9 @@ class Others(eqx.Module):
         """Terms as they are observed in these bins, of which those of a record are padded."""
         places = [Place.of(part) for part in bins.parts]
         if len(places) == 1:
-            room = -(-len(bins.size) // _LEVELS) * _LEVELS
-            places[0] = places[0]._replace(frequency=padded(places[0].frequency, room, bins.rate / 4.0))
+            more = [(0, 0), (0, -len(bins.size) % _LEVELS)]
+            frequency = np.pad(places[0].frequency, more, constant_values=bins.rate / 4.0)
+            places[0] = places[0]._replace(frequency=frequency)
         return cls(
             tuple(term.with_unit_amplitude().sampled(bins.rate) for term in terms), shapes, tuple(places)
         )

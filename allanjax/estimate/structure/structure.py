@@ -10,19 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.estimate.spectral.components import (
-    BUTTERWORTH_1,
-    CLOSED,
-    COLUMN,
-    MARKOV,
-    NONE,
-    OSCILLATOR,
-    SHAPED,
-    Levels,
-    bandwidths,
-    columns_of,
-    passed,
-)
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, passed
 from allanjax.estimate.spectral.fit import model_error
 from allanjax.estimate.spectral.model import (
     Component,
@@ -70,17 +59,17 @@ _DECADES = math.log(10.0)
 
 def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
     """Resonance at a frequency [radians per sample]."""
-    return Component(OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
+    return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
 
 
 def markov(time: float, power: float) -> Component:
     """Markov process of a correlation time [samples], inside the response."""
-    return Component(MARKOV, power, (math.log(time),), True)
+    return Component(kinds.MARKOV, power, (math.log(time),), True)
 
 
 def _column(which: int) -> Component:
     # The output is rounded; and a term of its own kind may have no closed form behind a response.
-    return Component(COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
+    return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -100,7 +89,7 @@ class Structure(Composition):
 
     def place(self, column: int) -> int | None:
         """Place of a column among the components; None if it is not one of them."""
-        found = (k for k, c in enumerate(self.components) if c.kind == COLUMN and c.which == column)
+        found = (k for k, c in enumerate(self.components) if c.kind == kinds.COLUMN and c.which == column)
         return next(found, None)
 
     def column(self, column: int) -> Component:
@@ -158,7 +147,7 @@ class Structure(Composition):
 
 
 def _is_shape(component: Component) -> bool:
-    return component.kind == OSCILLATOR or (component.kind, component.which) == (COLUMN, OUTSIDE)
+    return component.kind == kinds.OSCILLATOR or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
 
 
 class Fitted(NamedTuple):
@@ -253,13 +242,14 @@ class Spectrum:
 
     def units(self, structure: Structure, components: Sequence[Component]) -> Float[np.ndarray, "some m"]:
         """Levels of components of unit power before or after the response of a structure."""
-        for kind, function in CLOSED.items():
+        for kind, function in kinds.CLOSED.items():
             if new := [c.shape for c in components if c.kind == kind and c.shape not in self.known]:
                 self.known.update(zip(new, function(self.levels, np.array(new))[0], strict=True))
         squares = [
-            self.levels.columns[c.which] if c.kind == COLUMN else self.known[c.shape] for c in components
+            self.levels.columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape]
+            for c in components
         ]
-        if structure.kind != NONE:
+        if structure.kind != kinds.NONE:
             key = (structure.kind, *structure.response)
             if key not in self.known:
                 self.known[key] = passed(self.levels, structure.kind, *structure.bandwidth)
@@ -272,7 +262,7 @@ class Spectrum:
         priors = self._priors(structure)
         lower, upper, centre, precision, width = np.array(priors).T
         free = np.ones(len(priors), bool)
-        free[-2:] = structure.kind != NONE, structure.kind in SHAPED
+        free[-2:] = structure.kind != kinds.NONE, structure.kind in kinds.SHAPED
         joint = Joint(structure, free, lower, np.maximum(upper, lower), centre, precision)
         found = maximize(structure.parameters, joint, self.levels, self.rough, tolerance)
         better = structure.with_parameters(found.theta)
@@ -283,9 +273,9 @@ class Spectrum:
         """Bounds and priors of all parameters."""
         spacing, rows = np.pi / self.n, [_Prior(0.0, np.inf)] * len(structure.components)
         for c in structure.components:
-            if c.kind == MARKOV:
+            if c.kind == kinds.MARKOV:
                 rows.append(_Prior(math.log(_SHORTEST), math.log(self.n), width=math.log(self.n)))
-            elif c.kind == OSCILLATOR:
+            elif c.kind == kinds.OSCILLATOR:
                 lower = max(c.shape[0] - _REACH, math.log(LOWEST * spacing))
                 upper = min(c.shape[0] + _REACH, math.log(np.pi))
                 rows.append(_Prior(lower, upper, width=math.log(self.n / FREQUENCIES)))
@@ -306,8 +296,8 @@ class Spectrum:
         F = found.information[np.ix_(free, free)]
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
         used = [structure.components[k] for k in structure.there]
-        more = sum(c.kind != COLUMN or c.which == OUTSIDE for c in used)
-        if structure.kind != NONE:
+        more = sum(c.kind != kinds.COLUMN or c.which == OUTSIDE for c in used)
+        if structure.kind != kinds.NONE:
             # Quantization beside a filter may be the filter's shape, the more so before it.
             rounded = structure.column(QUANTIZATION)
             more += 1 + (rounded.power > 0.0) * (1 + rounded.inside)
@@ -326,19 +316,19 @@ def model_of(structure: Structure, rate: float) -> Model:
 
 def order_of(structure: Structure) -> int:
     """Order of the response: its number of poles, 1 of a moving average."""
-    if structure.kind >= BUTTERWORTH_1:
-        return structure.kind - BUTTERWORTH_1 + 1
-    return 2 if structure.kind in SHAPED else 1
+    if structure.kind >= kinds.BUTTERWORTH_1:
+        return structure.kind - kinds.BUTTERWORTH_1 + 1
+    return 2 if structure.kind in kinds.SHAPED else 1
 
 
 def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
     """Term of component k; before the response if it passes through it."""
     component = structure.components[k]
     root = math.sqrt(component.power)
-    if component.kind == MARKOV:
+    if component.kind == kinds.MARKOV:
         time = component.time / rate
         return Markov(math.sqrt(2.0 / time) * root, time)
-    if component.kind == OSCILLATOR:
+    if component.kind == kinds.OSCILLATOR:
         return Resonance(root, component.frequency * rate / (2.0 * np.pi), component.quality)
     if component.which < OUTSIDE:
         return basic_terms()[FIXED[component.which]].replace(coefficient=root)
