@@ -74,21 +74,16 @@ class Arrangement(NamedTuple):
         model = model.sampled(bins.rate)
         of_terms, inside = [*map(_kind, model.terms)], model.inside or [False] * len(model)
         shapes = _shapes_of(model, of_terms, bins.rate)
-        values: list[list[float]] = [[] for _ in range(len(model) + 1)]
-        for shape in shapes:
-            values[shape.owner].append(shape.value)
-        components = tuple(
-            Component(kind, 0.0, tuple(values[k]), bool(inside[k]), of_terms[:k].count(kind))
-            for k, kind in enumerate(of_terms)
-        )
-        columns, others = (
-            [k for k, own in enumerate(of_terms) if own == kind] for kind in (kinds.COLUMN, kinds.OTHER)
-        )
-        own = [(others.index(s.owner), s.name, s.lower) for s in shapes if s.owner in others]
-        further = Others.of(tuple(model.terms[k] for k in others), tuple(own), bins) if others else None
-        composition = Composition(
-            components, kind_of(model.response), (values[-1][0], values[-1][1]), further
-        )
+        components = []
+        for k, kind in enumerate(of_terms):
+            values = tuple(shape.value for shape in shapes if shape.owner == k)
+            components.append(Component(kind, 0.0, values, bool(inside[k]), of_terms[:k].count(kind)))
+        columns = [k for k, kind in enumerate(of_terms) if kind == kinds.COLUMN]
+        others = [k for k, kind in enumerate(of_terms) if kind == kinds.OTHER]
+        own = tuple((others.index(s.owner), s.name, s.lower) for s in shapes if s.owner in others)
+        further = Others.of(tuple(model.terms[k] for k in others), own, bins) if others else None
+        response = shapes[-2].value, shapes[-1].value
+        composition = Composition(tuple(components), kind_of(model.response), response, further)
         free = [(len(model) + k, s.unit, s.owner) for k, s in enumerate(shapes) if s.free]
         parameter, offset, owner = np.array(free).reshape(-1, 3).T
         levels = Levels.of(bins, columns_of([model.terms[k] for k in columns], bins))
@@ -165,7 +160,7 @@ class Arrangement(NamedTuple):
         """Levels around a fit, linear in all shapes, and the solution in them.
 
         A plateau is the density at low frequencies of a term that is white there, for unit amplitude (""),
-        with logarithmic derivatives by its shapes. It counts as white noise; a term's own power is what is beyond.
+        with logarithmic derivatives by its shapes. It counts as white noise, and not as the term's own power.
         """
         base, by_shape = self.unit_levels(fit.maximum)
         power: Any = np.array(fit.solution.power)
@@ -180,10 +175,13 @@ class Arrangement(NamedTuple):
             for s, p in enumerate(free_shapes(self.model)):
                 if p.term == k:
                     by_shape[k, :, s] -= plateau[""] * plateau[p.parameter.name] * level
-        movable, per_octave = np.ones(len(owner), bool), self.bins.per_octave()
-        of_levels: Any = {"degrees": fit.degrees, "per_octave": per_octave}
         tangent = LevelTangent(
-            means=base[None], by_shape=by_shape[None], owner=owner, movable=movable, **of_levels
+            means=base[None],
+            by_shape=by_shape[None],
+            owner=owner,
+            movable=np.ones(len(owner), bool),
+            degrees=fit.degrees,
+            per_octave=self.bins.per_octave(),
         )
         return tangent, fit.solution._replace(power=power)
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
@@ -102,12 +101,10 @@ class Composition:
 
     def with_parameters(self, theta: Float[np.ndarray, " parameters"]) -> Self:
         """Copy with other values of all parameters."""
-        values, first = theta.tolist(), self.first
-        shapes = [tuple(values[i:k]) for i, k in itertools.pairwise(first)]
-        new = tuple(
-            c._replace(power=p, shape=x) for c, p, x in zip(self.components, values, shapes, strict=False)
-        )
-        return dataclasses.replace(self, components=new, response=(values[-2], values[-1]))
+        values, at, new = theta.tolist(), self.first, []
+        for k, own in enumerate(self.components):
+            new.append(own._replace(power=values[k], shape=tuple(values[at[k] : at[k + 1]])))
+        return dataclasses.replace(self, components=tuple(new), response=(values[-2], values[-1]))
 
     @property
     def bandwidth(self) -> tuple[float, float]:
@@ -170,10 +167,9 @@ class Composition:
             if kind == kinds.COLUMN:
                 yield places, own, levels.columns[own], None
             elif kind == kinds.OTHER and self.others is not None:
-                values, m = theta[..., own[0]], levels.angle.shape[1]
-                others = self.others
-                found = others.squares_and_slopes(values, m) if sloped else (others.squares(values, m), None)
-                yield places, own, *found
+                evaluated = self.others.squares_and_slopes if sloped else self.others.squares
+                found = evaluated(theta[..., own[0]], levels.angle.shape[1])
+                yield places, own, *(found if sloped else (found, None))
             else:
                 yield places, own, *kinds.CLOSED[kind](levels, theta[..., own], sloped)
 
@@ -242,8 +238,8 @@ class Maximum(NamedTuple):
     """Maximum of the likelihood, or a place on the way there.
 
     The loss is Σ k(ln μ + y/μ) over the levels, minus the logarithm of the prior. Powers are in
-    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior included, of what is
-    estimated and not at a bound (`interior`); the others have a unit on the diagonal.
+    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior
+    included, of what is estimated and not at a bound (`interior`); the others have a unit on the diagonal.
     """
 
     theta: Float[np.ndarray, " parameters"]

@@ -209,7 +209,7 @@ def _filtered(
             s.with_response(kind, w)
             for s in different
             for w in widths
-            if kind != s.kind or not np.isclose(w, s.bandwidth[0], 1e-6)
+            if kind != s.kind or abs(w / s.bandwidth[0] - 1.0) > 1e-6
         ]
         for kind in responses
     ]
@@ -231,7 +231,9 @@ def _all_placed(structure: Structure, inside: bool) -> Structure:
 def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
     """The best structure of each group by fits of their powers with shapes held, the best one first."""
     every = [s for group in groups for s in group]
-    levels, most = spectrum.levels, max((len(s.components) for s in every), default=0)
+    if not every:
+        return []
+    levels, most = spectrum.levels, max(len(s.components) for s in every)
     unit, power = np.ones((len(every), most, len(spectrum.rough))), np.zeros((len(every), most))
     used = np.zeros(power.shape, bool)
     for k, s in enumerate(every):

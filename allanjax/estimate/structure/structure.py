@@ -47,8 +47,8 @@ _DEEP = 3.0
 ROUGH, FINE = 1e-2, 1e-7
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
 FREQUENCIES = 32.0
-# Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
-_QUALITY = (math.log(10.0), 3.0)
+# Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
+_QUALITY = (math.log(10.0), 1.0 / 9.0)
 # Largest distance of a frequency from its start, in ln.
 _REACH = 0.7
 #: Log prior odds against a component [nats]: a judgement, twenty to one.
@@ -171,16 +171,6 @@ class Fitted(NamedTuple):
         return covariance(self.maximum) * np.outer(moved, moved)
 
 
-class _Prior(NamedTuple):
-    """Bounds of a parameter, mean and precision of its prior, and the width of that for the evidence."""
-
-    lower: float
-    upper: float
-    centre: float = 0.0
-    precision: float = 0.0
-    width: float = 8.0 * _DECADES
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class Spectrum:
     """Levels of the cosine spectrum of one record that structures are fitted to.
@@ -245,10 +235,8 @@ class Spectrum:
         for kind, function in kinds.CLOSED.items():
             if new := [c.shape for c in components if c.kind == kind and c.shape not in self.known]:
                 self.known.update(zip(new, function(self.levels, np.array(new))[0], strict=True))
-        squares = [
-            self.levels.columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape]
-            for c in components
-        ]
+        columns = self.levels.columns
+        squares = [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
         if structure.kind != kinds.NONE:
             key = (structure.kind, *structure.response)
             if key not in self.known:
@@ -269,23 +257,23 @@ class Spectrum:
         evidence = self._evidence(found, better, width)
         return Fitted(better, evidence, found.loss, found.mean, found)
 
-    def _priors(self, structure: Structure) -> list[_Prior]:
-        """Bounds and priors of all parameters."""
-        spacing, rows = np.pi / self.n, [_Prior(0.0, np.inf)] * len(structure.components)
+    def _priors(self, structure: Structure) -> list[tuple[float, float, float, float, float]]:
+        """Bounds of all parameters, mean and precision of a normal prior, and its width for the evidence."""
+        spacing = np.pi / self.n
+        rows = [(0.0, np.inf, 0.0, 0.0, 8.0 * _DECADES)] * len(structure.components)
         for c in structure.components:
             if c.kind == kinds.MARKOV:
-                rows.append(_Prior(math.log(_SHORTEST), math.log(self.n), width=math.log(self.n)))
+                rows.append((math.log(_SHORTEST), math.log(self.n), 0.0, 0.0, math.log(self.n)))
             elif c.kind == kinds.OSCILLATOR:
                 lower = max(c.shape[0] - _REACH, math.log(LOWEST * spacing))
                 upper = min(c.shape[0] + _REACH, math.log(np.pi))
-                rows.append(_Prior(lower, upper, width=math.log(self.n / FREQUENCIES)))
+                rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
                 highest = math.log(max(c.frequency / (LINE * spacing), 2.0) - 0.5)
-                prior = _QUALITY[0], _QUALITY[1] ** -2
-                rows.append(_Prior(math.log(LEAST_QUALITY - 0.5), highest, *prior, width=4.0 * _DECADES))
+                rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
         least, most = bandwidths(structure.kind)
         least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
-        rows.append(_Prior(math.log(least), math.log(min(4.0, most)), width=2.0 * _DECADES))
-        return [*rows, _Prior(math.log(0.02), math.log(20.0), width=math.log(20.0))]
+        rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
+        return [*rows, (math.log(0.02), math.log(20.0), 0.0, 0.0, math.log(20.0))]
 
     def _evidence(
         self, found: Maximum, structure: Structure, width: Float[np.ndarray, " parameters"]
