@@ -350,7 +350,7 @@ def _maximum(
     share: Any,
 ) -> tuple[Solution, Maximum]:
     """Maximum of the likelihood of levels that keep this share of their weight."""
-    from scipy.stats import gamma
+    from scipy.special import gammaln
 
     of, levels, count = arrangement.composition, arrangement.levels, len(arrangement.model)
     start, joint = arrangement.parameters(shape), arrangement.joint(arrangement.estimated(active))
@@ -364,17 +364,17 @@ def _maximum(
         joint.lower[k] = max(joint.lower[k], start[k] - reach)
         joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
     found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
-    theta, ratio, known = found.theta, levels.level / found.mean, (k := levels.shape * share) > 0.0
-    # Normalized, so that solutions with different errors of the model can be compared.
-    k, level = k[known], np.maximum(levels.level[known], 1e-300)
-    densities = gamma.logpdf(level, k, scale=found.mean[known] / k)
+    theta, k = found.theta, np.maximum(levels.shape * share, 1e-300)
+    ratio = np.maximum(levels.level, 1e-300) / found.mean
+    # Gamma laws, normalized, so that solutions with different errors of the model can be compared.
+    densities = k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(ratio * found.mean)
     values: Any = (
         np.where(active, theta[:count] / arrangement.unit_power(theta), 0.0),
         theta[parameter] - offset,
         np.asarray(chi_squared(ratio, 2.0 * levels.shape)),
         np.asarray(0.0),
         np.asarray(found.converged & np.isfinite(found.loss)),
-        np.asarray(-2.0 * np.sum(densities)),
+        np.asarray(-2.0 * np.sum(densities[levels.shape > 0.0])),
     )
     return Solution(*values), found
 

@@ -252,7 +252,6 @@ class Maximum(NamedTuple):
     owner: Int[np.ndarray, " shapes"]
     information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
     interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
-    steps: int = 0
     converged: bool = False
 
     @property
@@ -304,7 +303,7 @@ def maximize(
         slope, _, interior = _slopes(best, joint, levels)
         slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
     information = (slope * levels.shape) @ slope.T + np.diag(prior)
-    return best._replace(information=information, interior=interior, steps=steps, converged=bool(converged))
+    return best._replace(information=information, interior=interior, converged=bool(converged))
 
 
 def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]:
