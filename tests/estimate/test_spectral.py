@@ -70,7 +70,7 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
     mean, (arrangement, joint, theta) = dense.means(model), prepared(model, dense, False)
     found = maximize(theta, joint, arrangement.levels, arrangement.levels.level)
     assert_allclose(found.mean[: N - 1], mean, rtol=1e-10)
-    base, by_shape = arrangement.unit_levels(found._replace(theta=theta))
+    base, by_shape = arrangement.unit_levels(found)
     amplitudes, shapes = iter(2.0 * power[:, None] * base), iter(np.einsum("t,tms->sm", power, by_shape))
     expected = slopes(lambda m: np.log(dense.means(m)), model, labels)
     for p, exact in zip(model.parameters, expected, strict=True):
