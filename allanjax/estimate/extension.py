@@ -38,19 +38,14 @@ from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
-# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried.
-_NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
+# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried, and of
+# searches, each after removal of the lines found before; and least distance of two lines [coefficients].
+_NEARLY_ALL, _SURE, _TRIED, _LOOKS, _APART = 0.9, 10.0, 64, 3, 1.5
 # Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
 _BLOCK, _MEDIAN = 64, 0.4549
-# Number of searches for lines, each after removal of the lines found before.
-_LOOKS = 3
-# Least distance of two lines [coefficients].
-_APART = 1.5
-# Most fits until every component of the model is detected.
-_ROUNDS = 6
-# Growth of the discrepancy, relative and absolute, that the removal of what is not detected may cause:
-# judgements.
-_WORSE, _SLIGHT = 1.2, 0.001
+# Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
+# absolute, that the removal of what is not detected may cause: judgements.
+_ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
 # Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
 

@@ -36,18 +36,13 @@ _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), m
 # Power of what is not in use, which has levels, too, for its limit.
 _NOTHING = 1e-290
 # Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
-# starts of other shapes are two to a decade or denser.
-_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound in ln, since the bound is open.
-_INSIDE = 1e-2
+# starts of other shapes are two to a decade or denser. And the margin kept from an open upper bound.
+_REACH, _INSIDE = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}, 1e-2
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
-# Levels with fewer degrees of freedom say nothing about how well a model fits.
-_FEW = 0.05
-# Difference of minus twice the log-likelihood below which two solutions are the same.
-_AS_LIKELY = 0.02
-# Gain of the next step at which a fit ends [nats].
-_TOLERANCE = 1e-7
+# Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
+# log-likelihood below which two solutions are the same; and gain of the next step [nats] at which a fit ends.
+_FEW, _AS_LIKELY, _TOLERANCE = 0.05, 0.02, 1e-7
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5

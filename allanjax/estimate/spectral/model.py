@@ -29,21 +29,15 @@ from allanjax.estimate.spectral.others import Others
 from allanjax.noise.response import Response
 
 # Damping of the first step, relative to the information; shares of the predicted gain above which it falls
-# and below which a step is taken back; and by what factors it changes.
-_DAMPING, _GOOD, _BAD, _LESS, _MORE = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15
-# Largest damping with which a small step ends the iteration, and with which any does.
-_SLACK, _STUCK = 0.1, 1e8
-# Expected gains of a step [nats]: of one that is taken in any case, and of one that is near the maximum.
-_SMALL, _NEARBY = 1e-8, 1.0
-# Longest step of a parameter, in ln.
-_LONGEST = 2.0
-# Excess of a level over its expectation below which a series is used, and the least ratio of the two.
-_CLOSE, _LOWEST = 1e-4, 1e-12
-# Gain of the next step [nats] at which a fit ends, and most steps.
-_TOLERANCE = 1e-11
-_STEPS = 200
-# Smallest expected level, in units of the largest scale of a power.
-_LEAST = 1e-30
+# and below which a step is taken back; by what factors it changes; and the largest one with which a small
+# step ends the iteration, and with which any does.
+_DAMPING, _GOOD, _BAD, _LESS, _MORE, _SLACK, _STUCK = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15, 0.1, 1e8
+# Expected gains of a step [nats]: of one that is taken in any case, of one that is near the maximum, and of
+# one at which a fit ends; most steps, and the longest one of a parameter, in ln.
+_SMALL, _NEARBY, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1.0, 1e-11, 200, 2.0
+# Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
+# smallest expected level, in units of the largest scale of a power.
+_CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
 #: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
 CLOSE = 1.5
 
