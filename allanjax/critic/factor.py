@@ -12,15 +12,9 @@ from scipy.fft import dct, dst
 from scipy.ndimage import uniform_filter1d
 
 from allanjax.critic.noise import NoiseFamily
-from allanjax.estimate.spectral.model import FULL
-from allanjax.estimate.structure.structure import (
-    FIXED,
-    FURTHER,
-    OUTSIDE,
-    Structure,
-    response_of,
-    term_of,
-)
+from allanjax.estimate.spectral.components import COLUMN, MARKOV
+from allanjax.estimate.spectral.model import response_of
+from allanjax.estimate.structure.structure import FURTHER, OUTSIDE, Structure, term_of
 from allanjax.noise.response import Response
 
 # Response below which the record's ends are modelled, and number of coefficients in a local mean.
@@ -41,19 +35,19 @@ def spectrum_factor(
     """
     f, rate = family.frequency, family.rate
     inside, after = np.zeros(len(f)), np.zeros(len(f))
-    for k in np.flatnonzero(structure.active[: len(FIXED)]):
-        part = inside if structure.inside[k] else after
-        part += structure.power[k] * family.spectra[k]
-    for k in structure.markovs:
-        inside += rate * np.asarray(term_of(structure, FULL.first_markov + int(k), rate).sampled_psd(f, rate))
-    if structure.further is not None:
-        after += structure.power[FURTHER] * family.spectrum(structure.further)
-    noise = inside + after
-    for k in structure.oscillators:
-        component = FULL.first_oscillator + int(k)
-        part = inside if structure.inside[component] else after
-        part += rate * np.asarray(term_of(structure, component, rate).sampled(rate).sampled_psd(f, rate))
-    after += structure.power[OUTSIDE] * rate
+    noise = np.zeros(len(f))
+    for k, own in enumerate(structure.components):
+        if own.kind != COLUMN:
+            density = rate * np.asarray(term_of(structure, k, rate).sampled(rate).sampled_psd(f, rate))
+        elif own.which == OUTSIDE:
+            density = np.full(len(f), own.power * rate)
+        elif own.which == FURTHER and structure.further is not None:
+            density = own.power * family.spectrum(structure.further)
+        else:
+            density = own.power * family.spectra[own.which]
+        part = inside if own.inside else after
+        part += density
+        noise += density if own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE) else 0.0
     # There may be resonances only.
     noise = np.maximum(noise, _LEAST * (inside + after))
     response = response_of(structure, rate)

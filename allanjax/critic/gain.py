@@ -14,7 +14,8 @@ from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
-from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.spectral.components import COLUMN
+from allanjax.estimate.spectral.components import MARKOV as PROCESS
 from allanjax.estimate.structure.search import WIDE
 from allanjax.estimate.structure.structure import FIXED as COLUMNS
 from allanjax.estimate.structure.structure import Structure, term_of
@@ -56,17 +57,18 @@ def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
     """
     power: dict[str, float] = {}
     for k in structure.there:
-        if k < len(COLUMNS):
-            power[COLUMNS[k]] = float(structure.power[k])
-        elif k in range(FULL.first_markov, FULL.first_oscillator):
+        own = structure.components[k]
+        if own.kind == COLUMN and own.which < len(COLUMNS):
+            power[COLUMNS[own.which]] = own.power
+        elif own.kind == PROCESS:
             term = term_of(structure, k, rate)
             power[MARKOV] = (
                 power.get(MARKOV, 0.0) + float(getattr(term, term.amplitude_parameter().name)) ** 2
             )
-    for k in structure.oscillators.tolist():
-        if structure.quality(k) < WIDE:
-            width = np.pi * structure.frequency(k) * rate / (2.0 * np.pi) * structure.quality(k)
-            power[_N] = power.get(_N, 0.0) + float(structure.power[FULL.first_oscillator + k]) / width
+    for own in map(structure.components.__getitem__, structure.oscillators):
+        if own.quality < WIDE:
+            width = np.pi * own.frequency * rate / (2.0 * np.pi) * own.quality
+            power[_N] = power.get(_N, 0.0) + own.power / width
     return power
 
 

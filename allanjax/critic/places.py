@@ -41,8 +41,9 @@ def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
         if np.isfinite(line.std)
     ]
     if view.structure is not None:
-        for k in view.structure.oscillators.tolist():
-            quality, f = view.structure.quality(k), view.structure.frequency(k) * view.rate / (2.0 * np.pi)
+        for k in view.structure.oscillators:
+            own = view.structure.components[k]
+            quality, f = own.quality, own.frequency * view.rate / (2.0 * np.pi)
             if quality > _SHARP:
                 found.append(Place(f, max(resolved, f / quality), quality))
     return found

@@ -18,7 +18,7 @@ from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.places import Place
 from allanjax.critic.view import View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
-from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
@@ -31,9 +31,10 @@ from allanjax.estimate.structure.structure import (
     Fitted,
     Spectrum,
     Structure,
+    markov,
     model_of,
     order_of,
-    response_of,
+    resonance,
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -119,14 +120,11 @@ def _start(view: View, further: PowerLaw | None) -> Structure:
     filtered = "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
     for name, power in noise.power.items():
         if name in FIXED:
-            start = start.using(FIXED.index(name), power)
+            start = start.with_column(FIXED.index(name), power)
         elif name == POWER_LAW:
-            start = start.using(FURTHER, power)
-        elif (
-            not filtered
-            and (slow := start.with_markov(noise.shape * view.rate, 0.5 * power * noise.shape)) is not None
-        ):
-            start = slow
+            start = start.with_column(FURTHER, power)
+        elif not filtered:
+            start = start.plus(markov(noise.shape * view.rate, 0.5 * power * noise.shape))
     if view.structure is not None:
         start = start.with_shape_of(view.structure)
     return start
@@ -164,18 +162,17 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
         angle = 2.0 * np.pi * place.frequency / record.rate
         level = at_all(spectrum, now)[int(np.clip(angle / np.pi * record.n, 1, record.n - 1)) - 1]
         power = float(level) * angle / place.quality / np.pi
-        new = now.structure.with_oscillator(angle, place.quality, power, now.structure.kind != NONE)
-        if new is None:
-            break
+        k = len(now.structure.components)
+        new = now.structure.plus(resonance(angle, place.quality, power, now.structure.kind != NONE))
         finer = record.binned(new)
         found, before = finer.fit(new), finer.fit(now.structure)
-        (k,) = set(new.oscillators.tolist()) - set(now.structure.oscillators.tolist())
-        if found.structure.power[FULL.first_oscillator + k] <= 0.0:
+        own, first = found.structure.components[k], found.structure.first[k]
+        if own.power <= 0.0:
             continue
-        std = float(np.sqrt(found.covariance[FULL.frequencies + k, FULL.frequencies + k]))
+        std = float(np.sqrt(found.covariance[first, first]))
         width = max(2.0 * place.reach / place.frequency * len(places), np.sqrt(2.0 * np.pi) * std)
         gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / width))
-        if gain > 0.0 and place.holds(found.structure.frequency(k) * record.rate / (2.0 * np.pi)):
+        if gain > 0.0 and place.holds(own.frequency * record.rate / (2.0 * np.pi)):
             spectrum, now, total = finer, found, total + gain
     return (view.with_structure(now.structure), total) if total > 0.0 else None
 
@@ -184,7 +181,7 @@ def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure of a spectrum without resonances that are as narrow as lines."""
     spectrum, found = searched(record, start)
     if lines := narrow(found.structure, record.n):
-        found = spectrum.fit(_without(found.structure, [FULL.first_oscillator + k for k in lines]))
+        found = spectrum.fit(found.structure.without(*lines))
     return spectrum, found
 
 
@@ -277,37 +274,31 @@ _RESPONSE = -1
 def _groups(structure: Structure) -> list[list[int]]:
     """The response, and resonances that belong together, as lists of components, the strongest first."""
     groups: list[list[int]] = []
-    for k in sorted(structure.oscillators, key=structure.frequency):
-        if groups and any(structure.are_close(i, int(k)) for i in groups[-1]):
-            groups[-1].append(int(k))
+    own = structure.components
+    for k in sorted(structure.oscillators, key=lambda k: own[k].frequency):
+        if groups and any(own[i].is_close_to(own[k]) for i in groups[-1]):
+            groups[-1].append(k)
         else:
-            groups.append([int(k)])
-    sharp = [g for g in groups if all(structure.quality(k) > _LINES for k in g)]
+            groups.append([k])
+    sharp = [g for g in groups if all(own[k].quality > _LINES for k in g)]
     if sharp:
-        first = max(sharp, key=lambda g: max(_power(structure, k) for k in g))
-        family = [g for g in sharp if g is first or _related(structure, first[0], g[0])]
+        first = max(sharp, key=lambda g: max(own[k].power for k in g))
+        family = [g for g in sharp if g is first or _related(own[first[0]], own[g[0]])]
         groups = [g for g in groups if g not in family] + [[k for g in family for k in g]]
-    places = [
-        sorted((FULL.first_oscillator + k for k in g), key=lambda c: -structure.power[c]) for g in groups
-    ]
+    places = [sorted(g, key=lambda k: -own[k].power) for g in groups]
     return ([[_RESPONSE]] if structure.kind != NONE else []) + places
 
 
-def _power(structure: Structure, k: int) -> float:
-    return float(structure.power[FULL.first_oscillator + k])
-
-
-def _related(structure: Structure, first: int, k: int) -> bool:
+def _related(first: Component, other: Component) -> bool:
     """Whether a narrow resonance is at a multiple of another one's frequency, or beside such a multiple."""
-    ratio = structure.frequency(k) / structure.frequency(first)
+    ratio = other.frequency / first.frequency
     return ratio > 0.5 and abs(ratio - np.rint(ratio)) < _BESIDE
 
 
 def _without(structure: Structure, group: Sequence[int]) -> Structure:
     """Structure without a group of components."""
-    for k in group:
-        structure = dataclasses.replace(structure, kind=NONE) if k == _RESPONSE else structure.without(k)
-    return structure
+    rest = structure.without(*group)
+    return dataclasses.replace(rest, kind=NONE) if _RESPONSE in group else rest
 
 
 def _held_out(
@@ -340,10 +331,10 @@ def _part(
         estimates, low = _of_response(view, found)
         # For a filter, the odds are the only statistic.
         return Part(LOW_PASS, estimates, gain, held_out, None, (low, view.rate / 2.0), partial, {})
-    oscillators = [k - FULL.first_oscillator for k in group]
+    own = structure.components
     # The strongest one and those close to it; the others are further lines of the same source.
-    near = [k for k in oscillators if structure.are_close(k, oscillators[0])]
-    others = sorted((k for k in oscillators if k not in near), key=structure.frequency)
+    near = [k for k in group if own[k].is_close_to(own[group[0]])]
+    others = sorted((k for k in group if k not in near), key=lambda k: own[k].frequency)
     estimates, support = _of_resonances(view, found, near)
     details: dict[str, Detail] = {}
     if others:
@@ -357,15 +348,14 @@ def _part(
 
 def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
     """Half-power frequency of the response and its order, and where it begins to matter [Hz]."""
-    structure, at = found.structure, FULL
-    place = slice(at.response, None)
-    covariance = found.covariance[place, place]
+    structure = found.structure
+    covariance = found.covariance[-2:, -2:]
     value = _half_power(structure, view.rate)
     slope = np.zeros(2)
     for i in range(2):
-        moved = structure.shape.copy()
-        moved[at.response - at.components + i] += _STEP
-        there = _half_power(dataclasses.replace(structure, shape=moved), view.rate)
+        moved = structure.parameters
+        moved[i - 2] += _STEP
+        there = _half_power(structure.with_parameters(moved), view.rate)
         slope[i] = np.log(there / value) / _STEP
     std = float(np.sqrt(slope @ covariance @ slope))
     bounds = np.log([LOWEST_BANDWIDTH * view.rate, view.rate])
@@ -399,32 +389,27 @@ def _of_resonances(
     view: View, found: Fitted, group: Sequence[int]
 ) -> tuple[list[Estimate], tuple[float, float]]:
     """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts."""
-    structure, at, hertz = found.structure, FULL, view.rate / (2.0 * np.pi)
-    frequency = np.array([structure.frequency(k) for k in group]) * hertz
-    quality = np.array([structure.quality(k) for k in group])
-    places = [at.first_oscillator + k for k in group]
-    power = np.array([structure.power[k] for k in places])
+    structure, hertz = found.structure, view.rate / (2.0 * np.pi)
+    own, first = [structure.components[k] for k in group], np.array([structure.first[k] for k in group])
+    frequency, quality = np.array([(c.frequency * hertz, c.quality) for c in own]).T
+    power = fitted = np.array([c.power for c in own])
     response = response_of(structure, view.rate)
     if response is not None:
         # As recorded, after the response.
         passed = np.asarray(response.power(frequency, view.rate))
-        power = np.where(structure.inside[places], power * passed, power)
+        power = np.where(structure.inside[group], power * passed, power)
     share = power / power.sum()
     f0 = float(share @ frequency)
     moved = float(np.sqrt(share @ (frequency - f0) ** 2))
     std = np.sqrt(np.diag(found.covariance))
-    f_std = (
-        float(np.sqrt(share**2 @ std[[at.frequencies + k for k in group]] ** 2))
-        if moved == 0.0
-        else moved / f0
-    )
-    relative = 0.5 * std[places] / structure.power[places]
+    f_std = float(np.sqrt(share**2 @ std[first] ** 2)) if moved == 0.0 else moved / f0
+    relative = 0.5 * std[group] / fitted
     amplitude = float(np.sqrt(power.sum()))
     a_std = amplitude * float(np.sqrt(share**2 @ relative**2))
     width = float(share @ (frequency / quality))
     # The full width at half of the maximum of a normal law is 2.355 standard deviations.
     Q = f0 / np.hypot(width, 2.355 * moved)
-    q_std = float(np.sqrt(share**2 @ (std[[at.qualities + k for k in group]] * (1.0 - 0.5 / quality)) ** 2))
+    q_std = float(np.sqrt(share**2 @ (std[first + 1] * (1.0 - 0.5 / quality)) ** 2))
     # A narrower one is a line, a wider one an edge; lower or higher ones are not observable.
     spacing = view.rate / (2.0 * view.n)
     band, shapes = np.log([LOWEST * spacing, view.rate / 2.0]), np.log([LEAST_QUALITY, f0 / (LINE * spacing)])

@@ -18,9 +18,8 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.estimate.deterministic import line_columns, take_out_lines
 from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
-from allanjax.estimate.spectral.components import NONE
-from allanjax.estimate.spectral.fit import CLOSE
-from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.spectral.components import MARKOV, NONE
+from allanjax.estimate.spectral.model import CLOSE, response_of
 from allanjax.estimate.structure.search import Record, bins_around, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
@@ -29,7 +28,6 @@ from allanjax.estimate.structure.structure import (
     OUTSIDE,
     QUANTIZATION,
     Structure,
-    response_of,
     term_of,
 )
 from allanjax.estimate.whittle import fit_spectrum, spectrum_of
@@ -40,31 +38,22 @@ from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_c
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
-# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried.
-_NEARLY_ALL, _SURE, _TRIED = 0.9, 10.0, 64
+# Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried, and of
+# searches, each after removal of the lines found before; and least distance of two lines [coefficients].
+_NEARLY_ALL, _SURE, _TRIED, _LOOKS, _APART = 0.9, 10.0, 64, 3, 1.5
 # Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
 _BLOCK, _MEDIAN = 64, 0.4549
-# Number of searches for lines, each after removal of the lines found before.
-_LOOKS = 3
-# Least distance of two lines [coefficients].
-_APART = 1.5
-# Most fits until every component of the model is detected.
-_ROUNDS = 6
-# Growth of the discrepancy, relative and absolute, that the removal of what is not detected may cause:
-# judgements.
-_WORSE, _SLIGHT = 1.2, 0.001
+# Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
+# absolute, that the removal of what is not detected may cause: judgements.
+_ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
 # Share of the discrepancy that must be removed, and fewest samples for a search.
 _LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
-    """Components of a spectrum.
+    """Components of a spectrum, its lines [Hz], bins that are fine around resonances, and the coefficients.
 
-    Attributes:
-        structure: terms, response and resonances.
-        lines: frequencies of the lines [Hz].
-        bins: bins that are fine around the resonances.
-        c: cosine coefficients without the lines.
+    These are without the lines.
     """
 
     structure: Structure
@@ -75,9 +64,9 @@ class Content(NamedTuple):
     @property
     def plain_terms(self) -> list[int]:
         """Components with some power that are basic terms or Markov processes before the response, if any."""
-        markovs, structure = range(FULL.first_markov, FULL.first_oscillator), self.structure
-        before = structure.inside if structure.kind != NONE else np.ones_like(structure.inside)
-        return [k for k in structure.there if (k < OUTSIDE or k in markovs) and before[k]]
+        of = self.structure
+        plain = [*of.of_kind(MARKOV), *map(of.place, range(OUTSIDE))]
+        return [k for k in of.there if k in plain and (of.kind == NONE or of.components[k].inside)]
 
 
 def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
@@ -90,12 +79,12 @@ def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
         lines, c = _without_lines(x, rate, lines + more)
     spectrum, found = searched(Record(c**2, rate), Structure.plain(list(range(len(FIXED)))))
     if sharp := narrow(found.structure, n):
-        more = [found.structure.frequency(k) * rate / (2.0 * np.pi) for k in sharp]
+        more = [found.structure.components[k].frequency * rate / (2.0 * np.pi) for k in sharp]
         lines, c = _without_lines(x, rate, lines + more)
-        record, rest = Record(c**2, rate), _without(found.structure, sharp)
+        record, rest = Record(c**2, rate), found.structure.without(*sharp)
         spectrum, found = searched(record, refitted(record, rest)[1].structure)
     structure = completed(spectrum, found).structure
-    return Content(_without(structure, narrow(structure, n)), lines, spectrum.bins, c)
+    return Content(structure.without(*narrow(structure, n)), lines, spectrum.bins, c)
 
 
 def _conspicuous(c: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
@@ -127,31 +116,19 @@ def _without_lines(
     return [line.frequency for line in taken], c
 
 
-def _without(structure: Structure, resonances: Sequence[int]) -> Structure:
-    for k in resonances:
-        structure = structure.without(FULL.first_oscillator + k)
-    return structure
-
-
 def extended(
     x: Float[np.ndarray, " n"], rate: float, plain: AxisFit, curve: AllanDeviation, k: int
 ) -> tuple[AxisFit, AxisSelection] | None:
     """Fit of one axis with components besides the plain terms, and the ranking of these.
 
-    None if the components explain little.
-
-    Args:
-        x: samples.
-        rate: sample rate [Hz].
-        plain: the fit of the plain terms.
-        curve: Allan deviations of all axes, of which this one is k.
+    None if the components explain little. Samples are at a rate [Hz]; the axis is k of the Allan deviations.
     """
     if len(x) < _SHORTEST:
         return None
     x = x[: fast_length(len(x))]
     content = content_of(x, rate)
     of = content.structure
-    besides = of.kind != NONE or len(of.oscillators) or len(of.markovs) or content.lines
+    besides = of.kind != NONE or of.oscillators or of.of_kind(MARKOV) or content.lines
     # Without plain terms nothing is to be corrected.
     if not besides or not content.plain_terms:
         return None
@@ -181,13 +158,13 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
     total, terms = np.zeros(len(f)), np.zeros(len(f))
     for k in structure.there:
         density = np.asarray(term_of(structure, k, fine.rate).sampled_psd(f, fine.rate))
-        total += density * (passed if structure.inside[k] else 1.0)
+        total += density * (passed if structure.components[k].inside else 1.0)
         terms += density if k in content.plain_terms else 0.0
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
     corrected = content.c / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
     basic = basic_terms() + Markov()
-    candidates = candidates_of(basic + Markov() if len(structure.markovs) > 1 else basic, fine.rate)
+    candidates = candidates_of(basic + Markov() if len(structure.of_kind(MARKOV)) > 1 else basic, fine.rate)
     statistics = bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
     return rank_terms(candidates, bins, statistics, [axis], axis.name).results[0]
 
@@ -198,23 +175,21 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
     If no set of terms suffices, those with a free time were left out, and the model has the search's own.
     """
     structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
-    after = structure.kind != NONE and not structure.inside[QUANTIZATION]
+    after = structure.kind != NONE and not structure.column(QUANTIZATION).inside
     terms: list[tuple[NoiseTerm, bool, bool]] = []
     for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True):
         k = FIXED.index(label) if label in FIXED else None
         # The search has chosen what follows the response.
-        searched_for = k == QUANTIZATION and after
-        here = bool(structure.active[QUANTIZATION]) if searched_for else label in chosen
-        terms.append((term, k is not None and bool(structure.inside[k]), here))
-    count, own = sum(label.startswith("markov") for label in chosen), structure.markovs.tolist()
-    components = (FULL.first_oscillator + structure.oscillators).tolist()
+        here = structure.place(k) is not None if k == QUANTIZATION and after else label in chosen
+        terms.append((term, k is not None and structure.column(k).inside, here))
+    count, own = sum(label.startswith("markov") for label in chosen), structure.of_kind(MARKOV)
+    components = structure.oscillators
     if selection.discrepancy > 0.0 or count == len(own):
-        components = [*(FULL.first_markov + k for k in own), *components]
+        components = own + components
     else:
         terms += [(Markov(), True, True)] * count
-    for k in components:
-        terms.append((term_of(structure, k, rate), bool(structure.inside[k]), True))
-    if structure.active[OUTSIDE]:
+    terms += [(term_of(structure, k, rate), structure.components[k].inside, True) for k in components]
+    if structure.place(OUTSIDE) is not None:
         terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))
     terms += [(Sinusoid(frequency=f), False, True) for f in content.lines]
     each, inside, active = zip(*terms, strict=True)

@@ -34,8 +34,7 @@ from allanjax.estimate.inference import (
     reported,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
-from allanjax.estimate.spectral.expected import ExpectedLevels
-from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
+from allanjax.estimate.spectral.fit import Arrangement, ExpectedLevels, LevelFit, best_of, fit_levels
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

@@ -1,8 +1,6 @@
 """The joint spectral model: expected levels and derivatives by dense covariances, maxima by scipy."""
 
-import dataclasses
 import functools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -50,14 +48,12 @@ def bins():
 
 
 def prepared(model, dense, free):
-    """Slots, levels and parameters of a model with values; `free`: whether all are estimated."""
+    """Arrangement, joint model and parameters of a model with values; `free`: whether all are estimated."""
     model = aj.Model(()) + model
     arrangement = Arrangement.of(model, bins()).with_data(dense.level, np.full(N - 1, dense.count))
-    theta = np.array(arrangement.held)
-    theta[arrangement.component] = squared_amplitudes(model) * arrangement.unit_power(theta)
-    estimated = np.zeros(len(theta), bool)
-    estimated[np.append(arrangement.component, arrangement.parameter)] = free
-    return arrangement, dataclasses.replace(arrangement.slots, free=estimated), theta
+    theta = arrangement.composition.parameters
+    theta[: len(model)] = squared_amplitudes(model) * arrangement.unit_power(theta)
+    return arrangement, arrangement.joint(free), theta
 
 
 def squared_amplitudes(model):
@@ -71,10 +67,10 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
     # they are off by 10⁻⁸/6 · 8³ at most.
     model = (response * WHITE if response else WHITE) + AFTER
     dense, power, labels = Dense(model, 1, 0), squared_amplitudes(model), list(model.values)
-    mean, (arrangement, slots, theta) = dense.means(model), prepared(model, dense, False)
-    found = maximize(theta, slots, arrangement.levels, arrangement.levels.level)
+    mean, (arrangement, joint, theta) = dense.means(model), prepared(model, dense, False)
+    found = maximize(theta, joint, arrangement.levels, arrangement.levels.level)
     assert_allclose(found.mean[: N - 1], mean, rtol=1e-10)
-    base, by_shape = arrangement.unit_levels(SimpleNamespace(theta=theta, model=found.model))
+    base, by_shape = arrangement.unit_levels(found)
     amplitudes, shapes = iter(2.0 * power[:, None] * base), iter(np.einsum("t,tms->sm", power, by_shape))
     expected = slopes(lambda m: np.log(dense.means(m)), model, labels)
     for p, exact in zip(model.parameters, expected, strict=True):
@@ -89,15 +85,15 @@ def test_the_maximum_is_that_of_a_general_minimizer():
     truth = aj.LowPass1(1.5) * (WHITE + aj.BiasInstability(0.2) + aj.Resonance(0.3, 2.0, 6.0))
     dense, labels = Dense(truth, 50, 3), [p.label for p in truth.parameters if p.free]
     start = truth.with_values(**{k: 1.3 * v for k, v in truth.values.items()})
-    arrangement, slots, theta = prepared(start, dense, True)
-    found = maximize(theta, slots, arrangement.levels, arrangement.levels.level)
+    arrangement, joint, theta = prepared(start, dense, True)
+    found = maximize(theta, joint, arrangement.levels, arrangement.levels.level)
     move = mover(truth, labels)
     # In units of the expected errors.
     root = np.linalg.inv(np.linalg.cholesky(dense.information(truth, labels))).T
     best = minimize(lambda z: dense.value(move(move.start + root @ z)), np.zeros(len(labels)), method="BFGS")
     assert found.converged
     assert float(found.loss) == pytest.approx(best.fun, abs=1e-6)
-    inside, count = np.array(found.interior), slots.layout.components
+    inside, count = np.array(found.interior), len(truth)
     errors = 1.0 / np.sqrt(np.diag(np.linalg.inv(np.asarray(found.information)[np.ix_(inside, inside)])))
     # Of powers in ln(p + scale), as errors of amplitudes in ln.
     by_amplitude = np.ones(len(inside))

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Num, Shaped
+from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.numerics import averaged_lags, mean_lags
@@ -55,20 +55,12 @@ _NEARLY_CONSTANT = 0.01
 class Levels(NamedTuple):
     """Levels of the cosine spectrum and what their expectations depend on, in units of the sample interval.
 
-    A level follows a χ² law around its expectation, with 2·shape degrees of freedom; shape 0 for no data.
-
-    Attributes:
-        level: mean squares of coefficients [rate²].
-        shape: half the degrees of freedom of each.
-        angle: frequencies in radians per sample interval at two nodes of each level, whose mean and variance
-            are those of its coefficients (2, m).
-        square: sin² of half the angle between the values that were transformed, at the nodes (2, m).
-        interval: number of samples that were averaged to each value before the transform; one for all
-            levels of a record, as powers of numbers are faster than those of arrays.
-        length: number of values in the transform, likewise.
-        parity: (−1)^j for a level of a single coefficient j, else 0.
-        columns: expectations [rate²] of the terms without a free shape at the nodes, for unit power
-            (columns, 2, m).
+    A level [rate²] follows a χ² law around its expectation, with 2·shape degrees of freedom; shape 0 for no
+    data. The angles are at two nodes of each level (2, m), whose mean and variance are those of its
+    coefficients, and the squares sin² of half the angle between the values that were transformed. Each value
+    is the mean of `interval` samples, and a transform has `length` of them: one number for all levels of a
+    record. The parity is (−1)^j for a level of a single coefficient j, else 0. Columns are the expectations
+    of the terms without a free shape, for unit power (columns, 2, m).
     """
 
     level: Any
@@ -101,20 +93,10 @@ class Levels(NamedTuple):
         return self._replace(level=level, shape=dof / 2.0)
 
 
-def padded(x: Shaped[np.ndarray, "... m"], capacity: int, fill: float) -> Shaped[np.ndarray, "... capacity"]:
-    """Values of m levels, terms or shapes, padded with `fill`."""
-    return np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, capacity - x.shape[-1])], constant_values=fill)
-
-
 class Place(NamedTuple):
-    """Where the expectations for a part of a spectrum are evaluated.
+    """Where the expectations for a part of a spectrum are evaluated: frequencies of the nodes [Hz] (2, m).
 
-    Attributes:
-        frequency: nodes of the bins [Hz] (2, m).
-        rate: rate of the values that were transformed [Hz].
-        length: number of values in a transform.
-        lags, weights: lags [s] and weights of G there, whose sums are the exact expectations of the lowest
-            coefficients; empty if these are not part of the spectrum.
+    Of the lowest coefficients they are sums over lags [s] with weights of G, if these are part of it.
     """
 
     frequency: Any
@@ -174,57 +156,68 @@ def _sums(levels: Levels, pole: Any) -> tuple[Any, Any, Any]:
     return y, 1.0 / (y**2 + 4.0 * (1.0 - y) * s), ends
 
 
-def _squares(levels: Levels, pole: Any) -> Num[np.ndarray, "... 2 m"]:
-    """Expected squares at the nodes of e^{pole·|t|}: averaged over samples if real, else read at them."""
-    M, oscillates = levels.interval, np.iscomplexobj(pole)
-    r_0, r_1 = mean_lags(pole, M)[:2] if oscillates else averaged_lags(-pole * M)
-    y, inverse, ends = _sums(levels, pole)
-    return r_0 + r_1 * (2.0 * (y - 2.0 * levels.square) - ends * inverse) * inverse
+def _squares(levels: Levels, pole: Any, sloped: bool) -> tuple[Any, Any]:
+    """Expected squares at the nodes of e^{pole·|t|}, and their derivative by the pole if it is wanted.
+
+    It is averaged over samples if the pole is real, else read at them.
+    """
+    M, (y, inverse, ends) = levels.interval, _sums(levels, pole)
+    r_0, r_1 = mean_lags(pole, M)[:2] if np.iscomplexobj(pole) else averaged_lags(-pole * M)
+    own, of_ends = 2.0 * (y - 2.0 * levels.square), ends * inverse
+    both = (own - of_ends) * inverse
+    if not sloped:
+        return r_0 + r_1 * both, None
+    # Derivatives of y, of the ends, and of D over D.
+    of_y, last = -M * (1.0 - y), y**2 * np.exp(pole * M * levels.length) * levels.parity
+    more = ends * (2.0 * of_y / y) - (4.0 * M) * (1.0 - levels.square) * last
+    of_D = of_y * own * inverse
+    slope = (2.0 * of_y - more * inverse - of_D * (own - 2.0 * of_ends)) * inverse
+    by_0, by_1 = _slopes_of_lags(pole, M, r_0, r_1)
+    return r_0 + r_1 * both, by_0 + by_1 * both + r_1 * slope
 
 
-def _with_slope(levels: Levels, pole: Any) -> tuple[Any, Any]:
-    """`_squares` and their derivative by the pole."""
-    step = -_STEP * pole.real
-    value, above, below = _squares(levels, np.stack([pole, pole + step, pole - step]))
-    return value, (above - below) / (2.0 * step)
+def _slopes_of_lags(pole: Any, M: Any, r_0: Any, r_1: Any) -> tuple[Any, Any]:
+    """Derivatives of r_0 and r_1 by the pole."""
+    near = np.abs(pole * M) < 1e-3
+    if not np.iscomplexobj(pole):
+        x = -pole * M
+        by_0 = np.where(near, x / 6.0 - 1.0 / 3.0, -2.0 * (np.expm1(-x) / x + r_0) / x)
+        return -M * by_0, -2.0 * M * r_1 * np.where(near, x / 12.0 - 0.5, 1.0 / np.expm1(x) - 1.0 / x)
+    q, y, z = np.exp(pole), -np.expm1(pole), -np.expm1(pole * M)
+    later = M * (1.0 - z)
+    by_0 = 2.0 * q / (M * y) ** 2 * (M - z + later - 2.0 * q * z / y)
+    series = (M**2 - 1.0) * (1.0 / (3.0 * M) + pole / 6.0)
+    return np.where(near, series, by_0), r_1 * (1.0 + 2.0 * (q / y - later / z))
 
 
-def markov(levels: Levels, time: Any) -> Float[np.ndarray, "... 2 m"]:
-    """Expected squares at the nodes of Markov processes of variance 1 with these correlation times."""
-    return _squares(levels, -1.0 / time)
+def markov(levels: Levels, shapes: Float[np.ndarray, "... k 1"], sloped: bool = False) -> tuple[Any, Any]:
+    """Expected squares at the nodes of Markov processes of variance 1 [..., k, 2, m], by ln T_c.
+
+    If it is wanted, also their derivatives by the shapes [..., k, shapes, 2, m].
+    """
+    pole = -np.exp(-shapes[..., None])
+    value, slope = _squares(levels, pole, sloped)
+    return value, (-pole * slope)[..., None, :, :] if sloped else None
 
 
-def markov_and_slope(levels: Levels, shape: Float[np.ndarray, " k"]) -> tuple[Any, Any]:
-    """`markov` and its derivative by the shapes, ln T_c."""
-    if not len(shape):
-        return (np.zeros((0, *levels.angle.shape)),) * 2
-    pole = -np.exp(-shape)[:, None, None]
-    value, slope = _with_slope(levels, pole)
-    return value, -pole * slope
+def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: bool = False) -> tuple[Any, Any]:
+    """As `markov`, for oscillators of variance 1 by ln ω_0 and ln(Q − ½)."""
+    w, excess = np.moveaxis(np.exp(shapes), -1, 0)[..., None, None]
+    Q, root = 0.5 + excess, 2.0 * np.sqrt(excess * (1.0 + excess))
+    decay, weight = w / (2.0 * Q), 1.0 - 1j / root
+    pole = decay * (-1.0 + 1j * root)
+    value, slope = _squares(levels, pole, sloped)
+    if not sloped:
+        return np.real(weight * value), None
+    by_Q = np.real(4j * Q / root**3 * value + weight * decay * (1.0 + 1j / root) / Q * slope)
+    return np.real(weight * value), np.stack([np.real(weight * pole * slope), by_Q * excess], axis=-3)
 
 
-def oscillator(levels: Levels, frequency: Any, quality: Any) -> Float[np.ndarray, "... 2 m"]:
-    """Expected squares at the nodes of oscillators of variance 1."""
-    root = np.sqrt(4.0 * quality**2 - 1.0)
-    return np.real((1.0 - 1j / root) * _squares(levels, frequency / (2.0 * quality) * (-1.0 + 1j * root)))
-
-
-def oscillator_and_slopes(
-    levels: Levels, frequency: Float[np.ndarray, " k"], quality: Float[np.ndarray, " k"]
-) -> tuple[Any, Any, Any]:
-    """`oscillator` and its derivatives by the shapes, ln ω_0 and ln(Q − ½)."""
-    if not len(quality):
-        return (np.zeros((0, *levels.angle.shape)),) * 3
-    excess = np.exp(quality)[:, None, None]
-    Q = 0.5 + excess
-    root, decay = np.sqrt(4.0 * Q**2 - 1.0), np.exp(frequency)[:, None, None] / (2.0 * Q)
-    pole, weight = decay * (-1.0 + 1j * root), 1.0 - 1j / root
-    value, slope = _with_slope(levels, pole)
-    pole_by_Q, weight_by_Q = decay * (1.0 + 1j / root) / Q, 4j * Q / root**3
-    by_Q = np.real(weight_by_Q * value + weight * pole_by_Q * slope)
-    return np.real(weight * value), np.real(weight * pole * slope), by_Q * excess
-
-
+#: Kinds of components: without a free shape, so that their levels are columns; with closed forms of their
+#: shapes; and others.
+COLUMN, MARKOV, OSCILLATOR, OTHER = range(4)
+#: The closed forms.
+CLOSED = {MARKOV: markov, OSCILLATOR: oscillator}
 #: Kinds of response: none; one pole or two, read at the instants of the samples; a moving average; digital
 #: filters of two poles; and Butterworth's of order 1 to 4.
 NONE, ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD = range(5)
@@ -304,20 +297,20 @@ def _averaged(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
     """
     samples = np.clip(samples, 1.0, LONGEST)
     whole = np.floor(samples)
+    numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
+    m, n = numbers[:, None, None], levels.length
     small = levels.angle * LONGEST < _NEARLY_CONSTANT
     a = np.where(small, 1.0, levels.angle)
-    s = np.sin(a / 2.0) ** 2
-    of_ends = np.where(levels.interval == 1.0, -2.0 / levels.length, 0.0)
-
-    def of(m: Any) -> Any:
-        apart = m * np.sin(a) - np.sin(m * a)
-        slope = m * (np.cos(a) - np.cos(m * a)) / (4.0 * s) - apart * np.sin(a) / (8.0 * s**2)
-        total = np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * np.sin(a)))
-        return (np.sin(m * levels.angle / 2.0) / np.sin(levels.angle / 2.0)) ** 2 + of_ends * total
-
+    s, sine, turned = np.sin(a / 2.0) ** 2, np.sin(a), np.sin(m * a)
+    apart = m * sine - turned
+    slope = m * (np.cos(a) - np.cos(m * a)) / (4.0 * s) - apart * sine / (8.0 * s**2)
+    total = np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * sine))
+    power = (np.sin(m * levels.angle / 2.0) / np.sin(levels.angle / 2.0)) ** 2
+    lower, upper = (power + np.where(levels.interval == 1.0, -2.0 / n, 0.0) * total)[
+        at.reshape(2, *whole.shape[:-2])
+    ]
     more = samples - whole
-    norm = (1.0 - more) * whole**2 + more * (whole + 1.0) ** 2
-    return ((1.0 - more) * of(whole) + more * of(whole + 1.0)) / norm
+    return ((1.0 - more) * lower + more * upper) / ((1.0 - more) * whole**2 + more * (whole + 1.0) ** 2)
 
 
 def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int) -> tuple[Any, Any]:

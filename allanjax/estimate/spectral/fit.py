@@ -1,4 +1,4 @@
-"""Fit of a model to the levels of a spectrum: its slots in the joint model, the maximum, and its tangent.
+"""Fit of a model to the levels of a spectrum: its composition, the maximum likelihood, and its tangent.
 
 Where a model cannot follow the levels within their scatter (p < 1e-6), these first get the errors that models
 of filters and resonances have; where that does not suffice, all get a relative error, common to about an
@@ -18,132 +18,111 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.estimate.design import Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
+from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
-from allanjax.estimate.spectral.expected import Others
-from allanjax.estimate.spectral.model import FULL, Layout, Maximum, Slots, maximize
+from allanjax.estimate.spectral.model import Component, Composition, Joint, Maximum, maximize, response_of
+from allanjax.estimate.spectral.others import Others
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
-_COLUMN, _MARKOV, _OSCILLATOR, _OTHER = range(4)
+# Names and bounds of the shapes of a kind of component, in ln and units of the sample interval; of the shapes
+# of other terms [SI]; and a value to hold what has none.
+_SHAPES = {
+    kinds.MARKOV: {"correlation_time": (-3.0, 40.0)},
+    kinds.OSCILLATOR: {"frequency": (-30.0, math.log(math.pi)), "quality_factor": (-7.0, 14.0)},
+}
+_RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), math.log(5.0)
 # Power of what is not in use, which has levels, too, for its limit.
 _NOTHING = 1e-290
 # Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
-# starts of other shapes are two to a decade or denser.
-_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound in ln, since the bound is open.
-_INSIDE = 1e-2
+# starts of other shapes are two to a decade or denser. And the margin kept from an open upper bound.
+_REACH, _INSIDE = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}, 1e-2
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
-# Levels with fewer degrees of freedom say nothing about how well a model fits.
-_FEW = 0.05
-# Difference of minus twice the log-likelihood below which two solutions are the same.
-_AS_LIKELY = 0.02
-# Gain of the next step at which a fit ends [nats].
-_TOLERANCE = 1e-7
-#: Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
+# Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
+# log-likelihood below which two solutions are the same; and gain of the next step [nats] at which a fit ends.
+_FEW, _AS_LIKELY, _TOLERANCE = 0.05, 0.02, 1e-7
+# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
-FILTER, UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
-#: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
-CLOSE = 1.5
+_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 
 
 class Arrangement(NamedTuple):
-    """A model of random terms in the slots of the joint spectral model.
+    """A model of random terms as a composition, of which each term is one component, and levels for it.
 
-    Attributes:
-        model: the model.
-        rate: sample rate [Hz].
-        component: component of each term.
-        parameter, offset: parameter of each free shape, and what is added to ln(value − lower bound) for it.
-        owner: term of each free shape; the number of terms for the response.
-        inside: whether each term passes through the response.
-        slots: the slots; no parameter is free yet.
-        levels: the levels, without data yet.
-        held: parameters with the shapes that have a value.
-        bins: bins of the levels.
+    Each free shape has a parameter, an offset that is added to ln(value − lower bound) for it, and an owner:
+    its term, or the number of terms for the response.
     """
 
     model: Model
-    rate: float
-    component: Int[np.ndarray, " terms"]
+    composition: Composition
     parameter: Int[np.ndarray, " shapes"]
     offset: Float[np.ndarray, " shapes"]
     owner: Int[np.ndarray, " shapes"]
-    inside: Bool[np.ndarray, " terms"]
-    slots: Slots
     levels: Levels
-    held: Float[np.ndarray, " parameters"]
     bins: Bins
 
     @classmethod
     def of(cls, model: Model, bins: Bins) -> Arrangement:
         """Arrangement of a model for the levels of these bins."""
-        model, rate = model.sampled(bins.rate), bins.rate
-        kind = _kinds(model)
-        others = np.flatnonzero(kind == _OTHER)
-        own = [p for p in free_shapes(model) if p.term in others]
-        count = max(FULL.columns, int(np.sum(kind == _COLUMN)))
-        layout = Layout(count, others=len(others), shapes=len(own))
-        first = np.array([0, layout.first_markov, layout.first_oscillator, layout.first_other])
-        before = np.array([np.sum(kind[:k] == kind[k]) for k in range(len(kind))], int)
-        component = first[kind] + before
-        columns = columns_of([model.terms[k] for k in np.flatnonzero(kind == _COLUMN)], bins)
-        levels = Levels.of(bins, columns)
-        inside = np.zeros(layout.components, bool)
-        inside[component] = model.inside or False
-        further = None
-        if own:
-            shapes = tuple((int(before[p.term]), p.parameter.name, p.parameter.lower) for p in own)
-            further = Others.of(tuple(model.terms[k] for k in others), shapes, bins)
-        slots = Slots.of(layout, np.zeros(layout.parameters, bool), inside, kind_of(model.response), further)
-        # Kind of each owner of shapes, the response last; units are the sample interval's.
-        slot, angle = [*kind.tolist(), None], math.log(2.0 * math.pi / rate)
-        places = {
-            (_MARKOV, "correlation_time"): (layout.times, math.log(rate)),
-            (_OSCILLATOR, "frequency"): (layout.frequencies, angle),
-            (_OSCILLATOR, "quality_factor"): (layout.qualities, 0.0),
-            (None, "bandwidth"): (layout.response, angle),
-            (None, "quality_factor"): (layout.response + 1, 0.0),
-        }
-        held, free = slots.usual(), []
-        for p in model.parameters:
-            if p.parameter.is_amplitude or not (p.free or slot[p.term] in (_MARKOV, _OSCILLATOR, None)):
-                continue
-            if slot[p.term] == _OTHER:
-                index, offset = layout.other_shapes + own.index(p), 0.0
-            else:
-                index, offset = places[slot[p.term], p.parameter.name]
-                index += int(before[p.term]) if p.term < len(model) else 0
-            if p.free:
-                free.append((index, offset, p.term))
-            if p.start is not None:
-                held[index] = math.log(p.start - p.parameter.lower) + offset
-        parameter, offsets, owner = np.array(free).reshape(-1, 3).T
-        of_shapes = parameter.astype(int), offsets, owner.astype(int)
-        return cls(model, rate, component, *of_shapes, inside[component], slots, levels, held, bins)
+        model = model.sampled(bins.rate)
+        of_terms, inside = [*map(_kind, model.terms)], model.inside or [False] * len(model)
+        shapes = _shapes_of(model, of_terms, bins.rate)
+        components = []
+        for k, kind in enumerate(of_terms):
+            values = tuple(shape.value for shape in shapes if shape.owner == k)
+            components.append(Component(kind, 0.0, values, bool(inside[k]), of_terms[:k].count(kind)))
+        columns = [k for k, kind in enumerate(of_terms) if kind == kinds.COLUMN]
+        others = [k for k, kind in enumerate(of_terms) if kind == kinds.OTHER]
+        own = tuple((others.index(s.owner), s.name, s.lower) for s in shapes if s.owner in others)
+        further = Others.of(tuple(model.terms[k] for k in others), own, bins) if others else None
+        response = shapes[-2].value, shapes[-1].value
+        composition = Composition(tuple(components), kind_of(model.response), response, further)
+        free = [(len(model) + k, s.unit, s.owner) for k, s in enumerate(shapes) if s.free]
+        parameter, offset, owner = np.array(free).reshape(-1, 3).T
+        levels = Levels.of(bins, columns_of([model.terms[k] for k in columns], bins))
+        return cls(model, composition, parameter.astype(int), offset, owner.astype(int), levels, bins)
 
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Arrangement:
         """Copy with these mean squares [rate²] and degrees of freedom as data."""
         return self._replace(levels=self.levels.with_data(level, dof))
 
-    @property
-    def _time(self) -> Int[np.ndarray, " terms"]:
-        """Parameter with the correlation time of each Markov process, −1 of other terms."""
-        k = self.component - self.slots.layout.first_markov
-        return np.where((k >= 0) & (k < self.slots.layout.markovs), self.slots.layout.times + k, -1)
-
-    def unit_power(self, theta: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " terms"]:
+    def unit_power(self, theta: Float[np.ndarray, "*b parameters"]) -> Float[np.ndarray, "*b terms"]:
         """Power of each term's component where the term has unit amplitude.
 
         That of a Gauss–Markov process is its variance q_c²T_c/2 (4.59).
         """
-        return np.where(self._time >= 0, np.exp(theta[self._time]) / (2.0 * self.rate), 1.0)
+        power, of = np.ones((*theta.shape[:-1], len(self.model))), self.composition
+        for k, component in enumerate(of.components):
+            if component.kind == kinds.MARKOV:
+                power[..., k] = np.exp(theta[..., of.first[k]]) / (2.0 * self.bins.rate)
+        return power
+
+    def parameters(self, shape: Float[np.ndarray, "*b shapes"]) -> Float[np.ndarray, "*b parameters"]:
+        """Parameters for these values of ln(shape − lower bound), with no powers."""
+        held = self.composition.parameters
+        theta = np.broadcast_to(held, (*shape.shape[:-1], len(held))).copy()
+        theta[..., self.parameter] = shape + self.offset
+        return theta
 
     def estimated(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " terms+shapes"]:
         """Which powers and which free shapes are estimated, if these terms are in use."""
         owned = of_owners(self.model, active)[self.owner]
         return np.concatenate([free_powers(self.model) & active, owned])
+
+    def joint(self, estimated: Bool[np.ndarray, " terms+shapes"]) -> Joint:
+        """Joint model in which these powers and free shapes are estimated, with the widest bounds."""
+        count, of = len(self.model), self.composition
+        bounds = [(0.0, np.inf)] * count
+        for c in of.components:
+            bounds += [*_SHAPES[c.kind].values()] if c.kind in _SHAPES else [_OF_OTHERS] * len(c.shape)
+        least, most = bandwidths(of.kind)
+        bounds += [(math.log(least), math.log(most)), _SHAPES[kinds.OSCILLATOR]["quality_factor"]]
+        lower, upper = np.array(bounds).T
+        free = np.zeros(len(lower), bool)
+        free[np.append(np.arange(count), self.parameter)] = estimated
+        return Joint(of, free, lower, upper, 0.0 * lower, 0.0 * lower)
 
     def fitted_model(self, fit: LevelFit) -> Model:
         """The model with the shapes of a fit, and unit amplitudes."""
@@ -154,20 +133,20 @@ class Arrangement(NamedTuple):
         self, maximum: Maximum
     ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:
         """Levels of each term of unit amplitude, and their derivatives by the free shapes, in ln."""
-        at, model, theta = self.slots.layout, maximum.model, maximum.theta
+        of, theta, count = self.composition, maximum.theta, len(self.model)
         unit = self.unit_power(theta)[:, None]
-        base = model.unit[self.component] * unit
+        base = maximum.unit * unit
         by_shape = np.zeros((*base.shape, len(self.parameter)))
         # What passes through the response changes in proportion.
-        passing = self.inside[:, None] * base
-        total = theta[self.component] @ (passing / unit)
+        passing = of.inside[:, None] * base
+        total = theta[:count] @ (passing / unit)
         for s, (p, k) in enumerate(zip(self.parameter.tolist(), self.owner.tolist(), strict=True)):
-            if p >= at.response:
-                slope = model.by_response[p - at.response]
+            if k == count:
+                slope = maximum.by_response[p - of.first[-1]]
                 by_shape[:, :, s] = passing * slope / np.where(total > 0.0, total, 1.0)
-                continue
-            by_shape[k, :, s] = model.by_shape[p - at.times] * unit[k]
-            by_shape[k, :, s] += base[k] if p == self._time[k] else 0.0
+            else:
+                by_shape[k, :, s] = maximum.by_shape[p - count] * unit[k]
+                by_shape[k, :, s] += base[k] if of.components[k].kind == kinds.MARKOV else 0.0
         return base, by_shape
 
     def tangent(
@@ -175,17 +154,13 @@ class Arrangement(NamedTuple):
     ) -> tuple[LevelTangent, Solution]:
         """Levels around a fit, linear in all shapes, and the solution in them.
 
-        Args:
-            fit: the fit.
-            plateaus: for each term that is white at low frequencies its density there, for unit amplitude
-                (""), and the logarithmic derivatives of that by its shapes. What it has there is counted
-                as white noise, so that its own power is what it has beyond.
-            white: index of the white noise term.
+        A plateau is the density at low frequencies of a term that is white there, for unit amplitude (""),
+        with logarithmic derivatives by its shapes. It counts as white noise, and not as the term's own power.
         """
         base, by_shape = self.unit_levels(fit.maximum)
         power: Any = np.array(fit.solution.power)
         # The response belongs to the term that has most of what passes through it.
-        passed, owner = np.where(self.inside, power * (base @ fit.degrees), 0.0), self.owner
+        passed, owner = np.where(self.composition.inside, power * (base @ fit.degrees), 0.0), self.owner
         owner = np.where(owner == len(power), np.argmax(passed), owner)
         level, slope = base[white].copy(), by_shape[white].copy()
         for k, plateau in plateaus.items():
@@ -205,38 +180,35 @@ class Arrangement(NamedTuple):
         )
         return tangent, fit.solution._replace(power=power)
 
-    def uncertainty(self, fit: LevelFit) -> Float[np.ndarray, " m"]:
-        """Relative variance of the levels from what sensors' filters and resonances differ from the model.
 
-        Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
-        just like the model's, which is common to the levels of an octave.
-        """
-        bins, model = self.bins, self.fitted_model(fit)
-        mean = fit.maximum.mean
-        drifting, common = np.zeros(len(mean)), np.zeros(len(mean))
-        if model.response is not None:
-            fallen = np.log(np.maximum(np.asarray(model.response.power(bins.frequency, bins.rate)), 1e-300))
-            common += (FILTER * np.minimum(fallen, 0.0)) ** 2
-        theta, f, narrow = fit.maximum.theta, bins.frequency, []
-        for k, term in zip(self.component.tolist(), model.terms, strict=True):
-            if isinstance(term, Resonance):
-                share = theta[k] * fit.maximum.model.unit[k] / mean
-                narrow.append((float(term.frequency or 1.0), float(term.quality_factor or 1.0), share))
-        for middle, quality, share in narrow:
-            near = sum(abs(middle - g) < CLOSE * 0.5 * (middle / quality + g / Q) for g, Q, _ in narrow)
-            drifting += UNSTEADY * near * share
-            beside = abs(f - middle) > _BESIDE * middle / quality
-            common += np.where(beside, _SKIRT * share, 0.0) ** 2
-        return drifting**2 + common * bins.per_octave()
+def model_error(
+    of: Composition, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
+) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
+
+    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
+    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
+    fallen by more than so many factors of e.
+    """
+    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
+    of = of.with_parameters(maximum.theta)
+    if (response := response_of(of, bins.rate)) is not None:
+        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
+        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
+    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
+    for k, own in zip(of.oscillators, resonances, strict=True):
+        share = own.power * maximum.unit[k] / maximum.mean
+        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
+        beside = abs(angle - own.frequency) > _BESIDE * own.width
+        common += (skirt * np.where(beside, share, 0.0)) ** 2
+    return unsteady**2 + common * bins.per_octave()
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class LevelTangent(Tangent):
     """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
 
-    Attributes:
-        degrees: degrees of freedom of each level.
-        per_octave: number of levels in the octave around each, which share an error of the model.
+    Those in the octave around each, of this number, share an error of the model.
     """
 
     degrees: Float[np.ndarray, " m"]
@@ -255,31 +227,45 @@ class LevelTangent(Tangent):
         return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, None, :, None]
 
 
-def _kinds(model: Model) -> Int[np.ndarray, " terms"]:
-    """Kind of each term; those beyond the slots of their kind count as others."""
-    kind = np.array([_kind(term) for term in model.terms], int)
-    for k, slots in ((_MARKOV, FULL.markovs), (_OSCILLATOR, FULL.oscillators)):
-        kind[np.flatnonzero(kind == k)[slots:]] = _OTHER
-    return kind
+class _Shape(NamedTuple):
+    """A shape of a term or the response: its value in ln, and what its unit adds to that."""
+
+    owner: int
+    name: str
+    lower: float
+    free: bool
+    unit: float
+    value: float
+
+
+def _shapes_of(model: Model, of_terms: Sequence[int], rate: float) -> list[_Shape]:
+    """All shapes of the components with a closed form and of the response, and the free ones of others."""
+    angle, found = math.log(2.0 * math.pi / rate), []
+    units = {"correlation_time": math.log(rate), "frequency": angle, "bandwidth": angle}
+    known = {(p.term, p.parameter.name): p for p in model.parameters if not p.parameter.is_amplitude}
+    for k, kind in enumerate([*of_terms, None]):
+        free = [name for (owner, name), p in known.items() if owner == k and p.free]
+        for name in _RESPONSE if kind is None else _SHAPES.get(kind, free):
+            p, unit = known.get((k, name)), 0.0 if kind == kinds.OTHER else units.get(name, 0.0)
+            lower = 0.0 if p is None else p.parameter.lower
+            value = _HELD if p is None or p.start is None else math.log(p.start - lower) + unit
+            found.append(_Shape(k, name, lower, p is not None and p.free, unit, value))
+    return found
 
 
 def _kind(term: NoiseTerm) -> int:
     free = [p for p in term.parameters()[1:] if term.is_free(p)]
     if not free:
-        return _COLUMN
+        return kinds.COLUMN
     if isinstance(term, Markov) and term.has_free_amplitude:
-        return _MARKOV
-    return _OSCILLATOR if isinstance(term, Resonance) else _OTHER
+        return kinds.MARKOV
+    return kinds.OSCILLATOR if isinstance(term, Resonance) else kinds.OTHER
 
 
 class LevelFit(NamedTuple):
-    """Maximum of the likelihood of a model's levels.
+    """Maximum of the likelihood of a model's levels, and whether that follows them within their scatter.
 
-    Attributes:
-        solution: powers and shapes of its terms.
-        maximum: the same in the slots, with the expected levels.
-        sufficient: whether the model follows the levels within their scatter.
-        degrees: degrees of freedom of the levels, less what the model's uncertainty costs.
+    The degrees of freedom are those of the levels, less what the model's uncertainty costs.
     """
 
     solution: Solution
@@ -308,13 +294,9 @@ def error_of_powers(
     per_octave: Float[np.ndarray, " m"],
     degrees: float,
 ) -> float:
-    """Relative error of a model's levels that brings χ² to its degrees of freedom; 0 if χ² is not above them.
+    """Relative error of a model that brings χ² to its degrees of freedom; 0 if χ² is not above them.
 
-    Args:
-        ratio: levels over their expectations.
-        dof: degrees of freedom of the levels.
-        per_octave: number of levels in an octave, which share the error.
-        degrees: degrees of freedom of χ².
+    The ratios are those of levels to their expectations; the levels in an octave share the error.
     """
     from scipy.optimize import brentq
 
@@ -331,14 +313,7 @@ def fit_levels(
     shape: Float[ArrayLike, " shapes"],
     noise: Float[np.ndarray, " m"],
 ) -> LevelFit:
-    """Maximum of the likelihood of one axis from a start.
-
-    Args:
-        arrangement: the model, with data.
-        active: terms in use.
-        power, shape: start values.
-        noise: rough levels of the noise [rate²].
-    """
+    """Maximum of the likelihood of one axis from a start, in noise of these rough levels [rate²]."""
     dof, per_octave = 2.0 * arrangement.levels.shape, arrangement.bins.per_octave()
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
 
@@ -349,7 +324,7 @@ def fit_levels(
 
     fit, error, share = fitted(power, shape), 0.0, np.ones(len(dof))
     if not fit.sufficient and np.isfinite(fit.solution.cost):
-        share = 1.0 / (1.0 + 0.5 * dof * arrangement.uncertainty(fit))
+        share = 1.0 / (1.0 + 0.5 * dof * model_error(arrangement.composition, fit.maximum, arrangement.bins))
         fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
     for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not fit.sufficient else 0):
         wanted = error_of_powers(arrangement.levels.level / fit.maximum.mean, dof, per_octave, degrees)
@@ -370,46 +345,33 @@ def _maximum(
     share: Any,
 ) -> tuple[Solution, Maximum]:
     """Maximum of the likelihood of levels that keep this share of their weight."""
-    levels, slots = arrangement.levels, arrangement.slots
-    component, parameter, offset = arrangement.component, arrangement.parameter, arrangement.offset
-    start, estimated = np.array(arrangement.held), np.array(slots.free)
-    start[parameter] = shape + offset
-    estimated[np.append(component, parameter)] = arrangement.estimated(active)
-    start[component] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
-    lower, upper, terms = np.array(slots.lower), np.array(slots.upper), len(arrangement.model)
-    for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
-        reach, top = _REACH[p.parameter.kind], p.parameter.upper
-        if p.term == terms and p.parameter.name == "bandwidth":
-            top = bandwidths(int(slots.kind))[1] * arrangement.rate / (2.0 * np.pi)
-        end = np.log(top - p.parameter.lower) - _INSIDE + u
-        lower[k], upper[k] = max(lower[k], start[k] - reach), min(start[k] + reach, end)
-    slots = dataclasses.replace(slots, free=estimated, lower=lower, upper=upper)
-    found: Any = maximize(start, slots, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
-    theta, mean = found.theta, found.mean
-    values: Any = (
-        np.where(active, theta[component] / arrangement.unit_power(theta), 0.0),
-        theta[parameter] - offset,
-        np.asarray(chi_squared(levels.level / mean, 2.0 * levels.shape)),
-        np.asarray(0.0),
-        np.asarray(found.converged & np.isfinite(found.loss)),
-        np.asarray(-2.0 * np.sum(_log_densities(levels.level, mean, levels.shape * share))),
-    )
-    return Solution(*values), found
-
-
-def _log_densities(
-    level: Float[np.ndarray, " m"], mean: Float[np.ndarray, " m"], shape: Float[np.ndarray, " m"]
-) -> Float[np.ndarray, " m"]:
-    """Logarithm of each level's density, a Gamma law of this mean and shape; 0 of levels that only pad.
-
-    It is normalized, so that solutions with different errors of the model can be compared.
-    """
     from scipy.special import gammaln
 
-    known, k = shape > 0.0, np.where(shape > 0.0, shape, 1.0)
-    level = np.where(known, np.maximum(level, 1e-300), 1.0)
-    ratio = level / np.where(known, mean, 1.0)
-    return np.where(known, k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(level), 0.0)
+    of, levels, count = arrangement.composition, arrangement.levels, len(arrangement.model)
+    start, joint = arrangement.parameters(shape), arrangement.joint(arrangement.estimated(active))
+    start[:count] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
+    parameter, offset = arrangement.parameter, arrangement.offset
+    for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
+        reach, top = _REACH[p.parameter.kind], p.parameter.upper
+        if k == of.first[-1]:
+            top = bandwidths(of.kind)[1] * arrangement.bins.rate / (2.0 * np.pi)
+        end = np.log(top - p.parameter.lower) - _INSIDE + u
+        joint.lower[k] = max(joint.lower[k], start[k] - reach)
+        joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
+    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
+    theta, k = found.theta, np.maximum(levels.shape * share, 1e-300)
+    ratio = np.maximum(levels.level, 1e-300) / found.mean
+    # Gamma laws, normalized, so that solutions with different errors of the model can be compared.
+    densities = k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(ratio * found.mean)
+    values: Any = (
+        np.where(active, theta[:count] / arrangement.unit_power(theta), 0.0),
+        theta[parameter] - offset,
+        np.asarray(chi_squared(ratio, 2.0 * levels.shape)),
+        np.asarray(0.0),
+        np.asarray(found.converged & np.isfinite(found.loss)),
+        np.asarray(-2.0 * np.sum(densities[levels.shape > 0.0])),
+    )
+    return Solution(*values), found
 
 
 def best_of(fits: Sequence[LevelFit]) -> LevelFit:
@@ -417,3 +379,30 @@ def best_of(fits: Sequence[LevelFit]) -> LevelFit:
     cost = [float(np.nan_to_num(fit.solution.cost, nan=np.inf)) for fit in fits]
     close = [fit for fit, c in zip(fits, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
     return next((fit for fit in close if fit.solution.converged), close[0])
+
+
+class ExpectedLevels:
+    """Levels of the random terms of a model in these bins, for unit amplitudes.
+
+    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²]
+    of each term, [b, terms, m] or [1, terms, m] if all have the same shapes. Amplitudes make no difference.
+    The walkers of a chain move together: a batch of them is one call of NumPy.
+    """
+
+    def __init__(self, model: Model, bins: Bins) -> None:
+        self._of, self._last = Arrangement.of(model, bins), (b"", np.zeros((0, 0, 0)))
+        shapes = [(k, p) for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
+        self._shapes, self._lower = [k for k, _ in shapes], np.array([p.parameter.lower for _, p in shapes])
+
+    def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "_ terms m"]:
+        shapes = np.log(values[:, self._shapes] - self._lower)
+        if not (shapes == shapes[:1]).all():
+            return self._evaluated(shapes)
+        if (key := b"|" + shapes[0].tobytes()) != self._last[0]:
+            self._last = key, self._evaluated(shapes[:1])
+        return self._last[1]
+
+    def _evaluated(self, shapes: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
+        theta = self._of.parameters(shapes)
+        levels = self._of.composition.levels(theta, self._of.levels)
+        return levels * self._of.unit_power(theta)[..., None]

@@ -1,10 +1,9 @@
 """The joint spectral model: expected levels as a function of its parameters, and its maximum likelihood.
 
-Powers and shapes are in slots:
-
     μ = R·Σ p_c S_c (what is inside the response R) + Σ p_c S_c (what is after it)
 
-A slot is idle where its power is zero and not estimated.
+The parameters are the powers p of the components, then their shapes, then the bandwidth and the quality
+factor of the response.
 
 The likelihood is maximized by Fisher scoring. A power is moved in ln(p + s), s being one standard deviation
 of a power that is not there: linearly below that, where the data hardly show it, logarithmically above.
@@ -16,235 +15,276 @@ the identity.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+import functools
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from allanjax.estimate.spectral.components import (
-    NONE,
-    Levels,
-    bandwidths,
-    markov_and_slope,
-    oscillator_and_slopes,
-    passed_and_slopes,
-)
-from allanjax.estimate.spectral.expected import Others
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.components import Levels, passed, passed_and_slopes, response_of_kind
+from allanjax.estimate.spectral.others import Others
+from allanjax.noise.response import Response
 
 # Damping of the first step, relative to the information; shares of the predicted gain above which it falls
-# and below which a step is taken back; and by what factors it changes.
-_DAMPING, _GOOD, _BAD, _LESS, _MORE = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15
-# Largest damping with which a small step ends the iteration, and with which any does.
-_SLACK, _STUCK = 0.1, 1e8
-# Expected gains of a step [nats]: of one that is taken in any case, and of one that is near the maximum.
-_SMALL, _NEARBY = 1e-8, 1.0
-# Longest step of a parameter, in ln.
-_LONGEST = 2.0
-# Excess of a level over its expectation below which a series is used, and the least ratio of the two.
-_CLOSE, _LOWEST = 1e-4, 1e-12
-# Gain of the next step [nats] at which a fit ends, and most steps.
-_TOLERANCE = 1e-11
-_STEPS = 200
-# Smallest expected level, in units of the largest scale of a power.
-_LEAST = 1e-30
-# Bounds of powers [rate²], correlation times [samples], frequencies [radians per sample], Q − ½, and the
-# shapes of other terms [SI], in ln but for powers.
-_POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE = (
-    (0.0, np.inf),
-    (-3.0, 40.0),
-    (-30.0, np.log(np.pi)),
-    (-7.0, 14.0),
-    (-60.0, 60.0),
-)
+# and below which a step is taken back; by what factors it changes; and the largest one with which a small
+# step ends the iteration, and with which any does.
+_DAMPING, _GOOD, _BAD, _LESS, _MORE, _SLACK, _STUCK = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15, 0.1, 1e8
+# Expected gains of a step [nats]: of one that is taken in any case, of one that is near the maximum, and of
+# one at which a fit ends; most steps, and the longest one of a parameter, in ln.
+_SMALL, _NEARBY, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1.0, 1e-11, 200, 2.0
+# Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
+# smallest expected level, in units of the largest scale of a power.
+_CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
+#: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
+CLOSE = 1.5
 
 
-class Layout:
-    """Numbers of slots, and the first index of each kind of component and of parameter.
+class Component(NamedTuple):
+    """Component of a spectrum, of a kind of `spectral.components`, with its power [rate²].
 
-    The parameters are the powers of all components, then the correlation times of Markov processes,
-    frequencies and quality factors of oscillators, the free shapes of other terms, and bandwidth and quality
-    factor of the response.
+    Its shapes are logarithms: of a Markov process T_c in samples; of an oscillator ω_0 in radians per sample
+    and Q − ½; of another term what its free parameters are above their lower bounds. `inside` says whether it
+    passes through the response, and `which` one of the columns it is.
     """
 
-    def __init__(
-        self, columns: int = 8, markovs: int = 4, oscillators: int = 12, others: int = 0, shapes: int = 0
-    ) -> None:
-        """Slots for terms without a free shape (columns), two kinds with them, and others with so many."""
-        self.columns, self.markovs, self.oscillators = columns, markovs, oscillators
-        self.others, self.shapes = others, shapes
-        ends = np.cumsum([columns, markovs, oscillators, others]).tolist()
-        self.first_markov, self.first_oscillator, self.first_other, self.components = ends
-        self.times = self.components
-        ends = np.cumsum([self.times + markovs, oscillators, oscillators, shapes, 2]).tolist()
-        self.frequencies, self.qualities, self.other_shapes, self.response, self.parameters = ends
-
-
-#: Slots of every model that needs no more.
-FULL = Layout()
-
-
-@dataclasses.dataclass(frozen=True)
-class Slots:
-    """Components and parameters of a joint spectral model.
-
-    Components inside pass through the response, of a kind of `components`. Parameters that are not free keep
-    their value; the others have bounds, powers not in ln, and a normal prior, unless its precision is 0.
-    Others are terms whose free shapes fit no slot.
-    """
-
-    layout: Layout
-    inside: Bool[np.ndarray, " components"]
     kind: int
+    power: float = 0.0
+    shape: tuple[float, ...] = ()
+    inside: bool = False
+    which: int = 0
+
+    @property
+    def time(self) -> float:
+        """Correlation time of a Markov process [samples]."""
+        return math.exp(self.shape[0])
+
+    @property
+    def frequency(self) -> float:
+        """Frequency of an oscillator [radians per sample]."""
+        return math.exp(self.shape[0])
+
+    @property
+    def quality(self) -> float:
+        """Quality factor of an oscillator."""
+        return 0.5 + math.exp(self.shape[1])
+
+    @property
+    def width(self) -> float:
+        """Width of an oscillator's peak [radians per sample]."""
+        return self.frequency / self.quality
+
+    def is_close_to(self, other: Component) -> bool:
+        """Whether two oscillators are so close that they may be one whose frequency drifts."""
+        return abs(self.frequency - other.frequency) < CLOSE * 0.5 * (self.width + other.width)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Composition:
+    """Components of a spectrum, and a response that some pass through, with values.
+
+    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½.
+    """
+
+    components: tuple[Component, ...]
+    kind: int = kinds.NONE
+    response: tuple[float, float] = (0.0, math.log(5.0))
+    others: Others | None = None
+
+    def with_parameters(self, theta: Float[np.ndarray, " parameters"]) -> Self:
+        """Copy with other values of all parameters."""
+        values, at, new = theta.tolist(), self.first, []
+        for k, own in enumerate(self.components):
+            new.append(own._replace(power=values[k], shape=tuple(values[at[k] : at[k + 1]])))
+        return dataclasses.replace(self, components=tuple(new), response=(values[-2], values[-1]))
+
+    @property
+    def bandwidth(self) -> tuple[float, float]:
+        """Bandwidth of the response [radians per sample], and its quality factor."""
+        return math.exp(self.response[0]), 0.5 + math.exp(self.response[1])
+
+    def of_kind(self, kind: int) -> list[int]:
+        """Places of the components of a kind."""
+        return [k for k, c in enumerate(self.components) if c.kind == kind]
+
+    @property
+    def oscillators(self) -> list[int]:
+        """Places of the oscillators among the components."""
+        return self.of_kind(kinds.OSCILLATOR)
+
+    @property
+    def parameters(self) -> Float[np.ndarray, " parameters"]:
+        """Values of all parameters."""
+        shapes = (x for c in self.components for x in c.shape)
+        return np.array([*(c.power for c in self.components), *shapes, *self.response])
+
+    @functools.cached_property
+    def first(self) -> list[int]:
+        """Parameter that is the first shape of each component; and of the response."""
+        counts = [len(self.components), *(len(c.shape) for c in self.components)]
+        return np.cumsum(counts).tolist()
+
+    @functools.cached_property
+    def inside(self) -> Bool[np.ndarray, " components"]:
+        """Which components pass through the response."""
+        return np.array([c.inside for c in self.components], bool)
+
+    @functools.cached_property
+    def owner(self) -> Int[np.ndarray, " shapes"]:
+        """Component of each shape."""
+        return np.array([k for k, c in enumerate(self.components) for _ in c.shape], int)
+
+    @functools.cached_property
+    def _groups(self) -> list[tuple[int, list[int], Int[np.ndarray, ...]]]:
+        """Kinds of components, their places among all, and their columns or their shapes' parameters."""
+        found = []
+        for kind in (kinds.COLUMN, *kinds.CLOSED, kinds.OTHER):
+            if places := self.of_kind(kind):
+                columns = [self.components[k].which for k in places]
+                own = [k for place in places for k in range(self.first[place], self.first[place + 1])]
+                rows = 1 if kind == kinds.OTHER else len(places)
+                shapes = np.array(own, int).reshape(rows, -1)
+                found.append((kind, places, np.array(columns) if kind == kinds.COLUMN else shapes))
+        return found
+
+    def squares(
+        self, theta: Float[np.ndarray, "*b parameters"], levels: Levels, sloped: bool = False
+    ) -> Iterator[tuple[list[int], Any, Any, Any]]:
+        """Expected squares at the nodes before the response [*b, components, 2, m], of each kind.
+
+        Before them the places of these components and their shapes' parameters; after them, if wanted, the
+        derivatives by these [..., 2, m].
+        """
+        for kind, places, own in self._groups:
+            if kind == kinds.COLUMN:
+                yield places, own, levels.columns[own], None
+            elif kind == kinds.OTHER and self.others is not None:
+                evaluated = self.others.squares_and_slopes if sloped else self.others.squares
+                found = evaluated(theta[..., own[0]], levels.angle.shape[1])
+                yield places, own, *(found if sloped else (found, None))
+            else:
+                yield places, own, *kinds.CLOSED[kind](levels, theta[..., own], sloped)
+
+    def levels(
+        self, theta: Float[np.ndarray, "b parameters"], levels: Levels
+    ) -> Float[np.ndarray, "b components m"]:
+        """Expected levels of all components of unit power [rate²] for many values of the parameters."""
+        unit, response = np.empty((len(theta), len(self.components), levels.angle.shape[1])), None
+        if self.kind != kinds.NONE:
+            wc, excess = np.exp(theta[:, -2:]).T[:, :, None, None]
+            response = passed(levels, self.kind, wc, 0.5 + excess)
+        for places, _, value, _ in self.squares(theta, levels):
+            for row, k in enumerate(places):
+                own = value[..., row, :, :]
+                own = own * response if response is not None and self.inside[k] else own
+                unit[:, k] = 0.5 * (own[..., 0, :] + own[..., 1, :])
+        return unit
+
+
+def response_of(of: Composition, rate: float) -> Response | None:
+    """Response of a composition, for samples at `rate` [Hz]; None without one."""
+    w, quality = of.bandwidth
+    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Joint:
+    """What of a composition is estimated.
+
+    Parameters that are not free keep their value; the others have bounds, powers not in ln, and a normal
+    prior, unless its precision is 0.
+    """
+
+    composition: Composition
     free: Bool[np.ndarray, " parameters"]
     lower: Float[np.ndarray, " parameters"]
     upper: Float[np.ndarray, " parameters"]
     centre: Float[np.ndarray, " parameters"]
     precision: Float[np.ndarray, " parameters"]
-    others: Others | None
-
-    @classmethod
-    def of(
-        cls,
-        layout: Layout,
-        free: Bool[np.ndarray, " parameters"],
-        inside: Bool[np.ndarray, " components"],
-        kind: int = NONE,
-        others: Others | None = None,
-    ) -> Slots:
-        """Slots with the widest bounds and no prior."""
-        bandwidth = tuple(np.log(bandwidths(kind)))
-        bounds = (_POWER, _TIME, _FREQUENCY, _QUALITY, _SHAPE, bandwidth, _QUALITY)
-        counts = (layout.components, layout.markovs, *[layout.oscillators] * 2, layout.shapes, 1, 1)
-        lower, upper = np.repeat(np.array(bounds), counts, axis=0).T.copy()
-        return cls(layout, inside, kind, free, lower, upper, 0.0 * lower, 0.0 * lower, others)
-
-    def usual(self) -> Float[np.ndarray, " parameters"]:
-        """Parameters with zero powers, and with shapes in the middle of their ranges."""
-        at = self.layout
-        theta = np.zeros(at.parameters)
-        theta[at.times : at.frequencies] = np.log(100.0)
-        theta[at.qualities : at.other_shapes] = np.log(5.0)
-        return theta
 
 
-class Expected(NamedTuple):
-    """Expected levels of components of unit power [rate²], zero for idle slots, and their derivatives.
+def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
+    """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
 
-    These are by the shapes, each of which has a component as its owner, and of the sum of all components by
-    bandwidth and quality factor of the response.
+    Then those of the sum of all components by bandwidth and quality factor of the response.
     """
+    count, owner, m = len(of.components), of.owner, levels.angle.shape[1]
+    unit, by_shape, passing = np.empty((count, m)), np.empty((len(owner), m)), np.zeros((2, m))
+    passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
 
-    unit: Float[np.ndarray, "components m"]
-    by_shape: Float[np.ndarray, "shapes m"]
-    owner: Int[np.ndarray, " shapes"]
-    by_response: Float[np.ndarray, "2 m"]
+    def seen(values: Any, components: Any) -> Any:
+        if of.kind != kinds.NONE:
+            values = values * np.where(of.inside[components, None, None], passed, 1.0)
+        return 0.5 * (values[:, 0] + values[:, 1])
 
-    def slope(self, power: Float[np.ndarray, " components"]) -> Float[np.ndarray, "parameters m"]:
-        """Derivatives of the expected levels by the parameters."""
-        return np.concatenate([self.unit, power[self.owner, None] * self.by_shape, self.by_response])
-
-
-def expected(theta: Float[np.ndarray, " parameters"], slots: Slots, levels: Levels) -> Expected:
-    """Expected levels of all components of unit power, each differentiated by its own shapes only."""
-    at, m, power = slots.layout, levels.angle.shape[1], theta[: slots.layout.components]
-    used = np.flatnonzero((power > 0.0) | slots.free[: at.components])
-    # Columns that are not in use have levels, too, for their limits.
-    column = np.arange(len(levels.columns))
-    markov = used[(used >= at.first_markov) & (used < at.first_oscillator)]
-    oscillator = used[(used >= at.first_oscillator) & (used < at.first_other)]
-    time, nth = at.times + markov - at.first_markov, oscillator - at.first_oscillator
-    frequency, quality = at.frequencies + nth, at.qualities + nth
-    of_markov, by_time = markov_and_slope(levels, theta[time])
-    of_oscillator, *by_both = oscillator_and_slopes(levels, theta[frequency], theta[quality])
-    of_other, by_own, own = np.zeros((0, 2, m)), np.zeros((0, 2, m)), np.zeros(0, int)
-    if slots.others is not None:
-        own = at.first_other + np.array([k for k, *_ in slots.others.shapes])
-        of_other, by_own = slots.others.squares_and_slopes(theta[at.other_shapes : at.response], m)
-    component = np.concatenate([column, markov, oscillator, np.arange(at.first_other, at.components)])
-    squares = np.concatenate([levels.columns, of_markov, of_oscillator, of_other])
-    shape = np.concatenate([time, frequency, quality, np.arange(at.other_shapes, at.response)]) - at.times
-    slopes = np.concatenate([by_time, *by_both, by_own])
-    slot = np.arange(at.first_markov, at.first_other)
-    owner = np.concatenate([slot, slot[at.markovs :], own])
-    passed, moved = passed_and_slopes(levels, theta[at.response :], slots.kind)
-    unit, by_shape, inside = np.zeros((at.components, m)), np.zeros((len(owner), m)), slots.inside
-    for into, rows, of, values in (
-        (unit, component, component, squares),
-        (by_shape, shape, owner[shape], slopes),
-    ):
-        values = values * np.where(inside[of, None, None], passed, 1.0) if slots.kind else values
-        into[rows] = 0.5 * (values[:, 0] + values[:, 1])
-    passing = np.tensordot(power[component] * inside[component], squares, 1)
-    return Expected(unit, by_shape, owner, np.mean(moved * passing, axis=1))
+    for places, own, value, slope in of.squares(theta, levels, True):
+        unit[places] = seen(value, places)
+        passing += np.tensordot(theta[places] * of.inside[places], value, 1)
+        if slope is not None:
+            shapes = own.ravel() - count
+            by_shape[shapes] = seen(slope.reshape(-1, 2, m), owner[shapes])
+    return unit, by_shape, np.mean(moved * passing, axis=1)
 
 
 class Maximum(NamedTuple):
     """Maximum of the likelihood, or a place on the way there.
 
-    Attributes:
-        theta: the parameters there.
-        scale: power of each component that would be one standard deviation: powers are in ln(p + scale).
-        loss: minus the log-likelihood of the levels, without what depends on the data alone, prior included:
-            Σ k(ln μ + y/μ).
-        mean: the expected levels [rate²].
-        model: expected levels of each component, and their derivatives.
-        information: Fisher's information of the parameters that are estimated and not at a bound, prior
-            included; the others have a unit on the diagonal.
-        interior: which parameters these are.
-        steps: number of steps taken.
-        converged: whether the iteration converged.
+    The loss is Σ k(ln μ + y/μ) over the levels, minus the logarithm of the prior. Powers are in
+    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior
+    included, of what is estimated and not at a bound (`interior`); the others have a unit on the diagonal.
     """
 
     theta: Float[np.ndarray, " parameters"]
     scale: Float[np.ndarray, " components"]
     loss: float
     mean: Float[np.ndarray, " m"]
-    model: Expected
+    unit: Float[np.ndarray, "components m"]
+    by_shape: Float[np.ndarray, "shapes m"]
+    by_response: Float[np.ndarray, "2 m"]
+    owner: Int[np.ndarray, " shapes"]
     information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
     interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
-    steps: int = 0
     converged: bool = False
 
     @property
     def slope(self) -> Float[np.ndarray, "parameters m"]:
         """Derivatives of the logarithms of the levels by ln(p + scale) of the powers and by the shapes."""
         power = self.theta[: len(self.scale)]
-        slope = self.model.slope(power) / self.mean
-        slope[: len(power)] *= (power + self.scale)[:, None]
-        return slope
+        of_powers = (power + self.scale)[:, None] * self.unit
+        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response]
+        return np.concatenate(slope) / self.mean
 
 
 def maximize(
     theta: Float[np.ndarray, " parameters"],
-    slots: Slots,
+    joint: Joint,
     levels: Levels,
     noise: Float[np.ndarray, " m"],
     tolerance: float = _TOLERANCE,
 ) -> Maximum:
     """Maximum of the likelihood from a start.
 
-    Args:
-        theta: the start.
-        slots: the model.
-        levels: the levels.
-        noise: rough levels [rate²], in which the scales of the powers are one standard deviation.
-        tolerance: gain of the next step at which the iteration ends [nats].
+    The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
+    ends where the next step would gain less than the tolerance [nats].
     """
-    count = slots.layout.components
+    of, count = joint.composition, len(joint.composition.components)
 
     def place(theta: Any, scale: Any = None) -> Maximum:
-        model = expected(theta, slots, levels)
-        scale = power_scales(model.unit, levels.shape, noise) if scale is None else scale
-        mean = np.maximum(theta[:count] @ model.unit, _LEAST * np.max(scale))
-        prior = 0.5 * slots.free * slots.precision @ (theta - slots.centre) ** 2
-        return Maximum(theta, scale, levels.shape @ (np.log(mean) + levels.level / mean) + prior, mean, model)
+        unit, by_shape, by_response = expected(theta, of, levels)
+        scale = power_scales(unit, levels.shape, noise) if scale is None else scale
+        mean = np.maximum(theta[:count] @ unit, _LEAST * np.max(scale))
+        loss = levels.shape @ (np.log(mean) + levels.level / mean)
+        loss += 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
+        return Maximum(theta, scale, loss, mean, unit, by_shape, by_response, of.owner)
 
     with np.errstate(all="ignore"):
-        best = place(np.clip(theta, slots.lower, slots.upper))
+        best = place(np.clip(theta, joint.lower, joint.upper))
         damping, predicted, steps, converged = _DAMPING, np.inf, 0, False
         while not converged and steps < _STEPS and not np.isnan(predicted):
             steps += 1
-            trial, predicted = _next(best, slots, levels, damping, abs(predicted) > _NEARBY)
+            trial, predicted = _next(best, joint, levels, damping, abs(predicted) > _NEARBY)
             # At a kink of a response no step gains anything.
             converged = (abs(predicted) < tolerance and damping < _SLACK) or damping > _STUCK
             if not converged:
@@ -254,33 +294,33 @@ def maximize(
                 taken = gain > max(_BAD * predicted, 0.0) or 0.0 <= predicted < _SMALL
                 damping *= (_LESS if gain > _GOOD * predicted else 1.0) if taken else _MORE
                 best = new if taken else best
-        slope, _, interior = _slopes(best, slots, levels)
-        slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, slots.precision, 1.0)
+        slope, _, interior = _slopes(best, joint, levels)
+        slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
     information = (slope * levels.shape) @ slope.T + np.diag(prior)
-    return best._replace(information=information, interior=interior, steps=steps, converged=bool(converged))
+    return best._replace(information=information, interior=interior, converged=bool(converged))
 
 
-def _slopes(best: Maximum, slots: Slots, levels: Levels) -> tuple[Any, Any, Any]:
+def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]:
     """Slope of the logarithms of the levels, gradient of the loss, and which parameters may move.
 
     A parameter may not at a bound beyond which the loss still falls.
     """
     slope, theta = best.slope, best.theta
     gradient = slope @ (levels.shape * (1.0 - levels.level / best.mean))
-    gradient += slots.precision * (theta - slots.centre)
-    outward = ((theta <= slots.lower) & (gradient > 0.0)) | ((theta >= slots.upper) & (gradient < 0.0))
-    return slope, gradient, slots.free & ~outward
+    gradient += joint.precision * (theta - joint.centre)
+    outward = ((theta <= joint.lower) & (gradient > 0.0)) | ((theta >= joint.upper) & (gradient < 0.0))
+    return slope, gradient, joint.free & ~outward
 
 
 def _next(
-    best: Maximum, slots: Slots, levels: Levels, damping: float, far: bool
+    best: Maximum, joint: Joint, levels: Levels, damping: float, far: bool
 ) -> tuple[Float[np.ndarray, " parameters"], float]:
     """The next place to try, and the gain to expect there.
 
     Far from the maximum the curvature is that of the levels' deviances, with which steps are as long as in
     logarithms; near it, the information.
     """
-    slope, gradient, interior = _slopes(best, slots, levels)
+    slope, gradient, interior = _slopes(best, joint, levels)
     moving, weight = np.flatnonzero(interior), levels.shape
     slope, gradient = slope[moving], gradient[moving]
     if far:
@@ -288,14 +328,14 @@ def _next(
         close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
         deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
         weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
-    curvature = (slope * weight) @ slope.T + np.diag(slots.precision[moving])
+    curvature = (slope * weight) @ slope.T + np.diag(joint.precision[moving])
     size = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-12))
     damped = curvature * np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
     move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
     every, count = np.zeros(len(best.theta)), len(best.scale)
     every[moving] = move
     every[:count] = (best.theta[:count] + best.scale) * np.expm1(every[:count])
-    return np.clip(best.theta + every, slots.lower, slots.upper), -0.5 * float(gradient @ move)
+    return np.clip(best.theta + every, joint.lower, joint.upper), -0.5 * float(gradient @ move)
 
 
 def power_scales(unit: Any, shape: Any, noise: Any) -> Float[np.ndarray, " components"]:

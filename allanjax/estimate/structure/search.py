@@ -12,7 +12,6 @@ eight samples.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
@@ -20,18 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.estimate.spectral.components import (
-    BIQUAD,
-    BUTTERWORTH_1,
-    BUTTERWORTH_2,
-    BUTTERWORTH_3,
-    BUTTERWORTH_4,
-    MOVING_AVERAGE,
-    NONE,
-    ONE_POLE,
-    TWO_POLES,
-)
-from allanjax.estimate.spectral.model import FULL
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.model import Component
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.estimate.structure.structure import (
     FINE,
@@ -43,31 +32,35 @@ from allanjax.estimate.structure.structure import (
     Fitted,
     Spectrum,
     Structure,
+    markov,
+    resonance,
 )
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 
 # Narrowest window of a peak [coefficients], and the least gain of one [nats].
 _NARROWEST, _WORTH = 8, 4.0
-# Oscillators an octave that are proposed, and their quality factors; and number of correlation times.
+# Oscillators an octave that are proposed, and their quality factors; number of correlation times; and most
+# components of a kind to which a search adds another one.
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
-# Log odds that an addition must gain [nats]; and the gain in likelihood by a slow process, of which two are
-# the expected ones of its two parameters.
-_GAIN, _PREDICTS = 2.0, 3.0
-# Gain in likelihood from which on a proposal is fitted jointly [nats]: less than its evidence costs.
-_HOPEFUL = 5.0
-# Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round.
-_PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS = 8, 20.0, 3.0, 3
-# Half the width, in octaves, of what the median around a place is taken of.
-_AROUND = 0.45
-# Width of a resonance [coefficients] below which it is a line.
-_LINE = 1.25 * LINE
-# Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; and
-# the largest bandwidth that one starts from [radians per sample].
-_KINDS = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD, *range(BUTTERWORTH_1, BUTTERWORTH_4 + 1))
-_OPENING = (ONE_POLE, TWO_POLES, MOVING_AVERAGE, BUTTERWORTH_2, BUTTERWORTH_3)
+_MOST = {kinds.OSCILLATOR: 12, kinds.MARKOV: 4}
+# Gains [nats]: log odds of an addition, and of any other change, beyond a fit's tolerance; in likelihood by a
+# slow process, of which two are the expected ones of its two parameters; and from which on a proposal is
+# fitted jointly, less than its evidence costs.
+_GAIN, _BETTER, _PREDICTS, _HOPEFUL = 2.0, 0.02, 3.0, 5.0
+# Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
+# quality factor above which a resonance is narrow, gain of a peak that is surely one.
+_PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
+# Half the width, in octaves, of what the median around a place is taken of; bins in an octave; and width of a
+# resonance [coefficients] below which it is a line.
+_AROUND, _PER_OCTAVE, _LINE = 0.45, 12, 1.25 * LINE
+# Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; the
+# largest one to start from [radians per sample]; and the share of it up to which a response is flat.
+_BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
+_KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *_BUTTERWORTH)
+_OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
-_BESIDE, _HIGHEST = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8
+_BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.1
 #: Correlation times that a Markov process starts from, in powers of the number of samples.
 TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly.
@@ -76,21 +69,15 @@ _RANKED, _TRIED = 12, 3
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Correlation time [samples] below which a Markov process may stand for what a response does.
 _QUICK = 20.0
-# Bins in an octave.
-_PER_OCTAVE = 12
-# Quality factor above which a resonance is narrow, gain [nats] of a peak that is surely one, and share
-# of the bandwidth up to which a response is flat.
-_NARROW, _SURE, _FLAT = 8.0, 30.0, 0.1
 # Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 #: Quality factor below which a resonance may be white noise behind a filter.
 WIDE = 4.0
 # Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
 _EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
-# Relative error of a power beyond which the fit is tried without it.
-_DOUBTFUL = 0.2
-# Deviation of a smoothed level from its expectation, in standard deviations, beyond which a search begins.
-_CLEAR = 2.5
+# Relative error of a power beyond which the fit is tried without it; and deviation of a smoothed level from
+# its expectation, in standard deviations, beyond which a search begins.
+_DOUBTFUL, _CLEAR = 0.2, 2.5
 
 
 class Record(NamedTuple):
@@ -116,7 +103,8 @@ class Record(NamedTuple):
     def binned(self, structure: Structure) -> Spectrum:
         """Spectrum in bins that are finer around the resonances of a structure."""
         hertz = self.rate / (2.0 * np.pi)
-        around = [(structure.frequency(k) * hertz, structure.quality(k)) for k in structure.oscillators]
+        own = [structure.components[k] for k in structure.oscillators]
+        around = [(c.frequency * hertz, c.quality) for c in own]
         return Spectrum.of(self.squares, bins_around(around, self.n, self.rate), self.further)
 
 
@@ -140,27 +128,34 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
 
 def narrow(structure: Structure, n: int) -> list[int]:
     """Resonances of a structure of n samples that are as narrow as lines."""
-    return [int(k) for k in structure.oscillators if structure.width(int(k)) < _LINE * np.pi / n]
+    return [k for k in structure.oscillators if structure.components[k].width < _LINE * np.pi / n]
 
 
 def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Structure fitted anew without superfluous components, and the spectrum to which it was fitted."""
     spectrum = record.binned(start)
-    spectrum = spectrum.weighing(spectrum.fit(start))
-    return spectrum, pruned(spectrum, spectrum.fit(start))
+    if not start.there:
+        unit = spectrum.units(start, start.components)
+        start = start.with_powers(np.min(spectrum.rough / unit, axis=1).tolist())
+    rough = spectrum.fit(start)
+    spectrum = spectrum.weighing(rough)
+    return spectrum, pruned(spectrum, spectrum.fit(rough.structure))
 
 
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     """Final fit with the slow processes that predict best, without idle components."""
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
-    structure = now.structure
-    for k in np.flatnonzero(structure.active & (structure.power <= 0.0)):
-        if k != WHITE:
-            structure = structure.without(int(k))
-    if not structure.active[QUANTIZATION]:
-        # Its limit is that of the rounding of the output.
-        structure = structure.placed(QUANTIZATION, False)
-    return spectrum.fit(structure, FINE)
+    return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
+
+
+def _idle(structure: Structure) -> list[int]:
+    """Components without power, besides white noise."""
+    return [k for k, c in enumerate(structure.components) if c.power <= 0.0 and not _is(c, WHITE)]
+
+
+def _is(component: Component, *columns: int) -> bool:
+    """Whether a component is one of these columns."""
+    return component.kind == kinds.COLUMN and component.which in columns
 
 
 def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
@@ -170,13 +165,14 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     around = [_beside(level, f - g) for g in f]
     for peak in _peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
         if peak.gain > _CLEAR_PEAK and peak.slimness > _SLIM and len(structure.oscillators) < _PEAKS:
-            structure = structure.with_oscillator(*peak.values, False) or structure
+            structure = structure.plus(peak.resonance)
     spectrum = record.binned(structure)
-    tried = _ranked(spectrum, _responses(structure, _floor(spectrum)))
+    tried = _ranked(spectrum, _responses(spectrum, structure))
     fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
     finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
     best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
-    return finer, _settled(finer, plain.structure, pruned(finer, best))
+    now = pruned(finer, best)
+    return finer, _settled(finer, now, now.structure.oscillators, now.structure.kind != plain.structure.kind)
 
 
 def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> float:
@@ -191,47 +187,45 @@ def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
     for width in (6, 12, 24, 48):
         total, weight = (np.convolve(x, np.ones(width), "valid") for x in (excess, spectrum.levels.shape))
         deviation = max(deviation, float(np.max(abs(total) / np.sqrt(np.maximum(weight, 1.0)))))
-    return now.structure.kind == NONE and deviation > _CLEAR
+    return now.structure.kind == kinds.NONE and deviation > _CLEAR
 
 
-def _responses(structure: Structure, floor: float) -> list[list[Structure]]:
-    """Structures with a response, by its kind, and white noise of a level of `floor` after it.
-
-    Without that noise the depth of a deep stop band would decide what the response is. All resonances are
-    inside it or after it.
-    """
-    if floor and not structure.active[OUTSIDE]:
-        structure = structure.using(OUTSIDE, floor)
+def _responses(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
+    """Structures with a response, by its kind, inside which all resonances are, or after it."""
+    # Without white noise after it the depth of a deep stop band would decide what the response is.
+    if (floor := _floor(spectrum)) and structure.place(OUTSIDE) is None:
+        structure = structure.with_column(OUTSIDE, floor)
     places = structure, _all_placed(structure, True)
     return _filtered(places, _OPENING, 2.0 * np.pi * _BANDWIDTHS)
 
 
 def _filtered(
-    structures: Iterable[Structure | None], kinds: Sequence[int], widths: Iterable[float]
+    structures: Iterable[Structure], responses: Sequence[int], widths: Iterable[float]
 ) -> list[list[Structure]]:
     """Those structures that differ with each other response of these bandwidths, by its kind."""
-    different = {(s.inside[s.active].tobytes(), s.shape.tobytes()): s for s in structures if s}.values()
+    different = {s.components: s for s in structures}.values()
     return [
         [
             s.with_response(kind, w)
             for s in different
             for w in widths
-            if kind != s.kind or not np.isclose(w, s.bandwidth[0], 1e-6)
+            if kind != s.kind or abs(w / s.bandwidth[0] - 1.0) > 1e-6
         ]
-        for kind in kinds
+        for kind in responses
     ]
 
 
 def _others(structure: Structure, width: float) -> list[list[Structure]]:
     """Structures with another response of about this bandwidth [radians per sample], by its kind."""
-    moved = structure.placed(QUANTIZATION, not structure.inside[QUANTIZATION])
+    rounded = structure.column(QUANTIZATION)
+    moved = structure.placed([structure.place(QUANTIZATION)], not rounded.inside)
     places = structure, moved, _all_placed(structure, True), _all_placed(structure, False)
     return _filtered(places, _KINDS, np.minimum(width * _BESIDE, _HIGHEST))
 
 
 def _all_placed(structure: Structure, inside: bool) -> Structure:
     """Structure with all resonances and quantization inside the response, or after it."""
-    return structure.placed([QUANTIZATION, *(FULL.first_oscillator + structure.oscillators)], inside)
+    return structure.placed([structure.place(QUANTIZATION), *structure.oscillators], inside)
 
 
 def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
@@ -239,27 +233,30 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     every = [s for group in groups for s in group]
     if not every:
         return []
-    components = np.flatnonzero(np.any([s.active for s in every], axis=0)).tolist()
-    unit, levels = np.stack([spectrum.units(s, components) for s in every]), spectrum.levels
-    # The noise before a response is about what it is without.
-    power, used = (np.array([getattr(s, x)[components] for s in every]) for x in ("power", "active"))
+    levels, most = spectrum.levels, max(len(s.components) for s in every)
+    unit, power = np.ones((len(every), most, len(spectrum.rough))), np.zeros((len(every), most))
+    used = np.zeros(power.shape, bool)
+    for k, s in enumerate(every):
+        own = slice(len(s.components))
+        unit[k, own], used[k, own] = spectrum.units(s, s.components), True
+        # The noise before a response is about what it is without.
+        power[k, own] = [c.power for c in s.components]
     power, loss = power_fits(levels.level, levels.shape, spectrum.rough, unit, power, used)
     loss += [_price(s) for s in every]
     best, first = [], 0
     for group in groups:
         k = first + int(np.argmin(loss[first : first + len(group)]))
-        values = every[k].power.copy()
-        values[components] = power[k]
-        best.append((loss[k], dataclasses.replace(every[k], power=values)))
+        best.append((loss[k], every[k].with_powers(power[k, : len(every[k].components)].tolist())))
         first += len(group)
     return [s for _, s in sorted(best, key=lambda pair: pair[0])]
 
 
 def _price(structure: Structure) -> float:
     """About what the components of a structure cost in evidence [nats]."""
-    filtered, rounded = structure.kind != NONE, structure.active[QUANTIZATION]
-    shaped = len(structure.markovs) + filtered
-    beside = structure.active[OUTSIDE] + filtered * rounded * (0.5 + structure.inside[QUANTIZATION])
+    filtered, rounded = structure.kind != kinds.NONE, structure.place(QUANTIZATION) is not None
+    shaped = len(structure.of_kind(kinds.MARKOV)) + filtered
+    added = structure.place(OUTSIDE) is not None
+    beside = added + filtered * rounded * (0.5 + structure.column(QUANTIZATION).inside)
     return float(_PRICES @ (len(structure.oscillators), shaped, beside))
 
 
@@ -276,39 +273,41 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
-            return plain, _settled(plain, now.structure, plain.fit(again.structure) if same else again)
+            again, count = plain.fit(again.structure) if same else again, len(now.structure.components)
+            return plain, _settled(
+                plain, again, [k for k in again.structure.oscillators if k >= count], not same
+            )
     return None
 
 
 def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structure]:
     """Structures with one component more, or with several narrow resonances, the most promising first."""
-    structure, inside = now.structure, now.structure.kind != NONE
-    left = _peaks(record.squares, at_all(spectrum, now), _MORE_PEAKS)
-    sure = [peak.values for peak in left if peak.slimness > _NARROW and peak.gain > _SURE]
-    together = functools.reduce(lambda s, values: s.with_oscillator(*values, inside) or s, sure, structure)
-    found = [structure.with_oscillator(*peak.values, inside) for peak in left]
-    proposals = [s for s in found if s] + _slots_to_try(structure, spectrum.n, inside)
-    if inside and not structure.active[OUTSIDE]:
-        proposals.append(structure.using(OUTSIDE, 1.0))
-    new = [int(np.flatnonzero(s.active & ~structure.active)[0]) for s in proposals]
-    rows = np.concatenate([spectrum.units(s, [k]) for s, k in zip(proposals, new, strict=True)])
-    gain, power = _promised(spectrum, now, rows)
-    best = [i for i in np.argsort(-gain)[:_RANKED].tolist() if gain[i] > _HOPEFUL]
-    groups = [[proposals[i].using(new[i], float(power[i]))] for i in best]
+    structure, inside = now.structure, now.structure.kind != kinds.NONE
+    resonances, processes = (_MOST[k] - len(structure.of_kind(k)) for k in (kinds.OSCILLATOR, kinds.MARKOV))
+    left = _peaks(record.squares, at_all(spectrum, now), _MORE_PEAKS) if resonances else []
+    proposals = [peak.resonance._replace(inside=inside) for peak in left]
+    found = zip(left, proposals, strict=True)
+    sure = [new for peak, new in found if peak.slimness > _NARROW and peak.gain > _SURE]
+    proposals += _oscillators(spectrum.n, inside) if resonances else []
+    if processes:
+        proposals += [markov(time, 1.0) for time in np.geomspace(20.0, spectrum.n / 4.0, _TIMES).tolist()]
+    if inside and structure.place(OUTSIDE) is None:
+        proposals.append(Component(kinds.COLUMN, 1.0, which=OUTSIDE))
+    gain, power = _promised(spectrum, now, spectrum.units(structure, proposals))
+    best = [k for k in np.argsort(-gain)[:_RANKED].tolist() if gain[k] > _HOPEFUL]
+    groups = [[structure.plus(proposals[k]._replace(power=float(power[k])))] for k in best]
     if _lacks_response(spectrum, now):
-        groups += _responses(structure, _floor(spectrum))
-    return [together] * (len(sure) > 1) + _ranked(spectrum, groups)[:_TRIED]
+        groups += _responses(spectrum, structure)
+    together = [structure.plus(*sure[:resonances])] * (len(sure) > 1)
+    return together + _ranked(spectrum, groups)[:_TRIED]
 
 
 class _Peak(NamedTuple):
-    """Window of a spectrum with an excess: gain of a higher level there [nats], and middle over width.
-
-    Values are frequency [radians per sample], quality factor and power [rate²] of such a resonance.
-    """
+    """Window of a spectrum with an excess: gain of a higher level there [nats], and middle over width."""
 
     gain: float
     slimness: float
-    values: tuple[float, float, float]
+    resonance: Component
 
 
 def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"], most: int) -> list[_Peak]:
@@ -324,31 +323,25 @@ def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"],
                 gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
                 found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
         width *= 2
-    chosen: list[tuple[float, float]] = []
-    resonances: list[_Peak] = []
-    for gain, middle, wide in sorted(found, reverse=True):
-        if gain < _WORTH or len(chosen) == most:
-            break
-        if all(abs(middle - other) > 0.5 * (wide + w) for other, w in chosen):
-            chosen.append((middle, wide))
-            quality = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0)))
-            # The excess is about as large as the level, over the window.
-            values = np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n
-            resonances.append(_Peak(gain, middle / wide, values))
-    return resonances
+    chosen: list[tuple[float, float, float]] = []
+    for peak in sorted(found, reverse=True):
+        apart = all(abs(peak[1] - other) > 0.5 * (peak[2] + w) for _, other, w in chosen)
+        if peak[0] > _WORTH and len(chosen) < most and apart:
+            chosen.append(peak)
+    return [_Peak(gain, middle / wide, _resonance_at(middle, wide, level)) for gain, middle, wide in chosen]
 
 
-def _slots_to_try(structure: Structure, n: int, inside: bool) -> list[Structure]:
-    """Structures with one oscillator or Markov process more, of unit power, on a grid of their shapes."""
+def _resonance_at(middle: float, wide: float, level: Float[np.ndarray, " n-1"]) -> Component:
+    quality, n = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0))), len(level) + 1
+    # The excess is about as large as the level, over the window.
+    return resonance(np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n, False)
+
+
+def _oscillators(n: int, inside: bool) -> list[Component]:
+    """Oscillators of unit power on a grid of their shapes."""
     lowest = LOWEST * np.pi / n
-    octaves = np.log2(np.pi / lowest)
-    tried = [
-        structure.with_oscillator(w, Q, 1.0, inside)
-        for w in np.geomspace(lowest, 0.97 * np.pi, int(octaves * _OCTAVE))
-        for Q in _QUALITIES
-    ]
-    tried += [structure.with_markov(time, 1.0) for time in np.geomspace(20.0, n / 4.0, _TIMES)]
-    return [s for s in tried if s is not None]
+    places = np.geomspace(lowest, 0.97 * np.pi, int(np.log2(np.pi / lowest) * _OCTAVE)).tolist()
+    return [resonance(w, Q, 1.0, inside) for w in places for Q in _QUALITIES]
 
 
 def _promised(
@@ -390,14 +383,11 @@ def _edited(
         now = best
 
 
-def _settled(spectrum: Spectrum, before: Structure, now: Fitted) -> Fitted:
-    """Fit with the best kind for a new response, and new components inside it or after it."""
-    new, other = now.structure.active & ~before.active, now.structure.kind != before.kind
-    new[: FULL.first_oscillator] = False
-    new[QUANTIZATION] = other
+def _settled(spectrum: Spectrum, now: Fitted, new: Sequence[int], other: bool) -> Fitted:
+    """Fit with new resonances inside the response or after it, and the best kind of another response."""
 
     def edits(structure: Structure) -> Iterator[list[Structure]]:
-        yield from _moved(structure, np.flatnonzero(new))
+        yield from _moved(structure, [structure.place(QUANTIZATION), *new] if other else new)
         yield from _others(structure, structure.bandwidth[0]) if other else ()
 
     return _edited(spectrum, now, edits)
@@ -409,43 +399,44 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     A wide resonance may be a Markov process, white noise after the response, or the response itself, which a
     quick process may be, too; quantization behind a filter, the shape of that filter, or of a resonance.
     """
-    filtered, (width, _) = structure.kind != NONE, structure.bandwidth
+    filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
+    own, rounded = structure.components, structure.place(QUANTIZATION)
     if filtered:
         yield from _others(structure, width)
-        yield from _moved(structure, [QUANTIZATION, *(FULL.first_oscillator + structure.oscillators)])
+        yield from _moved(structure, [rounded, *structure.oscillators])
     rests = []
-    if quick := [FULL.first_markov + int(k) for k in structure.markovs if structure.time(int(k)) < _QUICK]:
-        rests.append((functools.reduce(Structure.without, quick, structure), width))
-    if filtered and structure.power[QUANTIZATION] > 0.0:
-        rest = structure.without(QUANTIZATION)
+    if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < _QUICK]:
+        rests.append((structure.without(*quick), width))
+    if filtered and rounded is not None and own[rounded].power > 0.0:
+        rest = structure.without(rounded)
         rests.append((rest, width))
-        wide = [rest.with_oscillator(w, Q, 0.0, False) for w in _EDGES for Q in _BROAD]
+        wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _BROAD]
         yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
-        if structure.quality(k) < WIDE:
-            w, component = structure.frequency(k), FULL.first_oscillator + int(k)
-            rest, power = structure.without(component), float(structure.power[component])
+        if own[k].quality < WIDE:
+            w, rest, power = own[k].frequency, structure.without(k), own[k].power
             rests.append((rest, width if filtered else w))
-            yield [s for s in [rest.with_markov(1.0 / w, power)] if s]
-            yield [rest.using(OUTSIDE, _floor(spectrum) or power)] if filtered else []
+            yield [rest.plus(markov(1.0 / w, power))]
+            yield [rest.with_column(OUTSIDE, _floor(spectrum) or power)] if filtered else []
     for rest, width in rests:
         yield [rest]
         yield from _others(rest, width)
 
 
-def _moved(structure: Structure, components: Iterable[int]) -> Iterator[list[Structure]]:
+def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
-    for k in components if structure.kind != NONE else ():
-        # Where the response has fallen by nothing yet there is no difference.
-        i = k - FULL.first_oscillator
-        flat = i >= 0 and structure.frequency(i) < _FLAT * structure.bandwidth[0]
-        if structure.active[k] and not (flat and structure.quality(i) > _NARROW):
-            yield [structure.placed(k, not structure.inside[k])]
+    for k in places if structure.kind != kinds.NONE else ():
+        if k is not None:
+            # Where the response has fallen by nothing yet there is no difference.
+            own = structure.components[k]
+            resonant = own.kind == kinds.OSCILLATOR and own.frequency < _FLAT * structure.bandwidth[0]
+            if not (resonant and own.quality > _NARROW):
+                yield [structure.placed([k], not own.inside)]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
     """The other fit if it is more likely and still has white noise."""
-    return other if other.evidence > now.evidence and _keeps_white(now, other) else now
+    return other if other.evidence > now.evidence + _BETTER and _keeps_white(now, other) else now
 
 
 def _keeps_white(now: Fitted, other: Fitted) -> bool:
@@ -454,28 +445,33 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
     White noise before a filter has the same spectrum as a response with wide resonances.
     """
     structure = other.structure
-    narrow = all(structure.quality(int(k)) > WIDE for k in structure.oscillators)
-    return bool(structure.power[WHITE] > 0.0 or (narrow and structure.kind == now.structure.kind))
+    if structure.column(WHITE).power > 0.0:
+        return True
+    narrow = all(structure.components[k].quality > WIDE for k in structure.oscillators)
+    return narrow and structure.kind == now.structure.kind
 
 
 def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
     """Fit without components that gain nothing; white noise stays."""
-    shaped = np.arange(FULL.components) >= FULL.first_markov
     while True:
-        structure = now.structure
-        idle = np.flatnonzero(structure.active & (structure.power <= 0.0))
-        if (idle := idle[idle >= OUTSIDE]).size:
-            now = spectrum.fit(functools.reduce(Structure.without, idle.tolist(), structure))
+        structure, own = now.structure, now.structure.components
+        # Terms without power get a limit.
+        if idle := [k for k in _idle(structure) if not _is(own[k], *range(OUTSIDE))]:
+            now = spectrum.fit(structure.without(*idle))
             continue
         # Components whose power is known better than `_DOUBTFUL` stay without a trial.
-        std = np.sqrt(np.diag(now.covariance))[: FULL.components]
-        doubtful = (structure.power > 0.0) & (std > _DOUBTFUL * structure.power) & shaped
-        for k in [OUTSIDE, QUANTIZATION] if structure.kind != NONE else [OUTSIDE]:
-            doubtful[k] = structure.power[k] > 0.0 and std[k] > _DOUBTFUL * structure.power[k]
-        weakest = sorted(np.flatnonzero(doubtful).tolist(), key=lambda k: -std[k] / structure.power[k])[:2]
-        if structure.kind == MOVING_AVERAGE and structure.power[QUANTIZATION] > 0.0:
+        std = np.sqrt(np.diag(now.covariance))
+        judged = (OUTSIDE, QUANTIZATION) if structure.kind != kinds.NONE else (OUTSIDE,)
+        doubt = {
+            k: -std[k] / own[k].power
+            for k in structure.there
+            if (own[k].kind != kinds.COLUMN or _is(own[k], *judged)) and std[k] > _DOUBTFUL * own[k].power
+        }
+        weakest = sorted(doubt, key=doubt.__getitem__)[:2]
+        rounded = structure.place(QUANTIZATION)
+        if structure.kind == kinds.MOVING_AVERAGE and rounded in structure.there:
             # After a mean over less than two samples it is that of another duration.
-            weakest.append(QUANTIZATION)
+            weakest.append(rounded)
         best = functools.reduce(_better, (spectrum.fit(structure.without(k)) for k in weakest), now)
         if best is now:
             return now
@@ -489,8 +485,8 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     """
     for _ in range(2):
         level = float(np.median(now.mean))
-        starts = [now.structure.with_markov(max(spectrum.n**p, 20.0), level) for p in TIMES]
-        fits = [spectrum.fit(s) for s in _ranked(spectrum, [[s] for s in starts if s])[:2]]
+        starts = [[now.structure.plus(markov(max(spectrum.n**p, 20.0), level))] for p in TIMES]
+        fits = [spectrum.fit(s) for s in _ranked(spectrum, starts)[:2]]
         best = min((f for f in fits if _keeps_white(now, f)), key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break

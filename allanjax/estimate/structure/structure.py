@@ -1,30 +1,28 @@
-"""Structure of a spectrum: a component for every slot of the joint spectral model, and its fit."""
+"""Structure of a spectrum: the components and the response that it consists of, and their fit."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from allanjax.estimate.spectral.components import (
-    BUTTERWORTH_1,
-    NONE,
-    SHAPED,
-    Levels,
-    bandwidths,
-    columns_of,
-    markov,
-    oscillator,
-    passed,
-    response_of_kind,
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, passed
+from allanjax.estimate.spectral.fit import model_error
+from allanjax.estimate.spectral.model import (
+    Component,
+    Composition,
+    Joint,
+    Maximum,
+    covariance,
+    maximize,
+    response_of,
 )
-from allanjax.estimate.spectral.fit import CLOSE, FILTER, UNSTEADY
-from allanjax.estimate.spectral.model import FULL, Maximum, Slots, covariance, maximize
 from allanjax.noise.model import Model
-from allanjax.noise.response import Response
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
 from allanjax.spectrum.cosine import Bins
 
@@ -33,10 +31,6 @@ FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_w
 QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
 #: Column of a further term, whose shape is given.
 FURTHER = OUTSIDE + 1
-# Places of the shapes among all shapes.
-_TIMES, _FREQUENCIES, _QUALITIES, _RESPONSE = (
-    k - FULL.components for k in (FULL.times, FULL.frequencies, FULL.qualities, FULL.response)
-)
 #: Least quality factor of a resonance: a wider one is an edge, as of a filter.
 LEAST_QUALITY = 1.5
 #: Coefficients below this one contain drift; a resonance narrower than so many coefficients is a line.
@@ -51,146 +45,109 @@ _ERROR = 0.005
 _DEEP = 3.0
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
 ROUGH, FINE = 1e-2, 1e-7
-# Fields of a structure with a value for each component.
-_SLOTS = ("power", "active", "inside")
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
 FREQUENCIES = 32.0
-# Prior of ln(Q − ½) of resonances: mean and standard deviation. A judgement.
-_QUALITY = (np.log(10.0), 3.0)
+# Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
+_QUALITY = (math.log(10.0), 1.0 / 9.0)
 # Largest distance of a frequency from its start, in ln.
 _REACH = 0.7
 #: Log prior odds against a component [nats]: a judgement, twenty to one.
 PRICE = 3.0
 # Unit of the widths of the priors of powers, quality factors and bandwidth, in ln.
-_DECADES = np.log(10.0)
+_DECADES = math.log(10.0)
+
+
+def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
+    """Resonance at a frequency [radians per sample]."""
+    return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
+
+
+def markov(time: float, power: float) -> Component:
+    """Markov process of a correlation time [samples], inside the response."""
+    return Component(kinds.MARKOV, power, (math.log(time),), True)
+
+
+def _column(which: int) -> Component:
+    # The output is rounded; and a term of its own kind may have no closed form behind a response.
+    return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Structure:
-    """Components in slots, with their values or start values.
+class Structure(Composition):
+    """Composition of a record's spectrum, with values or start values.
 
     Attributes:
-        power: power of each component [rate²], zero for unused ones.
-        shape: the parameters of the joint spectral model that follow the powers, in ln.
-        active: components in use.
-        inside: components that pass through the response.
-        kind: kind of the response, see `spectral.components`.
         further: the term of column `FURTHER`, with unit amplitude.
     """
 
-    power: Float[np.ndarray, " components"]
-    shape: Float[np.ndarray, " shapes"]
-    active: Bool[np.ndarray, " components"]
-    inside: Bool[np.ndarray, " components"]
-    kind: int = NONE
     further: NoiseTerm | None = None
 
     @classmethod
-    def plain(cls, columns: np.ndarray | list[int]) -> Structure:
+    def plain(cls, columns: Iterable[int]) -> Structure:
         """Structure of some columns only, of which all but quantization pass through a response, if any."""
-        active = np.isin(np.arange(FULL.components), columns)
-        inside = np.arange(FULL.components) < FULL.first_oscillator
-        # The output is rounded; and a term of its own kind may have no closed form behind a response.
-        inside[[QUANTIZATION, OUTSIDE, FURTHER]] = False
-        shape = Slots.of(FULL, np.zeros(FULL.parameters, bool), inside).usual()[FULL.components :]
-        return cls(np.zeros(FULL.components), shape, active, inside)
+        return cls(tuple(map(_column, columns)))
+
+    def place(self, column: int) -> int | None:
+        """Place of a column among the components; None if it is not one of them."""
+        found = (k for k, c in enumerate(self.components) if c.kind == kinds.COLUMN and c.which == column)
+        return next(found, None)
+
+    def column(self, column: int) -> Component:
+        """The component of a column, without power if there is none."""
+        k = self.place(column)
+        return _column(column) if k is None else self.components[k]
 
     @property
     def there(self) -> list[int]:
         """Components whose power is not zero."""
-        return [int(k) for k in np.flatnonzero(self.active & (self.power > 0.0))]
+        return [k for k, c in enumerate(self.components) if c.power > 0.0]
 
-    @property
-    def oscillators(self) -> np.ndarray:
-        """Indices of the resonances in use, among all oscillators."""
-        return np.flatnonzero(self.active[FULL.first_oscillator : FULL.first_other])
+    def plus(self, *components: Component) -> Structure:
+        """Structure with further components."""
+        return dataclasses.replace(self, components=(*self.components, *components))
 
-    @property
-    def markovs(self) -> np.ndarray:
-        """Indices of the Markov processes in use."""
-        return np.flatnonzero(self.active[FULL.first_markov : FULL.first_oscillator])
+    def with_column(self, column: int, power: float) -> Structure:
+        """Structure with a column of this power."""
+        k, own = self.place(column), self.column(column)._replace(power=power)
+        return self.plus(own) if k is None else self._changed({k: own})
 
-    def frequency(self, k: int) -> float:
-        """Frequency of an oscillator [radians per sample]."""
-        return float(np.exp(self.shape[_FREQUENCIES + k]))
-
-    def quality(self, k: int) -> float:
-        """Quality factor of an oscillator."""
-        return 0.5 + float(np.exp(self.shape[_QUALITIES + k]))
-
-    def width(self, k: int) -> float:
-        """Width of an oscillator's peak [radians per sample]."""
-        return self.frequency(k) / self.quality(k)
-
-    def are_close(self, i: int, k: int) -> bool:
-        """Whether two oscillators are so close that they may be one whose frequency drifts."""
-        return abs(self.frequency(i) - self.frequency(k)) < CLOSE * 0.5 * (self.width(i) + self.width(k))
-
-    def time(self, k: int) -> float:
-        """Correlation time of a Markov process [samples]."""
-        return float(np.exp(self.shape[_TIMES + k]))
-
-    @property
-    def bandwidth(self) -> tuple[float, float]:
-        """Bandwidth of the response [radians per sample], and its quality factor."""
-        w, q = np.exp(self.shape[_RESPONSE:])
-        return float(w), 0.5 + float(q)
-
-    def with_oscillator(
-        self, frequency: float, quality: float, power: float, inside: bool
-    ) -> Structure | None:
-        """Structure with one more resonance; None if no slot is free."""
-        slots = range(FULL.first_oscillator, FULL.first_other)
-        return self._added(slots, {_FREQUENCIES: frequency, _QUALITIES: quality - 0.5}, power, inside)
-
-    def with_markov(self, time: float, power: float) -> Structure | None:
-        """Structure with one more Markov process; None if no slot is free."""
-        return self._added(range(FULL.first_markov, FULL.first_oscillator), {_TIMES: time}, power, True)
-
-    def _added(self, slots: range, shapes: dict[int, float], power: float, inside: bool) -> Structure | None:
-        free = next((k for k in slots if not self.active[k]), None)
-        if free is None:
-            return None
-        shape = self.shape.copy()
-        for first, value in shapes.items():
-            shape[first + free - slots.start] = np.log(value)
-        return dataclasses.replace(self, shape=shape).using(free, power).placed(free, inside)
-
-    def with_response(self, kind: int, bandwidth: float, quality: float = np.sqrt(0.5)) -> Structure:
+    def with_response(self, kind: int, bandwidth: float, quality: float = math.sqrt(0.5)) -> Structure:
         """Structure with this response [radians per sample]."""
-        shape = np.append(self.shape[:_RESPONSE], np.log([bandwidth, quality - 0.5]))
-        return dataclasses.replace(self, shape=shape, kind=kind)
+        response = math.log(bandwidth), math.log(quality - 0.5)
+        return dataclasses.replace(self, kind=kind, response=response)
 
     def with_shape_of(self, other: Structure) -> Structure:
         """Structure with another one's response, its resonances and its white noise after the response."""
-        mine = np.arange(len(self.active)) >= FULL.first_oscillator
-        mine[OUTSIDE] = True
-        shape = np.append(self.shape[:_FREQUENCIES], other.shape[_FREQUENCIES:])
-        chosen = {name: np.where(mine, getattr(other, name), getattr(self, name)) for name in _SLOTS}
-        return dataclasses.replace(self, shape=shape, kind=other.kind, **chosen)
+        mine = (c for c in self.components if not _is_shape(c))
+        components = (*mine, *filter(_is_shape, other.components))
+        return dataclasses.replace(self, components=components, kind=other.kind, response=other.response)
 
     def has_shape_of(self, other: Structure) -> bool:
-        """Whether both have the same kind of response and the same resonances in use."""
-        return self.kind == other.kind and np.array_equal(self.oscillators, other.oscillators)
+        """Whether both have the same kind of response and as many resonances."""
+        return self.kind == other.kind and len(self.oscillators) == len(other.oscillators)
 
-    def placed(self, components: Any, inside: bool) -> Structure:
-        """Structure in which one or several components are inside the response or after it."""
-        places = self.inside.copy()
-        places[components] = inside
-        return dataclasses.replace(self, inside=places)
+    def placed(self, places: Collection[int | None], inside: bool) -> Structure:
+        """Structure in which these components are inside the response or after it."""
+        return self._changed({k: self.components[k]._replace(inside=inside) for k in places if k is not None})
 
-    def using(self, component: int, power: float) -> Structure:
-        """Structure in which a component is in use."""
-        return self._changed(component, True, power)
+    def without(self, *places: int | None) -> Structure:
+        """Structure without these components."""
+        return dataclasses.replace(
+            self, components=tuple(c for k, c in enumerate(self.components) if k not in places)
+        )
 
-    def without(self, component: int) -> Structure:
-        """Structure without one component."""
-        return self._changed(component, False, 0.0)
+    def with_powers(self, powers: Iterable[float]) -> Structure:
+        """Structure with these powers."""
+        both = zip(self.components, powers, strict=True)
+        return dataclasses.replace(self, components=tuple(c._replace(power=p) for c, p in both))
 
-    def _changed(self, component: int, here: bool, power: float) -> Structure:
-        active, powers = self.active.copy(), self.power.copy()
-        active[component], powers[component] = here, power
-        return dataclasses.replace(self, active=active, power=powers)
+    def _changed(self, new: dict[int, Component]) -> Structure:
+        components = tuple(new.get(k, c) for k, c in enumerate(self.components))
+        return dataclasses.replace(self, components=components)
+
+
+def _is_shape(component: Component) -> bool:
+    return component.kind == kinds.OSCILLATOR or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
 
 
 class Fitted(NamedTuple):
@@ -209,8 +166,8 @@ class Fitted(NamedTuple):
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
         """Covariance of powers [rate²] and shapes, in ln; zero for what is held or at a bound."""
-        moved = np.ones(FULL.parameters)
-        moved[: FULL.components] = self.structure.power + self.maximum.scale
+        theta, scale = self.maximum.theta, self.maximum.scale
+        moved = np.append(theta[: len(scale)] + scale, np.ones(len(theta) - len(scale)))
         return covariance(self.maximum) * np.outer(moved, moved)
 
 
@@ -219,7 +176,7 @@ class Spectrum:
     """Levels of the cosine spectrum of one record that structures are fitted to.
 
     Beside these: smooth ones, a first guess; the number of coefficients in each, the square of a model's
-    relative error there, and the expectations of components that were computed for these bins.
+    relative error there, and the expectations of components and responses that were computed for these bins.
     """
 
     bins: Bins
@@ -243,16 +200,10 @@ class Spectrum:
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
-        return cls(bins, Levels.of(bins, columns_of(terms, bins)), level, count).with_data(level, count)
-
-    def with_data(self, level: Float[np.ndarray, " m"], count: Float[np.ndarray, " m"]) -> Spectrum:
-        """Copy with these mean squares [rate²] and numbers of coefficients."""
-        around, total = (np.convolve(x, np.ones(7), "same") for x in (count, level * count))
-        rough, levels = (
-            np.maximum(total / np.maximum(around, 1e-9), 1e-300),
-            self.levels._replace(level=level),
-        )
-        return dataclasses.replace(self, levels=levels, rough=rough, size=count).with_error(_ERROR**2)
+        around, sums = (np.convolve(x, np.ones(7), "same") for x in (count, level * count))
+        rough = np.maximum(sums / np.maximum(around, 1e-9), 1e-300)
+        levels = Levels.of(bins, columns_of(terms, bins))._replace(level=level)
+        return cls(bins, levels, rough, count).with_error(_ERROR**2)
 
     def with_error(self, error: Any) -> Spectrum:
         """Copy for models with these squares of relative errors, of which models are to be compared only."""
@@ -268,102 +219,82 @@ class Spectrum:
     def weighing(self, fitted: Fitted, filters: bool = False) -> Spectrum:
         """Spectrum whose levels count less where a fit has its resonances, and deep in a filter's stop band.
 
-        Resonances drift, the more so where several stand for one that moves. No sensor's filter is just like
-        the model's, and its errors are common to an octave; in the pass band (`filters`) they count once the
+        No sensor's filter is just like the model's; in the pass band (`filters`) its errors count once the
         kind of filter is known, as they hide it.
         """
-        structure, oscillators = fitted.structure, fitted.structure.oscillators.tolist()
-        own = FULL.first_oscillator + fitted.structure.oscillators
-        resonant = structure.power[own, None] * fitted.maximum.model.unit[own] / fitted.mean
-        near = [sum(structure.are_close(i, k) for i in oscillators) for k in oscillators]
-        common = 0.0
-        if (response := response_of(structure, self.bins.rate)) is not None:
-            passed = np.asarray(response.power(self.bins.frequency, self.bins.rate))
-            fallen = -np.log(np.maximum(passed, 1e-300)) - (0.0 if filters else _DEEP)
-            common = (FILTER * np.maximum(fallen, 0.0)) ** 2 * self.bins.per_octave()
-        return self.with_error((UNSTEADY * np.array(near) @ resonant) ** 2 + _ERROR**2 + common)
+        allowed = 0.0 if filters else _DEEP
+        error = model_error(fitted.structure, fitted.maximum, self.bins, allowed, skirt=0.0)
+        return self.with_error(error + _ERROR**2)
 
     def loss_of(self, fitted: Fitted) -> float:
         """Minus the log-likelihood of these levels under a fit to others [nats]."""
         return float(self.levels.shape @ (np.log(fitted.mean) + self.levels.level / fitted.mean))
 
-    def units(self, structure: Structure, components: Sequence[int]) -> Float[np.ndarray, "some m"]:
-        """Levels of some components of a structure, of unit power."""
-        squares = [self._squares(structure, k) for k in components]
-        if structure.kind != NONE:
-            own = (structure.kind, *structure.bandwidth)
-            response = self._once(own, lambda: passed(self.levels, *own))
-            inside = structure.inside[components]
-            squares = [x * response if within else x for x, within in zip(squares, inside, strict=True)]
-        return np.mean(squares, axis=1)
-
-    def _squares(self, structure: Structure, component: int) -> Float[np.ndarray, "2 m"]:
-        """Expected squares at the nodes of a component of unit power before the response."""
-        if component < FULL.first_markov:
-            return self.levels.columns[component]
-        if component < FULL.first_oscillator:
-            time = structure.time(component - FULL.first_markov)
-            return self._once((time,), lambda: markov(self.levels, time))
-        k = component - FULL.first_oscillator
-        of = structure.frequency(k), structure.quality(k)
-        return self._once(of, lambda: oscillator(self.levels, *of))
-
-    def _once(self, key: tuple[float, ...], function: Callable[[], Any]) -> Any:
-        if key not in self.known:
-            self.known[key] = function()
-        return self.known[key]
+    def units(self, structure: Structure, components: Sequence[Component]) -> Float[np.ndarray, "some m"]:
+        """Levels of components of unit power before or after the response of a structure."""
+        for kind, function in kinds.CLOSED.items():
+            if new := [c.shape for c in components if c.kind == kind and c.shape not in self.known]:
+                self.known.update(zip(new, function(self.levels, np.array(new))[0], strict=True))
+        columns = self.levels.columns
+        squares = [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
+        if structure.kind != kinds.NONE:
+            key = (structure.kind, *structure.response)
+            if key not in self.known:
+                self.known[key] = passed(self.levels, structure.kind, *structure.bandwidth)
+            response = self.known[key]
+            squares = [x * response if c.inside else x for x, c in zip(squares, components, strict=True)]
+        return 0.5 * np.add(*np.swapaxes(squares, 0, 1))
 
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
         """Fit all components jointly."""
-        start = np.append(np.where(structure.active, structure.power, 0.0), structure.shape)
-        found = maximize(start, self._slots(structure), self.levels, self.rough, tolerance)
-        power = np.where(structure.active, found.theta[: FULL.components], 0.0)
-        better = dataclasses.replace(structure, power=power, shape=found.theta[FULL.components :])
-        return Fitted(better, self._evidence(found, better), found.loss, found.mean, found)
+        priors = self._priors(structure)
+        lower, upper, centre, precision, width = np.array(priors).T
+        free = np.ones(len(priors), bool)
+        free[-2:] = structure.kind != kinds.NONE, structure.kind in kinds.SHAPED
+        joint = Joint(structure, free, lower, np.maximum(upper, lower), centre, precision)
+        found = maximize(structure.parameters, joint, self.levels, self.rough, tolerance)
+        better = structure.with_parameters(found.theta)
+        evidence = self._evidence(found, better, width)
+        return Fitted(better, evidence, found.loss, found.mean, found)
 
-    def _slots(self, structure: Structure) -> Slots:
-        """What is estimated of a structure, with its bounds and priors."""
-        at, active, spacing = FULL, structure.active, np.pi / self.n
-        time, frequency = slice(at.times, at.frequencies), slice(at.frequencies, at.qualities)
-        quality, response = slice(at.qualities, at.response), at.response
-        resonant = active[at.first_oscillator : at.first_other]
-        filtered = [structure.kind != NONE, structure.kind in SHAPED]
-        free = np.concatenate([active, active[at.first_markov :], resonant, filtered])
-        slots = Slots.of(at, free, structure.inside, structure.kind)
-        lower, upper = slots.lower, slots.upper
-        lower[time], upper[time] = np.log(_SHORTEST), np.log(self.n)
-        started = structure.shape[_FREQUENCIES:_QUALITIES]
-        lower[frequency] = np.maximum(started - _REACH, np.log(LOWEST * spacing))
-        upper[frequency] = np.minimum(started + _REACH, np.log(np.pi))
-        lower[quality] = np.log(LEAST_QUALITY - 0.5)
-        upper[quality] = np.log(np.maximum(np.exp(started) / (LINE * spacing), 2.0) - 0.5)
+    def _priors(self, structure: Structure) -> list[tuple[float, float, float, float, float]]:
+        """Bounds of all parameters, mean and precision of a normal prior, and its width for the evidence."""
+        spacing = np.pi / self.n
+        rows = [(0.0, np.inf, 0.0, 0.0, 8.0 * _DECADES)] * len(structure.components)
+        for c in structure.components:
+            if c.kind == kinds.MARKOV:
+                rows.append((math.log(_SHORTEST), math.log(self.n), 0.0, 0.0, math.log(self.n)))
+            elif c.kind == kinds.OSCILLATOR:
+                lower = max(c.shape[0] - _REACH, math.log(LOWEST * spacing))
+                upper = min(c.shape[0] + _REACH, math.log(np.pi))
+                rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
+                highest = math.log(max(c.frequency / (LINE * spacing), 2.0) - 0.5)
+                rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
         least, most = bandwidths(structure.kind)
-        lower[response] = np.log(max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least))
-        upper[response] = np.log(min(4.0, most))
-        lower[response + 1], upper[response + 1] = np.log(0.02), np.log(20.0)
-        slots.upper[:] = np.maximum(upper, lower)
-        slots.centre[quality], slots.precision[quality] = _QUALITY[0], _QUALITY[1] ** -2
-        return slots
+        least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
+        rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
+        return [*rows, (math.log(0.02), math.log(20.0), 0.0, 0.0, math.log(20.0))]
 
-    def _evidence(self, found: Maximum, structure: Structure) -> float:
+    def _evidence(
+        self, found: Maximum, structure: Structure, width: Float[np.ndarray, " parameters"]
+    ) -> float:
         """Laplace's approximation, in which a parameter that the data do not determine costs nothing."""
-        at, n, free = FULL, self.n, found.interior
-        widths = [8.0 * _DECADES, np.log(n), np.log(n / FREQUENCIES), 4.0 * _DECADES, 2.0 * _DECADES]
-        counts = [at.components, at.markovs, at.oscillators, at.oscillators, 1, 1]
-        D = np.repeat([*widths, np.log(20.0)], counts)[free] / np.sqrt(2.0 * np.pi)
+        free = found.interior
+        D = width[free] / np.sqrt(2.0 * np.pi)
         F = found.information[np.ix_(free, free)]
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
-        used = structure.power > 0.0
-        more = int(used[OUTSIDE]) + int(np.sum(used[at.first_markov :]))
-        if structure.kind != NONE:
+        used = [structure.components[k] for k in structure.there]
+        more = sum(c.kind != kinds.COLUMN or c.which == OUTSIDE for c in used)
+        if structure.kind != kinds.NONE:
             # Quantization beside a filter may be the filter's shape, the more so before it.
-            more += 1 + int(used[QUANTIZATION]) * (1 + int(structure.inside[QUANTIZATION]))
+            rounded = structure.column(QUANTIZATION)
+            more += 1 + (rounded.power > 0.0) * (1 + rounded.inside)
         return float(-found.loss - 0.5 * logdet - PRICE * more)
 
 
 def model_of(structure: Structure, rate: float) -> Model:
     """Model with the values of a structure for samples at `rate` [Hz]."""
-    terms = [(term_of(structure, k, rate), structure.inside[k]) for k in structure.there]
+    terms = [(term_of(structure, k, rate), structure.components[k].inside) for k in structure.there]
     response = response_of(structure, rate)
     if response is None:
         return Model(tuple(term for term, _ in terms))
@@ -371,36 +302,24 @@ def model_of(structure: Structure, rate: float) -> Model:
     return (response * inside if len(inside) else inside) + after
 
 
-def response_of(structure: Structure, rate: float) -> Response | None:
-    """Response of a structure; None without one."""
-    w, quality = structure.bandwidth
-    return (
-        None
-        if structure.kind == NONE
-        else response_of_kind(structure.kind, w * rate / (2.0 * np.pi), quality)
-    )
-
-
 def order_of(structure: Structure) -> int:
     """Order of the response: its number of poles, 1 of a moving average."""
-    if structure.kind >= BUTTERWORTH_1:
-        return structure.kind - BUTTERWORTH_1 + 1
-    return 2 if structure.kind in SHAPED else 1
+    if structure.kind >= kinds.BUTTERWORTH_1:
+        return structure.kind - kinds.BUTTERWORTH_1 + 1
+    return 2 if structure.kind in kinds.SHAPED else 1
 
 
 def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
     """Term of component k; before the response if it passes through it."""
-    power = float(structure.power[k])
-    if k < OUTSIDE:
-        return basic_terms()[FIXED[k]].replace(coefficient=float(np.sqrt(power)))
-    if k == OUTSIDE:
-        return AngleRandomWalk(float(np.sqrt(power)))
-    if k == FURTHER and (further := structure.further) is not None:
-        return further.replace(**{further.amplitude_parameter().name: float(np.sqrt(power))})
-    if k < FULL.first_oscillator:
-        time = structure.time(k - FULL.first_markov) / rate
-        return Markov(float(np.sqrt(2.0 * power / time)), time)
-    k -= FULL.first_oscillator
-    return Resonance(
-        float(np.sqrt(power)), structure.frequency(k) * rate / (2.0 * np.pi), structure.quality(k)
-    )
+    component = structure.components[k]
+    root = math.sqrt(component.power)
+    if component.kind == kinds.MARKOV:
+        time = component.time / rate
+        return Markov(math.sqrt(2.0 / time) * root, time)
+    if component.kind == kinds.OSCILLATOR:
+        return Resonance(root, component.frequency * rate / (2.0 * np.pi), component.quality)
+    if component.which < OUTSIDE:
+        return basic_terms()[FIXED[component.which]].replace(coefficient=root)
+    if component.which == FURTHER and (further := structure.further) is not None:
+        return further.replace(**{further.amplitude_parameter().name: root})
+    return AngleRandomWalk(root)
