@@ -196,4 +196,4 @@ def test_long_records_are_cut_to_a_length_whose_transform_is_fast():
     white = recording(np.random.default_rng(0).standard_normal(n), RATE)
     used = aj.fit(white, "N", "whittle", as_is=True).results[0]
     m = used.spectrum.bins.n
-    assert largest_factor(m) <= 31 < min(map(largest_factor, range(m + 1, n + 1)))
+    assert largest_factor(m) <= 61 < min(map(largest_factor, range(m + 1, n + 1)))

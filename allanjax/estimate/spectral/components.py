@@ -127,7 +127,8 @@ class Place(NamedTuple):
         count = len(low)
         if smooth is not term:
             low = low + (above - self._from_density(smooth))[:, :count]
-        return xp.concatenate([xp.broadcast_to(low, (2, count)), above[:, count:]], axis=1)
+        # Where a term has next to nothing, rounding and the difference may leave less.
+        return xp.maximum(xp.concatenate([xp.broadcast_to(low, (2, count)), above[:, count:]], axis=1), 0.0)
 
     def _from_density(self, term: NoiseTerm) -> Float[Array, "2 m"]:
         """Expected squares [rate²] from the density of the samples, neglecting the record's finite length."""

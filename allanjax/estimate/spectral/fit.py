@@ -303,7 +303,10 @@ def error_of_powers(
     def excess(error: float) -> float:
         return chi_squared(ratio, dof, share_with_error(np.asarray(dof), per_octave, error)) - degrees
 
-    return float(brentq(excess, 0.0, 1e3)) if excess(0.0) > 0.0 else 0.0
+    if not excess(0.0) > 0.0:
+        return 0.0
+    # Levels may be beyond any error of the model, from a start that is far off.
+    return float(brentq(excess, 0.0, 1e3)) if excess(1e3) < 0.0 else 1e3
 
 
 def fit_levels(

@@ -32,9 +32,9 @@ from allanjax.noise.response import Response
 # and below which a step is taken back; by what factors it changes; and the largest one with which a small
 # step ends the iteration, and with which any does.
 _DAMPING, _GOOD, _BAD, _LESS, _MORE, _SLACK, _STUCK = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15, 0.1, 1e8
-# Expected gains of a step [nats]: of one that is taken in any case, of one that is near the maximum, and of
-# one at which a fit ends; most steps, and the longest one of a parameter, in ln.
-_SMALL, _NEARBY, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1.0, 1e-11, 200, 2.0
+# Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
+# steps, and the longest one of a parameter, in ln.
+_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-11, 200, 2.0
 # Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
 # smallest expected level, in units of the largest scale of a power.
 _CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
@@ -284,7 +284,7 @@ def maximize(
         damping, predicted, steps, converged = _DAMPING, np.inf, 0, False
         while not converged and steps < _STEPS and not np.isnan(predicted):
             steps += 1
-            trial, predicted = _next(best, joint, levels, damping, abs(predicted) > _NEARBY)
+            trial, predicted = _next(best, joint, levels, damping)
             # At a kink of a response no step gains anything.
             converged = (abs(predicted) < tolerance and damping < _SLACK) or damping > _STUCK
             if not converged:
@@ -313,21 +313,19 @@ def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]
 
 
 def _next(
-    best: Maximum, joint: Joint, levels: Levels, damping: float, far: bool
+    best: Maximum, joint: Joint, levels: Levels, damping: float
 ) -> tuple[Float[np.ndarray, " parameters"], float]:
     """The next place to try, and the gain to expect there.
 
-    Far from the maximum the curvature is that of the levels' deviances, with which steps are as long as in
-    logarithms; near it, the information.
+    The curvature is that of the levels' deviances: far from the maximum steps are as long as in logarithms.
     """
     slope, gradient, interior = _slopes(best, joint, levels)
     moving, weight = np.flatnonzero(interior), levels.shape
     slope, gradient = slope[moving], gradient[moving]
-    if far:
-        excess = levels.level / best.mean - 1.0
-        close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
-        deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
-        weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
+    excess = levels.level / best.mean - 1.0
+    close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
+    deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
+    weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
     curvature = (slope * weight) @ slope.T + np.diag(joint.precision[moving])
     size = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-12))
     damped = curvature * np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
