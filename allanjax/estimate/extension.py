@@ -20,7 +20,15 @@ from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import MARKOV, NONE
 from allanjax.estimate.spectral.model import CLOSE, response_of
-from allanjax.estimate.structure.search import Record, bins_around, completed, narrow, refitted, searched
+from allanjax.estimate.structure.search import (
+    TIMES,
+    Record,
+    bins_around,
+    completed,
+    narrow,
+    refitted,
+    searched,
+)
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
@@ -28,6 +36,7 @@ from allanjax.estimate.structure.structure import (
     OUTSIDE,
     QUANTIZATION,
     Structure,
+    markov,
     term_of,
 )
 from allanjax.estimate.whittle import fit_spectrum, spectrum_of
@@ -46,8 +55,9 @@ _BLOCK, _MEDIAN = 64, 0.4549
 # Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
 # absolute, that the removal of what is not detected may cause: judgements.
 _ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
-# Share of the discrepancy that must be removed, and fewest samples for a search.
-_LESS, _SHORTEST = 0.5, 1024
+# Share of the discrepancy that must be removed, and fewest samples for a search; and the shortest correlation
+# time [samples] that a Markov process starts from.
+_LESS, _SHORTEST, _SHORT = 0.5, 1024, 20.0
 
 
 class Content(NamedTuple):
@@ -133,6 +143,7 @@ def extended(
     if not besides or not content.plain_terms:
         return None
     selection = _selection(content, plain.axis)
+    content = content._replace(structure=_with_terms(content, selection))
     template, result = _detected(*_template(content, selection), plain.axis, x, rate)
     if not result.converged:
         return None
@@ -169,11 +180,30 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
     return rank_terms(candidates, bins, statistics, [axis], axis.name).results[0]
 
 
-def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[np.ndarray, " terms"]]:
-    """Model of the content with the chosen terms, and the terms in use; the others get a limit.
+def _with_terms(content: Content, selection: AxisSelection) -> Structure:
+    """Structure with the chosen terms, and as many Markov processes, slower than filtered white noise.
 
-    If no set of terms suffices, those with a free time were left out, and the model has the search's own.
+    If no set of terms suffices, those with a free time were left out, and the structure keeps its own.
     """
+    chosen, structure = selection.chosen.terms, content.structure
+    count, own = sum(label.startswith("markov") for label in chosen), structure.of_kind(MARKOV)
+    if selection.discrepancy > 0.0 or count == len(own):
+        return structure
+    structure = structure.without(*own, *map(structure.place, range(len(FIXED))))
+    for k, label in enumerate(FIXED):
+        structure = structure.with_column(k, 0.0) if label in chosen else structure
+    spectrum = Record(content.c**2, content.bins.rate).binned(structure)
+    for _ in range(count):
+        level = float(np.median(spectrum.rough))
+        starts = [structure.plus(markov(max(spectrum.n**p, _SHORT), level)) for p in TIMES]
+        structure = min(map(spectrum.fit, starts), key=lambda fit: fit.loss).structure
+    # What follows the response is as the search found it.
+    processes = [structure.components[k] for k in structure.of_kind(MARKOV)]
+    return content.structure.without(*own).plus(*processes)
+
+
+def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[np.ndarray, " terms"]]:
+    """Model of the content with the chosen terms, and the terms in use; the others get a limit."""
     structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
     after = structure.kind != NONE and not structure.column(QUANTIZATION).inside
     terms: list[tuple[NoiseTerm, bool, bool]] = []
@@ -182,12 +212,7 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
         # The search has chosen what follows the response.
         here = structure.place(k) is not None if k == QUANTIZATION and after else label in chosen
         terms.append((term, k is not None and structure.column(k).inside, here))
-    count, own = sum(label.startswith("markov") for label in chosen), structure.of_kind(MARKOV)
-    components = structure.oscillators
-    if selection.discrepancy > 0.0 or count == len(own):
-        components = own + components
-    else:
-        terms += [(Markov(), True, True)] * count
+    components = structure.of_kind(MARKOV) + structure.oscillators
     terms += [(term_of(structure, k, rate), structure.components[k].inside, True) for k in components]
     if structure.place(OUTSIDE) is not None:
         terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))

@@ -43,7 +43,7 @@ _SINGLE = 64
 #: Bins per octave above these.
 PER_OCTAVE = 6
 # Samples up to which a transform of any length is fast, and prime factors of fast lengths.
-_SHORT, _PRIMES = 1 << 15, (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61)
+_SHORT, _PRIMES = 1 << 18, (2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61)
 # Nodes of the quadratures over lags, between two of their edges.
 _LAG_ORDER = 12
 # Bins on either side of a line that are of one width; and the factor by which they grow beyond.

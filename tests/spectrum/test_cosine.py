@@ -192,7 +192,7 @@ def test_long_records_are_cut_to_a_length_whose_transform_is_fast():
     def largest_factor(m: int) -> int:
         return max(p for p in range(2, m + 1) if m % p == 0 and all(p % d for d in range(2, int(p**0.5) + 1)))
 
-    n = 40_009  # a prime
+    n = 300_007  # a prime
     white = recording(np.random.default_rng(0).standard_normal(n), RATE)
     used = aj.fit(white, "N", "whittle", as_is=True).results[0]
     m = used.spectrum.bins.n
