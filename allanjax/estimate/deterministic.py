@@ -142,6 +142,14 @@ def take_out_lines(
     return c, tuple(lines)
 
 
+def peaks_for(
+    model: Model, x: Float[np.ndarray, " n"], rate: float
+) -> tuple[()] | Float[np.ndarray, " peaks"]:
+    """Frequencies [Hz] to try for the lines and resonances of a model that come without one."""
+    searched = any(p.parameter.kind == "line" and p.start is None for p in model.parameters)
+    return find_lines(x, rate) if searched else ()
+
+
 def find_lines(
     x: Float[np.ndarray, " samples"], rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
 ) -> Float[np.ndarray, " peaks"]:
@@ -273,9 +281,9 @@ class AxisSpectrum(ByValue):
         owners = tuple(owner for owner, _ in everywhere)
         return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
 
-    def used(self, absent: Sequence[int] = ()) -> Bool[np.ndarray, " columns"]:
-        """Which columns are in use if the model lacks the terms `absent`."""
-        return np.array([owner not in absent for owner in self.owners], bool)
+    def used(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " columns"]:
+        """Which columns are in use if these terms are: theirs, and those of regressors."""
+        return np.array([isinstance(owner, str) or active[owner] for owner in self.owners], bool)
 
     def project(self, variance: Float[np.ndarray, " m"], used: np.ndarray) -> Projection:
         """Project out the columns in use, given the variance of the noise in each bin."""

@@ -22,11 +22,11 @@ from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from allanjax.base.errors import FitError
-from allanjax.estimate.design import free_shapes
+from allanjax.estimate.design import INSIDE, free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
-from allanjax.estimate.whittle import fit_whittle
+from allanjax.estimate.whittle import absent, fit_whittle
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
@@ -38,8 +38,8 @@ MOST = 100_000
 _DIFFERENCE, _LEAST = 1e-3, 1e-12
 # Most steps, longest step of a shape in ln, and gain of a step [nats] below which the maximum is reached.
 _STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
-# Bounds of a shape about its start, and margin from its own upper bound, in ln.
-_REACH, _INSIDE = 4.0, 1e-2
+# Bounds of a shape about its start, in ln.
+_REACH = 4.0
 # Hypothetical powers in standard deviations from the estimate: `ABOVE` from the lowest up to it, and above.
 _LOWEST = -7.0
 _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
@@ -82,15 +82,11 @@ def fit_exact(
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
     inferred, data = problem.inferred(at), (recording.n, recording.rate)
-    (found,) = coefficients_of(template, [start.axis], active[None], *inferred, *data)
+    found = coefficients_of(template, start.axis, active[None], *inferred, *data)
     values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
-    inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
-    return dataclasses.replace(
-        start,
-        _coefficients=values,
-        _covariance=np.nan_to_num(found.covariance),
-        _model=fitted_model(template, values, inactive),
-    ), True
+    model = fitted_model(template, values, absent(template, active))
+    result = dataclasses.replace(start, _coefficients=values, _covariance=found.covariance, _model=model)
+    return result, True
 
 
 class _Place(NamedTuple):
@@ -131,7 +127,7 @@ class _Problem:
         distance = np.where(np.isfinite(value) & ~self.is_power, value - self.origin, 1.0)
         self.start = np.where(self.is_power, value**2 / self.unit, np.log(distance))
         self.lower = np.where(self.is_power, 0.0, self.start - _REACH)
-        highest = np.maximum(np.log(end - self.origin) - _INSIDE, self.start)
+        highest = np.maximum(np.log(end - self.origin) - INSIDE, self.start)
         self.upper = np.where(self.is_power, np.inf, np.minimum(highest, self.start + _REACH))
 
     def innovations(self, thetas: Float[np.ndarray, "points p"]) -> tuple[np.ndarray, np.ndarray]:

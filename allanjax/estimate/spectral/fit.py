@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.estimate.design import Tangent, free_powers, free_shapes, of_owners
+from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
 from allanjax.estimate.spectral.expected import Others
@@ -28,11 +28,6 @@ from allanjax.spectrum.cosine import Bins
 _COLUMN, _MARKOV, _OSCILLATOR, _OTHER = range(4)
 # Power of what is not in use, which has levels, too, for its limit.
 _NOTHING = 1e-290
-# Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
-# starts of other shapes are two to a decade or denser.
-_REACH = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound in ln, since the bound is open.
-_INSIDE = 1e-2
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits.
@@ -199,7 +194,6 @@ class Arrangement(NamedTuple):
             means=base[None],
             by_shape=by_shape[None],
             owner=owner,
-            movable=np.ones(len(owner), bool),
             degrees=fit.degrees,
             per_octave=self.bins.per_octave(),
         )
@@ -378,10 +372,10 @@ def _maximum(
     start[component] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
     lower, upper, terms = np.array(slots.lower), np.array(slots.upper), len(arrangement.model)
     for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
-        reach, top = _REACH[p.parameter.kind], p.parameter.upper
+        reach, top = REACH[p.parameter.kind], p.parameter.upper
         if p.term == terms and p.parameter.name == "bandwidth":
             top = bandwidths(int(slots.kind))[1] * arrangement.rate / (2.0 * np.pi)
-        end = np.log(top - p.parameter.lower) - _INSIDE + u
+        end = np.log(top - p.parameter.lower) - INSIDE + u
         lower[k], upper[k] = max(lower[k], start[k] - reach), min(start[k] + reach, end)
     slots = dataclasses.replace(slots, free=estimated, lower=lower, upper=upper)
     found: Any = maximize(start, slots, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
