@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
@@ -17,11 +16,11 @@ from allanjax.estimate.design import (
     Tangent,
     find_starts,
     free_powers,
+    geometry_of,
     moments_behind,
-    quadrature_order,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import Line, lines_of, needs_record, peaks_for, take_out_lines
+from allanjax.estimate.deterministic import Line, Peaks, lines_of, needs_record, peaks_for, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Inference,
@@ -37,7 +36,8 @@ from allanjax.estimate.whittle import axis_fit, fit_whittle, spectrum_of, with_m
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
-from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
+from allanjax.wavelets.variance import WaveletFilter, mean_squares
+from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
@@ -61,7 +61,7 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, which is needed to find lines and resonances.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ALLAN_CAPACITY)
+    design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
     place = curve.n, curve.rate
     results = _fit_estimates(design, curve.variance, place, axes, template, active, values)
     return results, _under_models(curve, template, results)[0]
@@ -85,7 +85,7 @@ def fit_wavelet(
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
     design = AllanDesign.of_geometry(
-        template, recording.rate, geometry_of(found, levels, *place), ALLAN_CAPACITY[1]
+        template, recording.rate, wavelet_geometry(found, levels, *place), ALLAN_CAPACITY[1]
     )
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
     return _fit_estimates(design, variance, place, recording.axes, template, active, None)
@@ -125,15 +125,11 @@ def _fit_estimates(
     indices, wanted = lines_of(template)
     slots, results = len(design.scatters), []
     for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
-        model, lines, peaks = (
-            template,
-            dict[int, Line](),
-            () if x is None else peaks_for(template, x, place[1]),
-        )
-        if x is not None:
-            lines = dict(zip(indices, take_out_lines(x - x.mean(), place[1], wanted)[1], strict=True))
-        if lines:
+        model, lines = template, dict[int, Line]()
+        peaks = () if x is None else peaks_for(template, x, place[1])
+        if wanted and x is not None:
             # The record determines a line far better than its Allan variances do.
+            lines = dict(zip(indices, take_out_lines(x - x.mean(), place[1], wanted)[1], strict=True))
             model = _with_lines(template, lines)
             design = AllanDesign.of_geometry(model, place[1], design.geometry, slots)
         here, variance = active[[k]], variances[:, [k]].T
@@ -169,15 +165,14 @@ def solve_and_infer(
     active: Bool[np.ndarray, "axes terms"],
     n: int,
     rate: float,
-    peaks: Sequence[float] | Float[np.ndarray, " peaks"] = (),
+    peaks: Peaks = (),
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution of each axis over its starts, the inference around it, and its misfit.
 
     Args:
-        model, design: the model, and its design for these estimates.
+        model, design: the model, and its design for these estimates of n samples at `rate` [Hz].
         variance: the estimates.
         active: the terms that each axis has.
-        n, rate: number of samples, and their rate [Hz].
         peaks: frequencies [Hz] to start resonances from.
     """
     from scipy.ndimage import median_filter
@@ -187,17 +182,15 @@ def solve_and_infer(
     smooth = np.exp(median_filter(np.log(np.maximum(variance, 1e-300)), (1, 5), mode="nearest"))
     clusters = n / design.geometry.sizes[: variance.shape[1]]
     starts = find_starts(model, candidates, design.units(candidates), smooth, clusters, active)
-    powers, shapes = (x.swapaxes(0, 1) for x in starts)
-    solution = solve(design, variance, free, active, powers[0], shapes[0])
-    # The cost may have several minima in a correlation time: all starts are tried.
-    for power, shape in zip(powers[1:], shapes[1:], strict=True):
-        other = solve(design, variance, free, active, power, shape)
+    solution, *others = (
+        solve(design, variance, free, active, power, shape)
+        for power, shape in zip(*(x.swapaxes(0, 1) for x in starts), strict=True)
+    )
+    # The cost may have several minima in a correlation time: the best one counts.
+    for other in others:
         better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
-        chosen = (
-            np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y)
-            for x, y in zip(other, solution, strict=True)
-        )
-        solution = Solution(*chosen)
+        both = zip(other, solution, strict=True)
+        solution = Solution(*(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in both))
     tangent = design.tangent(solution.shape)
     misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)
     solution = widened(solution, misfits)
@@ -276,8 +269,7 @@ def _under_models(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[AllanDeviation, Float[np.ndarray, "m axes"]]:
     """Curve with degrees of freedom 2μ²/Var under the fitted models, and their variances μ, if there are."""
-    place = curve.n, curve.rate, curve.cluster_size
-    geometry = AllanCovariance.of(*place, quadrature_order(template), curve.strides)
+    geometry = geometry_of(curve, template)
     edf, means = np.array(curve.edf), np.full(curve.edf.shape, np.nan)
     for k, result in enumerate(results):
         if result.converged:

@@ -152,7 +152,7 @@ def fit_many(
     )
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, "the curve")
     capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (capacity, 0))
+    design = AllanDesign.of(template, curve, (capacity, 0))
     blocks = for_each(
         lambda k: _of_block(curve, template, design, variance[k : k + _BLOCK]),
         range(0, len(variance), _BLOCK),
@@ -172,15 +172,11 @@ def _of_block(
     found, converged = estimates_of(template, active, solution, inference), solution.converged
     measured = converged & [m is None or not m.excessive for m in misfits]
 
-    def known(x: Float[np.ndarray, "axes params"], where: Bool[np.ndarray, " axes"] = measured) -> Any:
-        return np.where(where[:, None], x, np.nan)
-
+    ends = found.ends.transpose(2, 0, 1)
+    known = {"std": found.std, "lower": ends[0], "upper": ends[1], "upper_limit": ends[4]}
     arrays = {
-        "value": known(found.value, converged),
-        "std": known(found.std),
-        "lower": known(found.ends[..., 0]),
-        "upper": known(found.ends[..., 1]),
-        "upper_limit": known(found.ends[..., 4]),
+        "value": np.where(converged[:, None], found.value, np.nan),
+        **{name: np.where(measured[:, None], x, np.nan) for name, x in known.items()},
         "detected": found.detected & measured[:, None],
         "converged": converged,
         "chi2": solution.chi2,

@@ -11,7 +11,7 @@ import abc
 import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -20,9 +20,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance
+from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened, whiten
+from allanjax.estimate.deterministic import Peaks
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
@@ -50,6 +52,10 @@ _STARTS = 4
 _APART = {"line": 0.02}
 
 
+_Power: TypeAlias = Float[np.ndarray, "axes h terms"]
+_Columns: TypeAlias = Float[np.ndarray, "axes h m k"]
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Tangent(abc.ABC):
     """Model of estimates around the solutions of several axes, linear in the shapes; of one axis for all.
@@ -65,23 +71,17 @@ class Tangent(abc.ABC):
     owner: Int[np.ndarray, " shapes"]
 
     @abc.abstractmethod
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes h m"]:
         """Variances of the estimates for these powers of the terms."""
 
     @abc.abstractmethod
-    def weighed(
-        self,
-        power: Float[np.ndarray, "axes h terms"],
-        error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
+    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
         """Columns C⁻¹X for relative residuals of covariance C, with a relative error of the model."""
 
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> Tangent:
         """The same for these axes only."""
-        names = ("means", "by_shape", "products")
-        arrays = {name: x[axes] for name in names if len(x := getattr(self, name, ())) > 1}
-        return dataclasses.replace(self, **arrays)
+        arrays = {name: getattr(self, name, ()) for name in ("means", "by_shape", "products")}
+        return dataclasses.replace(self, **{name: x[axes] for name, x in arrays.items() if len(x) > 1})
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,19 +95,14 @@ class AllanTangent(Tangent):
     octaves: Float[np.ndarray, "m m"]
     ridge: float
 
-    def covariance(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m m"]:
+    def covariance(self, power: _Power) -> Float[np.ndarray, "axes h m m"]:
         squares = (power[..., None] * power[..., None, :]).reshape(*power.shape[:2], -1)
         return (squares @ self.products).reshape(*power.shape[:2], *self.octaves.shape)
 
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes h m"]:
         return np.einsum("...ii->...i", self.covariance(power))
 
-    def weighed(
-        self,
-        power: Float[np.ndarray, "axes h terms"],
-        error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
+    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
         relative, mean = self.covariance(power), power @ self.means
         relative /= mean[..., None]
         relative /= mean[..., None, :]
@@ -164,13 +159,10 @@ class AllanDesign(eqx.Module):
     such terms: lengths, rates, cluster sizes and all other terms.
 
     Attributes:
-        shapes: the free shapes.
         geometry, octaves, ridge: quadrature of the covariance; what two estimates share of a relative error
             of the model; relative addition to the variances.
-        terms: number of terms.
-        fixed: expectation of the estimates for each term of unit amplitude, `products` their covariance as a
-            bilinear form in the powers; zero for terms with free shapes.
-        kernels: kernels of the terms; None if there are no free shapes.
+        fixed, products, kernels: expectations of the estimates for each term of unit amplitude, their
+            covariance as a bilinear form in the powers, and kernels; zero for terms with free shapes.
         scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
             every record, and that of a narrow-band term by `_narrow_band_scatter`.
         moving: terms with free shapes, which are None, of unit amplitude, and `places` of these among all.
@@ -189,22 +181,13 @@ class AllanDesign(eqx.Module):
     places: Int[np.ndarray, " moving"]
 
     @classmethod
-    def of(
-        cls,
-        model: Model,
-        n: int,
-        rate: float,
-        sizes: Int[np.ndarray, " m"],
-        strides: Int[np.ndarray, " m"] | None = None,
-        capacity: tuple[int, int] = (0, 0),
-    ) -> AllanDesign:
-        """Design of a noise model for Allan variances at these cluster sizes of n samples.
+    def of(cls, model: Model, curve: AllanDeviation, capacity: tuple[int, int] = (0, 0)) -> AllanDesign:
+        """Design of a noise model for the Allan variances of a curve.
 
-        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays are
-        padded to at least the `capacity` of cluster sizes and terms, so that compiled functions are reused.
+        Arrays are padded to at least the `capacity` of cluster sizes and terms, so that compiled functions
+        are reused.
         """
-        geometry = AllanCovariance.of(n, rate, sizes, quadrature_order(model), strides, capacity[0])
-        return cls.of_geometry(model, rate, geometry, capacity[1])
+        return cls.of_geometry(model, curve.rate, geometry_of(curve, model, capacity[0]), capacity[1])
 
     @classmethod
     def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
@@ -219,7 +202,7 @@ class AllanDesign(eqx.Module):
             shapes=tuple(FreeShape(places.index(p.term), p.parameter) for p in free),
             geometry=geometry,
             octaves=np.exp(-np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))),
-            ridge=np.asarray(_OSCILLATING_RIDGE if quadrature_order(model) > _ORDER else _RIDGE),
+            ridge=np.asarray(_OSCILLATING_RIDGE if _order(model) > _ORDER else _RIDGE),
             terms=np.asarray(len(model)),
             fixed=fixed,
             products=products,
@@ -332,8 +315,14 @@ def _around(design: AllanDesign, shape: Float[ArrayLike, "axes shapes"]) -> tupl
     return jax.lax.map(lambda u: (design.means(u), slope(u), design.products_at(u)), jnp.asarray(shape))
 
 
-def quadrature_order(model: Model) -> int:
-    """Order of the quadrature of covariances; terms that oscillate need more nodes."""
+def geometry_of(curve: AllanDeviation, model: Model, capacity: int = 0) -> AllanCovariance:
+    """Quadrature of the covariance of a curve's Allan variances for a model."""
+    place = curve.n, curve.rate, curve.cluster_size
+    return AllanCovariance.of(*place, _order(model), curve.strides, capacity)
+
+
+def _order(model: Model) -> int:
+    """Order of the quadrature; terms that oscillate need more nodes."""
     return _OSCILLATING_ORDER if any(term.oscillates for term in model.terms) else _ORDER
 
 
@@ -355,11 +344,7 @@ def _scatters(terms: Iterable[Process]) -> Bool[np.ndarray, " terms"]:
 
 def _parts(
     terms: dict[int, Any], geometry: AllanCovariance, slots: int
-) -> tuple[
-    Float[np.ndarray, "slots m"],
-    Float[np.ndarray, "slots lags pairs"],
-    Float[np.ndarray, "slots slots pairs"],
-]:
+) -> tuple[Float[np.ndarray, "slots m"], Float[np.ndarray, "slots lags pairs"], np.ndarray]:
     """Expectations, kernels and products of the terms in these slots; zero for the others."""
     means = np.zeros((slots, len(geometry.sizes)))
     kernels = np.zeros((slots, *geometry.lags.shape))
@@ -460,7 +445,7 @@ def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"
 
 
 def shape_candidates(
-    model: Model, duration: float, rate: float, peaks: Sequence[float] | Float[np.ndarray, " peaks"] = ()
+    model: Model, duration: float, rate: float, peaks: Peaks = ()
 ) -> Float[np.ndarray, "candidates shapes"]:
     """Transformed values of a model's free shapes to try in a record of this duration [s].
 
@@ -480,13 +465,10 @@ def shape_candidates(
             return np.geomspace(rate / 200.0, rate / 3.0, 8)
         if own.kind == "number" and own.upper < np.inf:
             return np.linspace(own.lower, own.upper, 9)[1:-1]
-        by_kind = {
-            "time": correlation_times(duration, rate),
-            "frequency": np.geomspace(4.0 / duration, rate / 4.0, 16),
-            "line": peaks,
-            "number": own.lower + np.array([1.0, 5.0, 25.0]),
-        }
-        return by_kind[own.kind]
+        if own.kind == "frequency":
+            return np.geomspace(4.0 / duration, rate / 4.0, 16)
+        by_kind = {"time": correlation_times(duration, rate), "line": peaks}
+        return by_kind.get(own.kind, own.lower + np.array([1.0, 5.0, 25.0]))
 
     grid = np.array(list(itertools.product(*map(choices, shapes))))
     if len(grid) > _CANDIDATES:

@@ -14,9 +14,8 @@ regression on the amplitude; those of shapes are by the information.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
@@ -31,6 +30,8 @@ from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.recording import Recording
+
+_Vector: TypeAlias = Float[np.ndarray, " p"]
 
 #: Most samples of a record.
 MOST = 100_000
@@ -92,11 +93,11 @@ def fit_exact(
 class _Place(NamedTuple):
     """Parameters, the likelihood there, its score and information, the next step, and its expected gain."""
 
-    theta: Float[np.ndarray, " p"]
+    theta: _Vector
     log_likelihood: float
-    score: Float[np.ndarray, " p"]
+    score: _Vector
     information: Float[np.ndarray, "p p"]
-    step: Float[np.ndarray, " p"]
+    step: _Vector
     gain: float
 
     def covariance(self, of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
@@ -137,7 +138,7 @@ class _Problem:
         models = [self.template.with_values(**dict(zip(self.labels, row, strict=True))) for row in rows]
         return innovations_under(models, *self.data)
 
-    def place(self, theta: Float[np.ndarray, " p"]) -> _Place:
+    def place(self, theta: _Vector) -> _Place:
         """Likelihood and its derivatives at these parameters."""
         move = np.diag(_DIFFERENCE * np.where(self.is_power, np.maximum(theta, 1e-2), 1.0))[self.moves]
         # At zero power the difference is one-sided.
@@ -177,10 +178,10 @@ class _Problem:
         tests = np.full((2, terms, ABOVE + len(_ABOVE)), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
             tests[:, k] = self._hypotheses(at, k, inside)
-        solved: Any = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        found: Any = (covariance, *tests, np.full(terms, np.inf))
+        solved = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
+        found = (covariance, *tests, np.full(terms, np.inf))
         # As of several axes.
-        return jax.tree.map(lambda x: np.asarray(x)[None], (Solution(*solved), Inference(*found)))
+        return Solution(*(np.asarray(x)[None] for x in solved)), Inference(*(x[None] for x in found))
 
     def _hypotheses(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "2 grid"]:
         """Hypothetical powers of a term, and signed roots of the likelihood ratio of each.

@@ -35,8 +35,6 @@ _STEPS, _INNER_STEPS = _WARM + 100, 20
 _MAX_EXTRAPOLATION = 5.0
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
-# A model whose χ² is so many times too large after so many steps is not tried further without an error.
-_HOPELESS, _TRIED = 4.0, _WARM + 5
 _LEAST_ERROR = 1e-4
 
 
@@ -87,14 +85,10 @@ class _State(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """Data of one axis, the part of the model that is fitted to them, and the start.
+    """Data of one axis, the model that is fitted to them, and the start; see `solve`.
 
-    Attributes:
-        design, V, free, active: as in `solve`.
-        power, shape: where the fit starts; inactive terms have zero power, held ones keep theirs.
-        moves, lower, upper: the shapes of active terms, which are fitted, and bounds of all.
-        still: means and products if no shape moves, computed once.
-        dof: degrees of freedom of χ².
+    `still` are means and products if no shape moves, computed once; `moves`, `lower` and `upper` tell which
+    shapes are fitted, and their bounds; `dof` are the degrees of freedom of χ².
     """
 
     design: AllanDesign
@@ -113,14 +107,13 @@ class _Problem(NamedTuple):
     def of(
         cls, design: AllanDesign, V: Array, free: Array, active: Array, power: Array, shape: Array
     ) -> _Problem:
-        declared = [s.parameter for s in design.shapes]
-        reach = jnp.asarray([REACH[p.kind] for p in declared])
-        end = jnp.asarray([np.log(p.upper - p.lower) for p in declared]) - INSIDE
-        moves = active[jnp.asarray(design.owner)]
+        reach = jnp.asarray([REACH[s.parameter.kind] for s in design.shapes])
+        end = jnp.asarray([np.log(s.parameter.upper - s.parameter.lower) for s in design.shapes]) - INSIDE
+        moves, power = active[jnp.asarray(design.owner)], jnp.where(active, power, 0.0)
         dof = jnp.maximum(design.geometry.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
         still = None if design.shapes else (design.means(shape), design.products_at(shape))
         bounds = (shape - reach, jnp.minimum(shape + reach, end))
-        return cls(design, V, free, active, jnp.where(active, power, 0.0), shape, moves, *bounds, still, dof)
+        return cls(design, V, free, active, power, shape, moves, *bounds, still, dof)
 
     def within(self, u: Array) -> Float[Array, " shapes"]:
         """Shapes clipped to their bounds; those that are not fitted stay at their start."""
@@ -162,13 +155,9 @@ class _Problem(NamedTuple):
                 return self.powers(self.within(u), W, state.mean)[1]
 
             # Not the default QR: see `linalg` about batches of LAPACK calls.
-            linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
-            solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
-                rtol=1e-6, atol=1e-6, linear_solver=linear
-            )
-            found: optx.Solution = optx.least_squares(
-                residual, solver, shape, max_steps=_INNER_STEPS, throw=False
-            )
+            linear: Any = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
+            solver: Any = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=linear)
+            found: Any = optx.least_squares(residual, solver, shape, max_steps=_INNER_STEPS, throw=False)
             shape = jnp.where(jnp.isfinite(found.value), self.within(found.value), shape)
         return self.powers(shape, W, state.mean)[0], shape
 
@@ -207,10 +196,10 @@ class _Problem(NamedTuple):
         )
         limit, excess = beyond_doubt(self.dof), with_error / self.dof
         # With few clusters the tail is heavier than that of χ².
-        suffices, last = chi2 < limit, k + 1 == _STEPS
+        suffices = chi2 < limit
         known = ~tolerant | (jnp.abs(excess - 1.0) < 0.02) | (error <= _LEAST_ERROR) & suffices
         settled = (k >= _WARM) & (moved < _TOLERANCE) & known
-        ended = settled | last | ~tolerant & (k >= _TRIED) & (chi2 > _HOPELESS * limit)
+        ended = settled | (k + 1 == _STEPS)
         # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
         adapted = jnp.where(tolerant, jnp.clip(error * jnp.sqrt(excess), _LEAST_ERROR, 10.0), 0.0)
         warm = jnp.asarray(_WARM_UP)[tolerant.astype(int), jnp.minimum(k + 1, _WARM - 1)]

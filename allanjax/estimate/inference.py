@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.estimate.design import Tangent, of_owners
-from allanjax.estimate.deterministic import Line, amplitude_quantile
+from allanjax.estimate.deterministic import Line, amplitude_quantiles
 from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
@@ -38,8 +38,9 @@ ABOVE = len(_BELOW)
 _FAR_ENOUGH = 2.0
 # Probability that a ceiling is too low.
 _CHANCE = 0.025
-# Numbers that are computed together.
-_TOGETHER = 400_000
+_Terms: TypeAlias = Float[np.ndarray, "axes terms"]
+_Grid: TypeAlias = Float[np.ndarray, "axes grid"]
+_Index: TypeAlias = Int[np.ndarray, " axes"]
 
 
 class Inference(NamedTuple):
@@ -67,27 +68,19 @@ def infer(
 ) -> Inference:
     """Covariance of the parameters, and for each term the distance of the data from hypothetical powers.
 
-    The first hypothesis is v = 0. Upwards, hypotheses continue until the data exclude one, and the other
-    powers are fitted anew at each, since far away a linear prediction of them is useless. Hypotheses that are
-    not tested are NaN.
-
+    Hypotheses lead from the estimate down to v = 0, and up, until the data exclude one; the others are NaN.
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
-    powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
-    with v. It exists for inactive terms too, whose upper limits it gives.
+    powers fitted anew), so that it is right at the boundary v = 0 as well as where the scatter grows with v.
+    It exists for inactive terms too, whose upper limits it gives.
     """
-    power, error = solution.power, solution.power_error
-    owner, count = tangent.owner, power.shape
+    power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
-    axes = _Axes(tangent, V, active, active & free, power, error, has_shape)
+    axes = _Axes(tangent, V, active, active & free, power, solution.power_error, has_shape)
     estimated = np.concatenate([axes.fitted, has_shape], axis=1)
     covariance = axes.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
-    # Every term of every axis, as many together as fit into little memory.
-    axis, term = (x.ravel() for x in np.indices(count))
-    blocks = np.array_split(
-        np.arange(len(axis)), -(-len(axis) * V.shape[1] * estimated.shape[1] // _TOGETHER)
-    )
-    tests = [axes.of_axes(axis[some]).hypotheses(term[some]) for some in blocks]
-    power_at, pivot_at = (np.concatenate(x).reshape(*count, -1) for x in zip(*tests, strict=True))
+    # Every term of every axis.
+    axis, term = (x.ravel() for x in np.indices(power.shape))
+    power_at, pivot_at = (x.reshape(*power.shape, -1) for x in axes.of_axes(axis).hypotheses(term))
     return Inference(covariance, power_at, pivot_at, axes.ceiling())
 
 
@@ -150,7 +143,7 @@ class _Axes(NamedTuple):
 
     def scores(
         self,
-        term: Int[np.ndarray, " axes"],
+        term: _Index,
         power: Float[np.ndarray, "axes h terms"],
         estimated: Bool[np.ndarray, "axes h params"],
     ) -> Float[np.ndarray, "axes h"]:
@@ -165,9 +158,7 @@ class _Axes(NamedTuple):
         t = there.step[axis, :, term] / np.sqrt(variance)
         return _normal_score(t, np.minimum(third / variance**1.5, most))
 
-    def profiled(
-        self, power: Float[np.ndarray, "axes terms"], allowed: Bool[np.ndarray, "axes terms"]
-    ) -> Float[np.ndarray, "axes terms"]:
+    def profiled(self, power: _Terms, allowed: Bool[np.ndarray, "axes terms"]) -> _Terms:
         """Powers, the allowed ones fitted to the data with weights from the covariance at `power`.
 
         Negative ones are left out, one set after another.
@@ -189,9 +180,7 @@ class _Axes(NamedTuple):
             positive = positive & (x >= 0.0)
         return np.where(allowed, np.maximum(x, 0.0) / size, power)
 
-    def hypotheses(
-        self, term: Int[np.ndarray, " axes"]
-    ) -> tuple[Float[np.ndarray, "axes grid"], Float[np.ndarray, "axes grid"]]:
+    def hypotheses(self, term: _Index) -> tuple[_Grid, _Grid]:
         """Hypothetical powers of a term of each axis, and the data's distance from each."""
         axis, alone = np.arange(len(term)), np.eye(self.power.shape[1], dtype=bool)[term]
         # The term under test is estimated even if inactive; its shape may be unknown.
@@ -207,9 +196,7 @@ class _Axes(NamedTuple):
         )
         return np.concatenate([down, up], axis=1), np.concatenate([below[:, ::-1], above], axis=1)
 
-    def _walked(
-        self, term: Int[np.ndarray, " axes"], v: Float[np.ndarray, "axes grid"], sign: int
-    ) -> Float[np.ndarray, "axes grid"]:
+    def _walked(self, term: _Index, v: _Grid, sign: int) -> _Grid:
         """Distance from each of these powers, from the estimate on, until the data exclude one.
 
         The other powers are fitted anew at each, with the weights of the last.
@@ -232,7 +219,7 @@ class _Axes(NamedTuple):
                 break
         return scores
 
-    def ceiling(self) -> Float[np.ndarray, "axes terms"]:
+    def ceiling(self) -> _Terms:
         """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
         Other terms can only add to an estimate, so that V ≥ v·mean·e^(error·z)·χ²/ν, with a normal z. With m
@@ -251,9 +238,7 @@ class _Axes(NamedTuple):
         return np.min(highest, axis=2)
 
 
-def _normal_score(
-    t: Float[np.ndarray, "axes h"], skewness: Float[np.ndarray, "axes h"]
-) -> Float[np.ndarray, "axes h"]:
+def _normal_score(t: _Grid, skewness: _Grid) -> _Grid:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
     With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
@@ -465,8 +450,8 @@ def deterministic_coefficients(
         if not p.free:
             value, std, ends, seen = float(p.start or 0.0), 0.0, [float(p.start or 0.0)] * 5, True
         elif p.parameter.is_amplitude:
-            levels = ndtr(np.append(_LEVELS, 0.0)).tolist()
-            *ends, value = (unit * amplitude_quantile(square, len(amplitude), level) for level in levels)
+            levels = ndtr(np.append(_LEVELS, 0.0))
+            *ends, value = (unit * amplitude_quantiles(square, len(amplitude), levels)).tolist()
             value = value if active else 0.0
             std = unit if value > 0.0 else 0.0
             seen = detected = bool(active and ends[0] > 0.0 and chance < _FALSE_LINE)

@@ -8,7 +8,7 @@ with the levels in their place. Lines, ramps and regressors are estimated alongs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,7 +16,14 @@ from jaxtyping import Bool, Float
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import find_starts, free_powers, free_shapes, shape_candidates
-from allanjax.estimate.deterministic import AxisSpectrum, Projection, lines_of, peaks_for, take_out_lines
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    Peaks,
+    Projection,
+    lines_of,
+    peaks_for,
+    take_out_lines,
+)
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import (
     Coefficients,
@@ -56,7 +63,7 @@ def spectrum_of(
     x: Float[np.ndarray, " n"],
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    peaks: Peaks = (),
     bins: Bins | None = None,
 ) -> AxisSpectrum:
     """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
@@ -110,14 +117,13 @@ def fit_spectrum(
     axis: Axis,
     spectrum: AxisSpectrum,
     active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    peaks: Peaks = (),
     at_low: bool = False,
 ) -> AxisFit:
     """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
     Args:
-        template: the terms.
-        axis: the axis.
+        template, axis: the terms, and the axis.
         spectrum: the statistics, with a column for each deterministic term.
         active: the terms in use; for the others there is an upper limit.
         peaks: frequencies [Hz] to try for narrow-band terms without one.
@@ -136,7 +142,7 @@ def fit_spectrum(
     arrangement, projection, fit = _fit_noise(noise, spectrum, used, here, peaks)
     bins, level, dof = spectrum.bins, projection.level, projection.dof
     mean, misfit = np.asarray(fit.maximum.mean)[: len(level)], None
-    if fit.solution.converged and float(fit.solution.power_error) > 0.0:
+    if fit.solution.converged and fit.solution.power_error > 0.0:
         misfit = spectral_misfit(bins.frequency, level, mean, dof)
     white = noise.term_labels.index("angle_random_walk") if at_low else 0
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
@@ -166,13 +172,9 @@ def fit_spectrum(
 
 
 def _fit_noise(
-    noise: Model,
-    spectrum: AxisSpectrum,
-    used: Bool[np.ndarray, " columns"],
-    active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+    noise: Model, spectrum: AxisSpectrum, used: np.ndarray, active: np.ndarray, peaks: Peaks
 ) -> tuple[Arrangement, Projection, LevelFit]:
-    """Fit the random terms, alternating with the projection of the deterministic parts in use."""
+    """Fit the active random terms, alternating with the projection of the deterministic columns in use."""
     window = np.ones(7)
     size, squares = (np.convolve(x, window, "same") for x in (spectrum.bins.size, spectrum.squares))
     smooth = np.where(size > 0, squares / np.maximum(size, 1.0), spectrum.squares.sum() / spectrum.bins.n)
@@ -194,12 +196,7 @@ def _fit_noise(
 
 
 def _starts(
-    noise: Model,
-    bins: Bins,
-    level: Float[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-    active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+    noise: Model, bins: Bins, level: np.ndarray, dof: np.ndarray, active: np.ndarray, peaks: Peaks
 ) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
     """Powers and shapes to start from."""
     shapes, parameters = free_shapes(noise), noise.parameters
