@@ -206,8 +206,8 @@ def _misfits(
     """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
     for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
-        own, power = tangent.of_axes(np.array([k])), solution.power[None, [k]]
-        mean, scatter = (power @ own.means)[0, 0], own.variances(power)[0, 0]
+        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
+        mean, scatter = own.mean(power)[0], own.variances(power)[0]
         ratio = np.sqrt(variance[k] / mean)
         found[k] = misfit_of(cluster_time[: len(mean)], ratio, 2.0 * mean**2 / scatter, "s")
     return found
@@ -273,6 +273,18 @@ def _under_models(
     edf, means = np.array(curve.edf), np.full(curve.edf.shape, np.nan)
     for k, result in enumerate(results):
         if result.converged:
-            means[:, k], scatter = moments_behind(result.model.sampled(curve.rate), geometry)
+            means[:, k], scatter = moments_behind(
+                _with_all_terms(template, result).sampled(curve.rate), geometry
+            )
             edf[:, k] = 2.0 * means[:, k] ** 2 / scatter * curve.gain
     return dataclasses.replace(curve, edf=edf), means
+
+
+def _with_all_terms(template: Model, result: AxisFit) -> Model:
+    """The fitted model; absent terms are included with an amplitude of zero and an arbitrary shape."""
+    values = {}
+    for p in template.parameters:
+        value = result[p.label].value if p.label in result.coefficients else p.start
+        absent = 0.0 if p.parameter.is_amplitude else p.parameter.lower + 1.0
+        values[p.label] = absent if value is None or np.isnan(value) else float(value)
+    return template.with_values(**values)

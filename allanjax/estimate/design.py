@@ -52,8 +52,8 @@ _STARTS = 4
 _APART = {"line": 0.02}
 
 
-_Power: TypeAlias = Float[np.ndarray, "axes h terms"]
-_Columns: TypeAlias = Float[np.ndarray, "axes h m k"]
+_Power: TypeAlias = Float[np.ndarray, "axes terms"]
+_Columns: TypeAlias = Float[np.ndarray, "axes m k"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,8 +70,12 @@ class Tangent(abc.ABC):
     by_shape: Float[np.ndarray, "axes terms m shapes"]
     owner: Int[np.ndarray, " shapes"]
 
+    def mean(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+        """Expectation of the estimates for these powers of the terms."""
+        return (power[:, None] @ self.means)[:, 0]
+
     @abc.abstractmethod
-    def variances(self, power: _Power) -> Float[np.ndarray, "axes h m"]:
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
         """Variances of the estimates for these powers of the terms."""
 
     @abc.abstractmethod
@@ -95,20 +99,20 @@ class AllanTangent(Tangent):
     octaves: Float[np.ndarray, "m m"]
     ridge: float
 
-    def covariance(self, power: _Power) -> Float[np.ndarray, "axes h m m"]:
-        squares = (power[..., None] * power[..., None, :]).reshape(*power.shape[:2], -1)
-        return (squares @ self.products).reshape(*power.shape[:2], *self.octaves.shape)
+    def covariance(self, power: _Power) -> Float[np.ndarray, "axes m m"]:
+        squares = (power[:, :, None] * power[:, None]).reshape(len(power), 1, -1)
+        return (squares @ self.products).reshape(-1, *self.octaves.shape)
 
-    def variances(self, power: _Power) -> Float[np.ndarray, "axes h m"]:
-        return np.einsum("...ii->...i", self.covariance(power))
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+        return np.einsum("aii->ai", self.covariance(power))
 
     def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
-        relative, mean = self.covariance(power), power @ self.means
-        relative /= mean[..., None]
-        relative /= mean[..., None, :]
-        np.einsum("...ii->...i", relative)[...] *= 1.0 + self.ridge
+        relative, mean = self.covariance(power), self.mean(power)
+        relative /= mean[:, :, None]
+        relative /= mean[:, None]
+        np.einsum("aii->ai", relative)[...] *= 1.0 + self.ridge
         if np.any(error):
-            relative += error[:, None, None, None] ** 2 * self.octaves
+            relative += error[:, None, None] ** 2 * self.octaves
         return np.linalg.solve(relative, X)
 
 
@@ -392,6 +396,7 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
     return mean[i] * mean[j] * (common + (i == j) * (common + 1.5 * clusters))
 
 
+@np.errstate(all="ignore")
 def find_starts(
     model: Model,
     candidates: Float[np.ndarray, "candidates shapes"],

@@ -40,6 +40,7 @@ _FAR_ENOUGH = 2.0
 _CHANCE = 0.025
 _Terms: TypeAlias = Float[np.ndarray, "axes terms"]
 _Grid: TypeAlias = Float[np.ndarray, "axes grid"]
+_Flags: TypeAlias = Bool[np.ndarray, "axes _"]
 _Index: TypeAlias = Int[np.ndarray, " axes"]
 
 
@@ -76,8 +77,7 @@ def infer(
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
     axes = _Axes(tangent, V, active, active & free, power, solution.power_error, has_shape)
-    estimated = np.concatenate([axes.fitted, has_shape], axis=1)
-    covariance = axes.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
+    covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1)).covariance
     # Every term of every axis.
     axis, term = (x.ravel() for x in np.indices(power.shape))
     power_at, pivot_at = (x.reshape(*power.shape, -1) for x in axes.of_axes(axis).hypotheses(term))
@@ -90,20 +90,17 @@ class _Linearized(NamedTuple):
     `weighed` is C⁻¹ `raw`, `step` the estimate; parameters that are not estimated have zeros.
     """
 
-    raw: Float[np.ndarray, "axes h m params"]
-    weighed: Float[np.ndarray, "axes h m params"]
-    covariance: Float[np.ndarray, "axes h params params"]
-    step: Float[np.ndarray, "axes h params"]
+    raw: Float[np.ndarray, "axes m params"]
+    weighed: Float[np.ndarray, "axes m params"]
+    covariance: Float[np.ndarray, "axes params params"]
+    step: Float[np.ndarray, "axes params"]
 
 
 class _Axes(NamedTuple):
     """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
-    Attributes:
-        tangent, V, active: the model, the estimates of power, the terms in use.
-        fitted: the terms in use whose power is estimated.
-        power, error: powers, and error of the model.
-        has_shape: which shapes the data determine; a term without power has none.
+    `V` are the estimates, `active` the terms in use, `fitted` those of them whose power is estimated, and
+    `has_shape` the shapes that the data determine; a term without power has none.
     """
 
     tangent: Tangent
@@ -117,57 +114,47 @@ class _Axes(NamedTuple):
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
         return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
 
-    def linearized(
-        self, power: Float[np.ndarray, "axes h terms"], estimated: Bool[np.ndarray, "axes h params"]
-    ) -> _Linearized:
+    def linearized(self, power: _Terms, estimated: _Flags) -> _Linearized:
         """One-step estimates at hypotheses of those parameters that are estimated."""
-        at = self.tangent
-        mean = power @ at.means
-        moved = np.einsum(
-            "ahk,akms->ahms", power, np.broadcast_to(at.by_shape, (len(power), *at.by_shape.shape[1:]))
-        )
-        units = np.broadcast_to(at.means.swapaxes(1, 2)[:, None], (*mean.shape, at.means.shape[1]))
-        raw = np.concatenate([units, moved], axis=-1) / mean[..., None] * estimated[:, :, None]
-        residual = self.V[:, None] / mean - 1.0
+        at, mean = self.tangent, self.tangent.mean(power)
+        moved = np.sum(power[:, :, None, None] * at.by_shape, axis=1)
+        units = np.broadcast_to(at.means.swapaxes(1, 2), (*mean.shape, power.shape[1]))
+        raw = np.concatenate([units, moved], axis=2) / mean[:, :, None] * estimated[:, None]
         weighed = at.weighed(power, self.error, raw)
-        normal = raw.swapaxes(2, 3) @ weighed
-        size = np.sqrt(np.einsum("...ii->...i", normal))
+        normal = raw.swapaxes(1, 2) @ weighed
+        size = np.sqrt(np.einsum("aii->ai", normal))
         size = np.where(size > 0.0, size, 1.0)
-        sizes = size[..., None] * size[..., None, :]
+        sizes = size[:, :, None] * size[:, None]
         # A zero column (not estimated) gets a unit on the diagonal.
         rest = np.where(estimated, 0.0, 1.0) + 1e-12
-        covariance = np.linalg.inv(normal / sizes + rest[..., None] * np.eye(rest.shape[-1])) / sizes
-        covariance *= estimated[..., None] & estimated[..., None, :]
-        step = (covariance @ (weighed.swapaxes(2, 3) @ residual[..., None]))[..., 0]
-        return _Linearized(raw, weighed, covariance, step)
+        covariance = np.linalg.inv(normal / sizes + rest[:, :, None] * np.eye(rest.shape[1])) / sizes
+        covariance *= estimated[:, :, None] & estimated[:, None]
+        score = weighed.swapaxes(1, 2) @ (self.V / mean - 1.0)[:, :, None]
+        return _Linearized(raw, weighed, covariance, (covariance @ score)[..., 0])
 
-    def scores(
-        self,
-        term: _Index,
-        power: Float[np.ndarray, "axes h terms"],
-        estimated: Bool[np.ndarray, "axes h params"],
-    ) -> Float[np.ndarray, "axes h"]:
+    def scores(self, term: _Index, power: _Terms, estimated: _Flags) -> Float[np.ndarray, " axes"]:
         """Distance of the data from these powers, that of one term being tested, as a normal score."""
         there, axis = self.linearized(power, estimated), np.arange(len(term))
-        row, variance = there.covariance[axis, :, term][..., None], there.covariance[axis, :, term, term]
+        row, variance = there.covariance[axis, term][:, :, None], there.covariance[axis, term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(2, 3))
+        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(1, 2))
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
-        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, :, term], 1e-300)
-        t = there.step[axis, :, term] / np.sqrt(variance)
-        return _normal_score(t, np.minimum(third / variance**1.5, most))
+        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, term], 1e-300)
+        return _normal_score(
+            there.step[axis, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
+        )
 
-    def profiled(self, power: _Terms, allowed: Bool[np.ndarray, "axes terms"]) -> _Terms:
+    def profiled(self, power: _Terms, allowed: _Flags) -> _Terms:
         """Powers, the allowed ones fitted to the data with weights from the covariance at `power`.
 
         Negative ones are left out, one set after another.
         """
-        means, mean = self.tangent.means, (power[:, None] @ self.tangent.means)[:, 0]
+        means, mean = self.tangent.means, self.tangent.mean(power)
         A = (means / mean[:, None]).swapaxes(1, 2)
-        rest = (self.V - (np.where(allowed, 0.0, power)[:, None] @ means)[:, 0]) / mean
-        weighed = self.tangent.weighed(power[:, None], self.error, A[:, None])[:, 0].swapaxes(1, 2)
-        normal, target = weighed @ A, (weighed @ rest[..., None])[..., 0]
+        rest = (self.V - self.tangent.mean(np.where(allowed, 0.0, power))) / mean
+        weighed = self.tangent.weighed(power, self.error, A).swapaxes(1, 2)
+        normal, target = weighed @ A, (weighed @ rest[:, :, None])[..., 0]
         size = np.sqrt(np.einsum("aii->ai", normal))
         size = np.where(size > 0.0, size, 1.0)
         normal, target, positive = normal / (size[..., None] * size[:, None]), target / size, allowed
@@ -186,10 +173,9 @@ class _Axes(NamedTuple):
         # The term under test is estimated even if inactive; its shape may be unknown.
         shaped = self.has_shape & (self.tangent.owner != term[:, None])
         estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
-        covariance = self.linearized(self.power[:, None], estimated[:, None]).covariance
+        variance = self.linearized(self.power, estimated).covariance[axis, term, term]
         here = self.power[axis, term][:, None]
-        std = np.sqrt(covariance[axis, 0, term, term])[:, None]
-        down, up = (np.maximum(here + sds * std, 0.0) for sds in (_BELOW, _ABOVE))
+        down, up = (np.maximum(here + sds * np.sqrt(variance)[:, None], 0.0) for sds in (_BELOW, _ABOVE))
         # The only term cannot vanish altogether.
         below, above = (
             self._walked(term, np.maximum(v, 1e-9 * here), sign) for v, sign in ((down[:, ::-1], 1), (up, -1))
@@ -211,7 +197,7 @@ class _Axes(NamedTuple):
             own = owner == term[left, None]
             shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
             known = np.concatenate([some.fitted | here, shaped], axis=1)
-            scores[left, k] = some.scores(term[left], new[:, None], known[:, None])[:, 0]
+            scores[left, k] = some.scores(term[left], new, known)
             at[left] = new
             distance = sign * (scores[left, k] - _at_estimate(scores[left, 0], present[left]))
             left = left[~(distance > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
@@ -228,8 +214,8 @@ class _Axes(NamedTuple):
         """
         from scipy.special import gammaln, ndtri
 
-        means, terms = self.tangent.means, self.power.shape[1]
-        each = self.tangent.variances(np.broadcast_to(np.eye(terms), (len(means), terms, terms)))
+        means, units = self.tangent.means, np.eye(self.power.shape[1])
+        each = np.stack([self.tangent.variances(unit[None]) for unit in units], axis=1)
         relative = np.max(np.where(means > 0.0, each / means**2, 0.0), axis=1)
         half, chance = 1.0 / np.maximum(relative, 1e-9), _CHANCE / (2.0 * self.V.shape[1])
         least = (np.log(chance) + gammaln(half + 1.0)) / half - np.log(half)
@@ -238,7 +224,9 @@ class _Axes(NamedTuple):
         return np.min(highest, axis=2)
 
 
-def _normal_score(t: _Grid, skewness: _Grid) -> _Grid:
+def _normal_score(
+    t: Float[np.ndarray, " axes"], skewness: Float[np.ndarray, " axes"]
+) -> Float[np.ndarray, " axes"]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
     With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
@@ -291,13 +279,7 @@ class Estimates(NamedTuple):
 def estimates_of(
     model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
 ) -> Estimates:
-    """The coefficients of every axis from its solution; terms not active have upper limits only.
-
-    Args:
-        model: the model.
-        active: the terms that each axis has.
-        solution, inference: what `gls.solve` and `infer` return, of as many axes.
-    """
+    """The coefficients of every axis from its solution and inference; inactive terms have limits only."""
     parameters, power = reported(model), solution.power
     sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
     count = (len(power), len(parameters))

@@ -236,17 +236,17 @@ class LevelTangent(Tangent):
     degrees: Float[np.ndarray, " m"]
     per_octave: Float[np.ndarray, " m"]
 
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
-        return 2.0 * (power @ self.means) ** 2 / np.maximum(self.degrees, 1e-9)
+    def variances(self, power: Float[np.ndarray, "axes terms"]) -> Float[np.ndarray, "axes m"]:
+        return 2.0 * self.mean(power) ** 2 / np.maximum(self.degrees, 1e-9)
 
     def weighed(
         self,
-        power: Float[np.ndarray, "axes h terms"],
+        power: Float[np.ndarray, "axes terms"],
         error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
+        X: Float[np.ndarray, "axes m k"],
+    ) -> Float[np.ndarray, "axes m k"]:
         variance = 2.0 / np.maximum(self.degrees, 1e-9) + error[:, None] ** 2 * self.per_octave
-        return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, None, :, None]
+        return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, :, None]
 
 
 def _kinds(model: Model) -> Int[np.ndarray, " terms"]:
