@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-import jax
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Shaped
+from jaxtyping import Bool, Float
 
-from allanjax.allan.covariance import AllanCovariance
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     AllanDesign,
-    Starts,
     Tangent,
     find_starts,
     free_powers,
-    free_shapes,
+    geometry_of,
     moments_behind,
-    quadrature_order,
+    shape_candidates,
 )
-from allanjax.estimate.deterministic import lines_of, needs_record, take_out_lines
+from allanjax.estimate.deterministic import Line, Peaks, lines_of, needs_record, peaks_for, take_out_lines
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Inference,
     coefficients_of,
+    count_estimated,
     deterministic_coefficients,
     infer,
 )
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, estimated, fit_whittle, spectrum_of, with_misfit
+from allanjax.estimate.whittle import axis_fit, fit_whittle, spectrum_of, with_misfit
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
-from allanjax.wavelets.variance import WaveletFilter, geometry_of, mean_squares
+from allanjax.wavelets.variance import WaveletFilter, mean_squares
+from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
-# Expectation and variance of estimates of power.
-_Moments = tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]
 
 
 def fit_allan(
@@ -64,10 +61,10 @@ def fit_allan(
         active: the terms that each axis has.
         values: the record, which is needed to find lines and resonances.
     """
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, ALLAN_CAPACITY)
+    design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
     place = curve.n, curve.rate
     results = _fit_estimates(design, curve.variance, place, axes, template, active, values)
-    return results, _with_model_edf(curve, results, _moments_under(curve, template, results))
+    return results, _under_models(curve, template, results)[0]
 
 
 def fit_wavelet(
@@ -88,7 +85,7 @@ def fit_wavelet(
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
     design = AllanDesign.of_geometry(
-        template, recording.rate, geometry_of(found, levels, *place), ALLAN_CAPACITY[1]
+        template, recording.rate, wavelet_geometry(found, levels, *place), ALLAN_CAPACITY[1]
     )
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
     return _fit_estimates(design, variance, place, recording.axes, template, active, None)
@@ -125,53 +122,76 @@ def _fit_estimates(
     `place`: number of samples and their rate [Hz].
     """
     records = [None] * len(axes) if values is None else values.T
-    # The record determines a line far better than its Allan variances do, which start from this line.
     indices, wanted = lines_of(template)
-    free = free_powers(template) & ~np.isin(np.arange(len(template)), indices)
-    results = []
+    slots, results = len(design.scatters), []
     for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
-        here, variance = active[[k]], variances[:, [k]].T
-        starts = find_starts(template, design, variance, here, [x], *place)
-        lines = {}
+        model, lines = template, dict[int, Line]()
+        peaks = () if x is None else peaks_for(template, x, place[1])
         if wanted and x is not None:
+            # The record determines a line far better than its Allan variances do.
             lines = dict(zip(indices, take_out_lines(x - x.mean(), place[1], wanted)[1], strict=True))
+            model = _with_lines(template, lines)
+            design = AllanDesign.of_geometry(model, place[1], design.geometry, slots)
+        here, variance = active[[k]], variances[:, [k]].T
+        solution, inference, (misfit,) = solve_and_infer(model, design, variance, here, *place, peaks)
+        coefficients = coefficients_of(model, axis, here, solution, inference, *place)
         for i, line in lines.items():
-            if template.terms[i].has_free_amplitude:
-                starts.power[:, :, i] = line.amplitude**2
-            starts.shape[:, :, [p.term == i for p in free_shapes(template)]] = np.log(line.frequency)
-        solution, inference, (misfit,) = solve_and_infer(design, variance, free, here, starts)
-        (coefficients,) = coefficients_of(template, [axis], here, solution, inference, *place)
-        for i, line in lines.items():
-            square = (line.amplitude / line.amplitude_std) ** 2
-            of_square = (square, line.amplitude_std, 2, line, place[0])
-            coefficients = coefficients.with_values(deterministic_coefficients(template, i, axis, *of_square))
-        dof = len(variances) - estimated(template, active[k])
-        solution = jax.tree.map(lambda x: x[0], solution)
+            estimate = line.beta, line.amplitude_std**2 * np.eye(2)
+            own = deterministic_coefficients(template, i, axis, *estimate, line, place[0])
+            coefficients = coefficients.with_values(own, template)
+        dof = len(variances) - count_estimated(template, active[k])
         result = axis_fit(axis, template, active[k], coefficients, solution, dof, misfit)
         # With one or two degrees of freedom, as at the longest cluster times, the χ² tail is not valid.
         results.append(dataclasses.replace(result, p_value=np.nan))
     return tuple(results)
 
 
+def _with_lines(template: Model, lines: Mapping[int, Line]) -> Model:
+    """The model with these lines held where they were found; an amplitude that is held keeps its value."""
+    terms = list(template.terms)
+    for k, line in lines.items():
+        amplitude, frequency = (p.name for p in terms[k].parameters())
+        values = {frequency: line.frequency}
+        if terms[k].has_free_amplitude:
+            values[amplitude] = line.amplitude
+        terms[k] = terms[k].hold(amplitude, frequency, **values)
+    return dataclasses.replace(template, terms=tuple(terms))
+
+
 def solve_and_infer(
+    model: Model,
     design: AllanDesign,
     variance: Float[np.ndarray, "axes m"],
-    free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, "axes terms"],
-    starts: Starts,
+    n: int,
+    rate: float,
+    peaks: Peaks = (),
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
-    """Best solution of each axis over its starts, the inference around it, and its misfit."""
-    powers, shapes = starts.power.swapaxes(0, 1), starts.shape.swapaxes(0, 1)
-    solution = solve(design, variance, free, active, powers[0], shapes[0])
-    # The cost may have several minima in a correlation time: all starts are tried.
-    for power, shape in zip(powers[1:], shapes[1:], strict=True):
-        doubtful = np.asarray(~solution.converged | design.has_shapes)
-        if not doubtful.any():
-            break
-        other = solve(design, variance, free, active, power, shape)
+    """Best solution of each axis over its starts, the inference around it, and its misfit.
+
+    Args:
+        model, design: the model, and its design for these estimates of n samples at `rate` [Hz].
+        variance: the estimates.
+        active: the terms that each axis has.
+        peaks: frequencies [Hz] to start resonances from.
+    """
+    from scipy.ndimage import median_filter
+
+    free, candidates = free_powers(model), shape_candidates(model, n / rate, rate, peaks)
+    # A single estimate that is small by chance must not lower all powers.
+    smooth = np.exp(median_filter(np.log(np.maximum(variance, 1e-300)), (1, 5), mode="nearest"))
+    clusters = n / design.geometry.sizes[: variance.shape[1]]
+    starts = find_starts(model, candidates, design.units(candidates), smooth, clusters, active)
+    solution, *others = (
+        solve(design, variance, free, active, power, shape)
+        for power, shape in zip(*(x.swapaxes(0, 1) for x in starts), strict=True)
+    )
+    # The cost may have several minima in a correlation time: the best one counts.
+    for other in others:
         better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
-        solution = _choose(doubtful & better, other, solution)
-    tangent = design.tangent(np.asarray(solution.shape))
+        both = zip(other, solution, strict=True)
+        solution = Solution(*(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in both))
+    tangent = design.tangent(solution.shape)
     misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)
     solution = widened(solution, misfits)
     return solution, infer(tangent, variance, free, active, solution), misfits
@@ -185,21 +205,12 @@ def _misfits(
 ) -> list[Misfit | None]:
     """Misfit of each axis's curve; None where the model suffices."""
     found: list[Misfit | None] = [None] * len(variance)
-    for k in np.flatnonzero(np.asarray(solution.converged) & (np.asarray(solution.power_error) > 0.0)):
-        own, power = tangent.of_axes(np.array([k])), np.asarray(solution.power)[None, [k]]
-        mean, scatter = (power @ own.means)[0, 0], own.variances(power)[0, 0]
+    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
+        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
+        mean, scatter = own.mean(power)[0], own.variances(power)[0]
         ratio = np.sqrt(variance[k] / mean)
         found[k] = misfit_of(cluster_time[: len(mean)], ratio, 2.0 * mean**2 / scatter, "s")
     return found
-
-
-def _choose(rows: Bool[np.ndarray, " axes"], new: Solution, old: Solution) -> Solution:
-    """New solution for these axes, old one for the others."""
-
-    def of(new: ArrayLike, old: ArrayLike) -> Shaped[np.ndarray, "axes ..."]:
-        return np.where(rows.reshape(-1, *[1] * (np.ndim(new) - 1)), new, old)
-
-    return jax.tree.map(of, new, old)
 
 
 def judged(
@@ -216,9 +227,9 @@ def judged(
         noise = [term for term in result.model.sampled(recording.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
-        projection = spectrum.project(mean, spectrum.used(np.flatnonzero(~active).tolist()))
+        projection = spectrum.project(mean, spectrum.used(active))
         chi2 = chi_squared(projection.level / mean, projection.dof)
-        dof = round(projection.estimates) - estimated(template, active & random)
+        dof = round(projection.estimates) - count_estimated(template, active & random)
         if chi2 <= beyond_doubt(dof):
             return _with_verdict(result, chi2, dof)
     other = fit_whittle(recording, k, template, active)
@@ -236,14 +247,13 @@ def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
     """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    moments = _moments_under(curve, template, results)
-    curve = _with_model_edf(curve, results, moments)
+    curve, means = _under_models(curve, template, results)
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
     found = []
-    for k, (result, (mean, _)) in enumerate(zip(results, moments, strict=True)):
+    for k, result in enumerate(results):
         if result.converged and result.spectrum is not None and not (profiled or result.regression):
-            ratio = curve.deviation[:, k] / np.sqrt(mean)
+            ratio = curve.deviation[:, k] / np.sqrt(means[:, k])
             misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
             # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
             # excessive.
@@ -255,28 +265,19 @@ def with_curve(
     return tuple(found), curve
 
 
-def _with_model_edf(
-    curve: AllanDeviation, results: Sequence[AxisFit], moments: Sequence[_Moments]
-) -> AllanDeviation:
-    """Curve with degrees of freedom 2μ²/Var under the fitted models."""
-    edf = np.array(curve.edf)
-    for k, (result, (mean, variance)) in enumerate(zip(results, moments, strict=True)):
+def _under_models(
+    curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
+) -> tuple[AllanDeviation, Float[np.ndarray, "m axes"]]:
+    """Curve with degrees of freedom 2μ²/Var under the fitted models, and their variances μ, if there are."""
+    geometry = geometry_of(curve, template)
+    edf, means = np.array(curve.edf), np.full(curve.edf.shape, np.nan)
+    for k, result in enumerate(results):
         if result.converged:
-            edf[:, k] = 2.0 * mean**2 / variance * curve.gain
-    return dataclasses.replace(curve, edf=edf)
-
-
-def _moments_under(curve: AllanDeviation, template: Model, results: Sequence[AxisFit]) -> list[_Moments]:
-    """Moments of the Allan variances of each axis under its fitted model."""
-    of_curve, order = (curve.n, curve.rate, curve.cluster_size), quadrature_order(template)
-    geometry = AllanCovariance.of(*of_curve, order, curve.strides)
-    nothing = np.full(len(curve.cluster_size), np.nan)
-    return [
-        moments_behind(_with_all_terms(template, result).sampled(curve.rate), geometry)
-        if result.converged
-        else (nothing, nothing)
-        for result in results
-    ]
+            means[:, k], scatter = moments_behind(
+                _with_all_terms(template, result).sampled(curve.rate), geometry
+            )
+            edf[:, k] = 2.0 * means[:, k] ** 2 / scatter * curve.gain
+    return dataclasses.replace(curve, edf=edf), means
 
 
 def _with_all_terms(template: Model, result: AxisFit) -> Model:

@@ -17,9 +17,8 @@ from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import check_count, check_terms, solve_and_infer
-from allanjax.estimate.design import AllanDesign, find_starts, free_powers, model_to_fit
-from allanjax.estimate.inference import estimates_of, reported
-from allanjax.estimate.whittle import estimated
+from allanjax.estimate.design import AllanDesign, model_to_fit
+from allanjax.estimate.inference import count_estimated, estimates_of, reported
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
@@ -153,13 +152,13 @@ def fit_many(
     )
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, "the curve")
     capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
-    design = AllanDesign.of(template, curve.n, curve.rate, curve.cluster_size, curve.strides, (capacity, 0))
+    design = AllanDesign.of(template, curve, (capacity, 0))
     blocks = for_each(
         lambda k: _of_block(curve, template, design, variance[k : k + _BLOCK]),
         range(0, len(variance), _BLOCK),
     )
     arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    dof = len(curve.cluster_size) - estimated(template, np.ones(len(template), bool))
+    dof = len(curve.cluster_size) - count_estimated(template, np.ones(len(template), bool))
     return BulkFit(template=template, curve=curve, dof=dof, **arrays)
 
 
@@ -169,24 +168,19 @@ def _of_block(
     """Arrays of a `BulkFit` for at most `_BLOCK` axes; a smaller block is filled up with its last axis."""
     count, active = len(variance), np.ones((_BLOCK, len(template)), bool)
     V = np.pad(variance, ((0, _BLOCK - count), (0, 0)), mode="edge")
-    starts = find_starts(template, design, V, active, [None] * _BLOCK, curve.n, curve.rate)
-    solution, inference, misfits = solve_and_infer(design, V, free_powers(template), active, starts)
-    found, converged = estimates_of(template, active, solution, inference), np.asarray(solution.converged)
+    solution, inference, misfits = solve_and_infer(template, design, V, active, curve.n, curve.rate)
+    found, converged = estimates_of(template, active, solution, inference), solution.converged
     measured = converged & [m is None or not m.excessive for m in misfits]
 
-    def known(x: Float[np.ndarray, "axes params"], where: Bool[np.ndarray, " axes"] = measured) -> Any:
-        return np.where(where[:, None], x, np.nan)
-
+    ends = found.ends.transpose(2, 0, 1)
+    known = {"std": found.std, "lower": ends[0], "upper": ends[1], "upper_limit": ends[4]}
     arrays = {
-        "value": known(found.value, converged),
-        "std": known(found.std),
-        "lower": known(found.ends[..., 0]),
-        "upper": known(found.ends[..., 1]),
-        "upper_limit": known(found.ends[..., 4]),
+        "value": np.where(converged[:, None], found.value, np.nan),
+        **{name: np.where(measured[:, None], x, np.nan) for name, x in known.items()},
         "detected": found.detected & measured[:, None],
         "converged": converged,
-        "chi2": np.asarray(solution.chi2),
-        "discrepancy": np.asarray(solution.discrepancy),
+        "chi2": solution.chi2,
+        "discrepancy": solution.discrepancy,
         "measured": measured,
     }
     return {name: x[:count] for name, x in arrays.items()}

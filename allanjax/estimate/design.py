@@ -2,7 +2,7 @@
 
 Amplitudes enter by their squares v (the "power" of a term): the mean is linear in them, the covariance
 bilinear. Other free parameters ("shapes") enter by ln(value − lower bound). The estimates are Allan variances
-at given cluster sizes (`AllanDesign`, `AllanTangent`) or levels of the cosine spectrum (`LevelDesign`).
+at given cluster sizes (`AllanDesign`, `AllanTangent`) or levels of the cosine spectrum (`LevelTangent`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import abc
 import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -20,10 +20,11 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.allan.covariance import AllanCovariance
+from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened, whiten
-from allanjax.estimate.deterministic import find_lines
+from allanjax.estimate.deterministic import Peaks
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
@@ -32,6 +33,9 @@ from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.columns import Column
 from allanjax.record.recording import Axis
 
+#: Farthest that a shape moves from its start, in ln: the record locates a line better than that; the starts
+#: of other shapes are two to a decade or denser. And the margin kept from its upper bound, which is open.
+REACH, INSIDE = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}, 1e-2
 # Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
 # no direction of the data is trusted more. Oscillating terms need more quadrature nodes, and have larger
 # errors.
@@ -48,15 +52,8 @@ _STARTS = 4
 _APART = {"line": 0.02}
 
 
-class FreeShape(NamedTuple):
-    """Free parameter that is not an amplitude: its term among those with one, and whether it is fitted.
-
-    Frequencies of lines are not fitted, as they are known from the record.
-    """
-
-    term: int
-    parameter: Parameter
-    moves: bool
+_Power: TypeAlias = Float[np.ndarray, "axes terms"]
+_Columns: TypeAlias = Float[np.ndarray, "axes m k"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,32 +64,28 @@ class Tangent(abc.ABC):
         means: expectations of the estimates for each term of unit amplitude.
         by_shape: their derivatives by the shapes.
         owner: the term of each shape.
-        movable: which shapes are fitted to these estimates.
     """
 
     means: Float[np.ndarray, "axes terms m"]
     by_shape: Float[np.ndarray, "axes terms m shapes"]
     owner: Int[np.ndarray, " shapes"]
-    movable: Bool[np.ndarray, " shapes"]
+
+    def mean(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+        """Expectation of the estimates for these powers of the terms."""
+        return (power[:, None] @ self.means)[:, 0]
 
     @abc.abstractmethod
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
         """Variances of the estimates for these powers of the terms."""
 
     @abc.abstractmethod
-    def weighed(
-        self,
-        power: Float[np.ndarray, "axes h terms"],
-        error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
+    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
         """Columns C⁻¹X for relative residuals of covariance C, with a relative error of the model."""
 
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> Tangent:
         """The same for these axes only."""
-        names = ("means", "by_shape", "products")
-        arrays = {name: x[axes] for name in names if len(x := getattr(self, name, ())) > 1}
-        return dataclasses.replace(self, **arrays)
+        arrays = {name: getattr(self, name, ()) for name in ("means", "by_shape", "products")}
+        return dataclasses.replace(self, **{name: x[axes] for name, x in arrays.items() if len(x) > 1})
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -106,26 +99,20 @@ class AllanTangent(Tangent):
     octaves: Float[np.ndarray, "m m"]
     ridge: float
 
-    def covariance(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m m"]:
-        """Covariance of the estimates for these powers of the terms."""
-        squares = (power[..., None] * power[..., None, :]).reshape(*power.shape[:2], -1)
-        return (squares @ self.products).reshape(*power.shape[:2], *self.octaves.shape)
+    def covariance(self, power: _Power) -> Float[np.ndarray, "axes m m"]:
+        squares = (power[:, :, None] * power[:, None]).reshape(len(power), 1, -1)
+        return (squares @ self.products).reshape(-1, *self.octaves.shape)
 
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
-        return np.einsum("...ii->...i", self.covariance(power))
+    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+        return np.einsum("aii->ai", self.covariance(power))
 
-    def weighed(
-        self,
-        power: Float[np.ndarray, "axes h terms"],
-        error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
-        relative, mean = self.covariance(power), power @ self.means
-        relative /= mean[..., None]
-        relative /= mean[..., None, :]
-        np.einsum("...ii->...i", relative)[...] *= 1.0 + self.ridge
+    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
+        relative, mean = self.covariance(power), self.mean(power)
+        relative /= mean[:, :, None]
+        relative /= mean[:, None]
+        np.einsum("aii->ai", relative)[...] *= 1.0 + self.ridge
         if np.any(error):
-            relative += error[:, None, None, None] ** 2 * self.octaves
+            relative += error[:, None, None] ** 2 * self.octaves
         return np.linalg.solve(relative, X)
 
 
@@ -142,12 +129,6 @@ def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_resp
             'objective="whittle" (--objective whittle), or leave it out'
         )
     return found
-
-
-def random_terms(model: Model) -> Model:
-    """Model without its deterministic terms."""
-    terms = zip(model.term_labels, model.terms, strict=True)
-    return model.without([label for label, term in terms if term.deterministic])
 
 
 def of_owners(model: Model, of_terms: Bool[np.ndarray, "... terms"]) -> Bool[np.ndarray, "... owners"]:
@@ -168,6 +149,13 @@ def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
     return np.array([term.has_free_amplitude for term in model.terms])
 
 
+class FreeShape(NamedTuple):
+    """Free parameter that is not an amplitude, and its term among those with one."""
+
+    term: int
+    parameter: Parameter
+
+
 class AllanDesign(eqx.Module):
     """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
@@ -177,14 +165,11 @@ class AllanDesign(eqx.Module):
     Attributes:
         geometry, octaves, ridge: quadrature of the covariance; what two estimates share of a relative error
             of the model; relative addition to the variances.
-        terms, rows: number of terms and of estimates.
-        fixed: expectation of the estimates for each term of unit amplitude, `products` their covariance as a
-            bilinear form in the powers; zero for terms with free shapes.
-        kernels: kernels of the terms; None if there are no free shapes.
+        fixed, products, kernels: expectations of the estimates for each term of unit amplitude, their
+            covariance as a bilinear form in the powers, and kernels; zero for terms with free shapes.
         scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
             every record, and that of a narrow-band term by `_narrow_band_scatter`.
         moving: terms with free shapes, which are None, of unit amplitude, and `places` of these among all.
-        shapes, owner: the free shapes, and the term of each.
     """
 
     shapes: tuple[FreeShape, ...] = eqx.field(static=True)
@@ -192,68 +177,49 @@ class AllanDesign(eqx.Module):
     octaves: Float[np.ndarray, "m m"]
     ridge: Float[np.ndarray, ""]
     terms: Int[np.ndarray, ""]
-    rows: Int[np.ndarray, ""]
     fixed: Float[np.ndarray, "terms m"]
     products: Float[np.ndarray, "terms terms pairs"]
     kernels: Float[np.ndarray, "terms lags pairs"] | None
     scatters: Bool[np.ndarray, " terms"]
     moving: tuple[NoiseTerm, ...]
     places: Int[np.ndarray, " moving"]
-    owner: Int[np.ndarray, " shapes"]
 
     @classmethod
-    def of(
-        cls,
-        model: Model,
-        n: int,
-        rate: float,
-        sizes: Int[np.ndarray, " m"],
-        strides: Int[np.ndarray, " m"] | None = None,
-        capacity: tuple[int, int] = (0, 0),
-    ) -> AllanDesign:
-        """Design of a noise model for Allan variances at these cluster sizes of n samples.
+    def of(cls, model: Model, curve: AllanDeviation, capacity: tuple[int, int] = (0, 0)) -> AllanDesign:
+        """Design of a noise model for the Allan variances of a curve.
 
-        `strides`: samples between the starts of successive clusters, see `AllanCovariance.of`. Arrays are
-        padded to at least the `capacity` of cluster sizes and terms, so that compiled functions are reused.
+        Arrays are padded to at least the `capacity` of cluster sizes and terms, so that compiled functions
+        are reused.
         """
-        geometry = AllanCovariance.of(n, rate, sizes, quadrature_order(model), strides, capacity[0])
-        return cls.of_geometry(model, rate, geometry, capacity[1])
+        return cls.of_geometry(model, curve.rate, geometry_of(curve, model, capacity[0]), capacity[1])
 
     @classmethod
     def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
         """Design of a noise model for the estimates of a quadrature, padded to at least so many terms."""
         free, slots = free_shapes(model), max(slots, len(model))
         places = sorted({p.term for p in free})
-        seen = model.sampled(rate).terms
-        terms = {k: t.with_unit_amplitude() for k, t in enumerate(seen) if k not in places}
-        fixed, kernels, products = _parts(terms, geometry, slots)
+        terms = [term.with_unit_amplitude() for term in model.sampled(rate).terms]
+        fixed, kernels, products = _parts(
+            {k: term for k, term in enumerate(terms) if k not in places}, geometry, slots
+        )
         return cls(
-            shapes=tuple(
-                FreeShape(places.index(p.term), p.parameter, not model.terms[p.term].deterministic)
-                for p in free
-            ),
+            shapes=tuple(FreeShape(places.index(p.term), p.parameter) for p in free),
             geometry=geometry,
             octaves=np.exp(-np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))),
-            ridge=np.asarray(_OSCILLATING_RIDGE if quadrature_order(model) > _ORDER else _RIDGE),
+            ridge=np.asarray(_OSCILLATING_RIDGE if _order(model) > _ORDER else _RIDGE),
             terms=np.asarray(len(model)),
-            rows=geometry.count,
             fixed=fixed,
             products=products,
             kernels=kernels if free else None,
-            scatters=_scatters(seen, slots),
-            moving=tuple(_structure(seen[k]) for k in places),
+            scatters=np.pad(_scatters(terms), (0, slots - len(terms))),
+            moving=tuple(_structure(terms[k]) for k in places),
             places=np.array(places, int),
-            owner=np.array([p.term for p in free], int),
         )
 
     @property
-    def movable(self) -> Bool[np.ndarray, " shapes"]:
-        return np.array([shape.moves for shape in self.shapes], bool)
-
-    @property
-    def has_shapes(self) -> bool:
-        """Whether there are shapes to be fitted."""
-        return bool(self.movable.any())
+    def owner(self) -> Int[np.ndarray, " shapes"]:
+        """The term of each shape."""
+        return self.places[np.array([shape.term for shape in self.shapes], int)]
 
     def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
         """Expectation of the estimates for each term of unit amplitude."""
@@ -264,14 +230,14 @@ class AllanDesign(eqx.Module):
 
     def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
         """Expectation for these powers of the terms; one where there is no estimate."""
-        return jnp.where(jnp.arange(means.shape[1]) < self.rows, power @ means, 1.0)
+        return jnp.where(jnp.arange(means.shape[1]) < self.geometry.count, power @ means, 1.0)
 
     def products_at(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms terms pairs"]:
         """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
         products, terms, place = jnp.asarray(self.products), self._moving(shape), jnp.asarray(self.places)
         if not terms:
             return products
-        total = products.shape[-1]
+        total, rows = products.shape[-1], jnp.asarray(self.geometry.count)
         few = min(_FEW_PAIRS, total)
 
         def of_some(k: Array, found: Array) -> Array:
@@ -282,8 +248,8 @@ class AllanDesign(eqx.Module):
             sums = jnp.sum((own * part.weights)[:, None] * every, axis=2)
             return jax.lax.dynamic_update_slice_in_dim(found, sums, first, 2)
 
-        real = jnp.asarray(self.rows) * (self.rows + 1) // 2
-        found = jax.lax.fori_loop(0, -(-real // few), of_some, jnp.zeros((len(terms), *products.shape[1:])))
+        blocks = -(-(rows * (rows + 1) // 2) // few)
+        found = jax.lax.fori_loop(0, blocks, of_some, jnp.zeros((len(terms), *products.shape[1:])))
         scatters = jnp.asarray(self.scatters)
         found = found * (scatters[place][:, None] | scatters)[..., None]
         products = products.at[place].set(found).at[:, place].set(found.swapaxes(0, 1))
@@ -309,7 +275,7 @@ class AllanDesign(eqx.Module):
         """Whitened columns X for relative residuals, with a model error that is common to about an octave."""
         relative = covariance / (mean[:, None] * mean)
         relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
-        return whiten(relative, X, self.rows)
+        return whiten(relative, X, self.geometry.count)
 
     def tangent(self, shape: Float[np.ndarray, "axes shapes"]) -> AllanTangent:
         """The model around these shapes of each axis, without padding."""
@@ -317,13 +283,12 @@ class AllanDesign(eqx.Module):
         by_shape = np.zeros((*means.shape, shape.shape[1]))
         if self.shapes:
             means, by_shape, products = jax.device_get(_around(self, shape))
-        terms, m, axes = int(self.terms), int(self.rows), len(means)
+        terms, m, axes = int(self.terms), int(self.geometry.count), len(means)
         pairs = np.asarray(self.geometry.place)[:m, :m].ravel()
         return AllanTangent(
             means=means[:, :terms, :m],
-            by_shape=np.where(self.movable, by_shape[:, :terms, :m], 0.0),
+            by_shape=by_shape[:, :terms, :m],
             owner=self.owner,
-            movable=self.movable,
             products=products[:, :terms, :terms, pairs].reshape(axes, terms**2, m**2),
             octaves=self.octaves[:m, :m],
             ridge=float(self.ridge),
@@ -331,7 +296,7 @@ class AllanDesign(eqx.Module):
 
     def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
         """Expectation of the estimates for each term of unit amplitude, for many shapes, in NumPy."""
-        m = int(self.rows)
+        m = int(self.geometry.count)
         found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
         for b, at in enumerate(shape if self.moving else ()):
             for k, term in zip(self.places, self._moving(at), strict=True):
@@ -354,13 +319,19 @@ def _around(design: AllanDesign, shape: Float[ArrayLike, "axes shapes"]) -> tupl
     return jax.lax.map(lambda u: (design.means(u), slope(u), design.products_at(u)), jnp.asarray(shape))
 
 
-def quadrature_order(model: Model) -> int:
-    """Order of the quadrature of covariances; terms that oscillate need more nodes."""
+def geometry_of(curve: AllanDeviation, model: Model, capacity: int = 0) -> AllanCovariance:
+    """Quadrature of the covariance of a curve's Allan variances for a model."""
+    place = curve.n, curve.rate, curve.cluster_size
+    return AllanCovariance.of(*place, _order(model), curve.strides, capacity)
+
+
+def _order(model: Model) -> int:
+    """Order of the quadrature; terms that oscillate need more nodes."""
     return _OSCILLATING_ORDER if any(term.oscillates for term in model.terms) else _ORDER
 
 
 def _structure(term: NoiseTerm) -> NoiseTerm:
-    """Term of unit amplitude: its free shapes are None, and its held ones arrays, so that they are data."""
+    """Term with None for its free shapes and arrays for its held ones, so that they are data."""
     held: dict[str, Any] = {}
     for p in term.parameters()[1:]:
         value = getattr(term, p.name)
@@ -371,39 +342,32 @@ def _structure(term: NoiseTerm) -> NoiseTerm:
     return term.replace(**held, held=frozenset()).with_unit_amplitude()
 
 
-def _scatters(terms: Sequence[Process], slots: int) -> Bool[np.ndarray, " slots"]:
-    own = [not (term.deterministic or term.narrow_band) for term in terms]
-    return np.pad(np.array(own, bool), (0, slots - len(own)))
+def _scatters(terms: Iterable[Process]) -> Bool[np.ndarray, " terms"]:
+    return np.array([not (term.deterministic or term.narrow_band) for term in terms], bool)
 
 
 def _parts(
     terms: dict[int, Any], geometry: AllanCovariance, slots: int
-) -> tuple[
-    Float[np.ndarray, "slots m"],
-    Float[np.ndarray, "slots lags pairs"],
-    Float[np.ndarray, "slots slots pairs"],
-]:
+) -> tuple[Float[np.ndarray, "slots m"], Float[np.ndarray, "slots lags pairs"], np.ndarray]:
     """Expectations, kernels and products of the terms in these slots; zero for the others."""
     means = np.zeros((slots, len(geometry.sizes)))
     kernels = np.zeros((slots, *geometry.lags.shape))
     products = np.zeros((slots, slots, geometry.lags.shape[1]))
-    here, m = sorted(terms), int(geometry.count)
+    here, m, scatters = list(terms), int(geometry.count), _scatters(terms.values())
     real = min(m * (m + 1) // 2, geometry.lags.shape[1])
-    scatters = _scatters([terms[k] for k in here], len(here))
     both = (scatters[:, None] | scatters)[..., None]
-    for k in here:
-        means[k] = geometry.mean(terms[k])
     for first in range(0, real, _FEW_PAIRS):
         some = slice(first, min(first + _FEW_PAIRS, real))
         part = geometry.chosen(some)
-        own = np.array([part.kernel(terms[k]) for k in here]).reshape(-1, *part.lags.shape)
+        own = np.array([part.kernel(term) for term in terms.values()]).reshape(-1, *part.lags.shape)
         kernels[here, :, some] = own
         products[np.array(here)[:, None], here, some] = both * np.einsum(
             "klp,jlp->kjp", own * part.weights, own
         )
-    for k in here:
-        if terms[k].narrow_band:
-            products[k, k, :real] = _narrow_band_scatter(terms[k], geometry.chosen(slice(real)))
+    for k, term in terms.items():
+        means[k] = geometry.mean(term)
+        if term.narrow_band:
+            products[k, k, :real] = _narrow_band_scatter(term, geometry.chosen(slice(real)))
     return means, kernels, products
 
 
@@ -432,70 +396,50 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
     return mean[i] * mean[j] * (common + (i == j) * (common + 1.5 * clusters))
 
 
-class Starts(NamedTuple):
-    """Start values: powers [axes, starts, terms] and transformed shapes [axes, starts, shapes]."""
-
-    power: Float[np.ndarray, "axes starts terms"]
-    shape: Float[np.ndarray, "axes starts shapes"]
-
-
+@np.errstate(all="ignore")
 def find_starts(
     model: Model,
-    design: AllanDesign,
-    V: Float[np.ndarray, "axes m"],
+    candidates: Float[np.ndarray, "candidates shapes"],
+    unit: Float[np.ndarray, "candidates terms m"],
+    level: Float[np.ndarray, "axes m"],
+    degrees: Float[np.ndarray, " m"],
     active: Bool[np.ndarray, "axes terms"],
-    records: Iterable[Float[np.ndarray, " samples"] | None],
-    n: int,
-    rate: float,
-) -> Starts:
-    """Start values for every axis, from its Allan variances and, for lines, its record of n samples.
+) -> tuple[Float[np.ndarray, "axes starts terms"], Float[np.ndarray, "axes starts shapes"]]:
+    """Start values for every axis: powers, and the best few candidates of shapes, with which they fit best.
 
-    Shape parameters without a value of their own are tried on a grid (`shape_candidates`): the best few, with
-    the powers that fit best, clusters being independent.
+    Args:
+        model: the model, with `candidates` of its free shapes, transformed.
+        unit: expectations of the estimates for each candidate and term of unit amplitude.
+        level, degrees: smooth estimates, taken to be independent, and their degrees of freedom.
+        active: the terms that each axis has.
     """
-    from scipy.ndimage import median_filter
-
-    shapes, free = free_shapes(model), free_powers(model)
-    searched = any(p.parameter.kind == "line" and p.start is None for p in shapes)
-    # A single estimate that is small by chance must not lower all powers.
-    smooth = np.exp(median_filter(np.log(np.maximum(V, 1e-300)), (1, 5), mode="nearest"))
     amplitudes = (p.start for p in model.parameters if p.parameter.is_amplitude)
-    held = np.array([0.0 if value is None else value**2 for value in amplitudes])
-    clusters = 0.5 * n / design.geometry.sizes[: V.shape[1]]
-    peaks = [find_lines(x, rate) if searched and x is not None else () for x in records]
-    shape = np.stack([shape_candidates(shapes, n / rate, rate, of_axis) for of_axis in peaks])
-    axes, count = shape.shape[:2]
-    # Where no lines are searched for, all axes have the same candidates.
-    units = [design.units(of_axis) for of_axis in (shape if searched else shape[:1])]
+    free, held = free_powers(model), np.array([float(value or 0.0) ** 2 for value in amplitudes])
+    axes, count = len(level), len(candidates)
     axis, candidate = (x.ravel() for x in np.indices((axes, count)))
-    power, misfit = np.empty((axes * count, len(model))), np.empty(axes * count)
+    power, loss = np.empty((axes * count, len(model))), np.empty(axes * count)
     for some in np.array_split(np.arange(axes * count), -(-axes * count // _BLOCK)):
-        unit = np.stack(
-            [units[k if searched else 0][c] for k, c in zip(axis[some], candidate[some], strict=True)]
-        )
-        level, used = smooth[axis[some]], active[axis[some]]
-        start = np.min(level[:, None] / np.maximum(unit, 1e-300), axis=-1)
-        power[some], misfit[some] = power_fits(
-            level, clusters, level, unit, np.where(free, start, held), used
-        )
-    power, misfit = np.where(free, power, held).reshape(axes, count, -1), misfit.reshape(axes, count)
-    best = np.stack([different(*of_axis, shapes) for of_axis in zip(shape, misfit, strict=True)])
-    rows = np.arange(axes)[:, None]
-    return Starts(power[rows, best], shape[rows, best])
+        own, of_terms = level[axis[some]], unit[candidate[some]]
+        largest = np.min(own[:, None] / np.maximum(of_terms, 1e-300), axis=-1)
+        start = np.where(free, largest, held)
+        power[some], loss[some] = power_fits(own, degrees / 2.0, own, of_terms, start, active[axis[some]])
+    powers = np.where(free, power, held).reshape(axes, count, -1)
+    best = np.stack([_different(free_shapes(model), candidates, x) for x in loss.reshape(axes, count)])
+    return powers[np.arange(axes)[:, None], best], candidates[best]
 
 
-def different(
-    shape: Float[np.ndarray, "candidates shapes"],
-    misfit: Float[np.ndarray, " candidates"],
+def _different(
     shapes: Sequence[ModelParameter],
+    candidates: Float[np.ndarray, "candidates shapes"],
+    loss: Float[np.ndarray, " candidates"],
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
     apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
     # Of two orders of like terms, which fit equally well, that of ascending shapes comes first.
-    order = np.lexsort((*shape.T[::-1], np.round(misfit - misfit.min(), 2))).tolist()
+    order = np.lexsort((*candidates.T[::-1], np.round(loss - loss.min(), 2))).tolist()
     chosen: list[int] = []
     for i in order:
-        if all(np.any(abs(shape[i] - shape[k]) > apart) for k in chosen):
+        if all(np.any(abs(candidates[i] - candidates[k]) > apart) for k in chosen):
             chosen.append(i)
     return np.array((chosen + [i for i in order if i not in chosen])[:_STARTS])
 
@@ -506,36 +450,32 @@ def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"
 
 
 def shape_candidates(
-    shapes: tuple[ModelParameter, ...],
-    duration: float,
-    rate: float,
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+    model: Model, duration: float, rate: float, peaks: Peaks = ()
 ) -> Float[np.ndarray, "candidates shapes"]:
-    """Transformed shape values to try in a record of this duration [s]: the given ones, or a grid.
+    """Transformed values of a model's free shapes to try in a record of this duration [s].
 
-    `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
+    These are the given ones, or a grid; `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
     """
+    shapes = free_shapes(model)
     if not shapes:
         return np.zeros((1, 0))
-    choices = []
-    for p in shapes:
+
+    def choices(p: ModelParameter) -> Sequence[float] | Float[np.ndarray, " values"]:
+        own = p.parameter
         if p.start is not None:
-            choices.append(np.array([p.start]))
-        elif p.parameter.kind == "time":
-            choices.append(correlation_times(duration, rate))
-        elif p.parameter.starts:
-            choices.append(rate * np.array(p.parameter.starts))
-        elif p.parameter.name == "bandwidth":
-            choices.append(np.geomspace(rate / 200.0, rate / 3.0, 8))
-        elif p.parameter.kind == "frequency":
-            choices.append(np.geomspace(4.0 / duration, rate / 4.0, 16))
-        elif p.parameter.kind == "line":
-            choices.append(np.asarray(peaks))
-        elif p.parameter.upper < np.inf:
-            choices.append(np.linspace(p.parameter.lower, p.parameter.upper, 9)[1:-1])
-        else:
-            choices.append(p.parameter.lower + np.array([1.0, 5.0, 25.0]))
-    grid = np.array(list(itertools.product(*choices)))
+            return [p.start]
+        if own.starts:
+            return rate * np.array(own.starts)
+        if own.name == "bandwidth":
+            return np.geomspace(rate / 200.0, rate / 3.0, 8)
+        if own.kind == "number" and own.upper < np.inf:
+            return np.linspace(own.lower, own.upper, 9)[1:-1]
+        if own.kind == "frequency":
+            return np.geomspace(4.0 / duration, rate / 4.0, 16)
+        by_kind = {"time": correlation_times(duration, rate), "line": peaks}
+        return by_kind.get(own.kind, own.lower + np.array([1.0, 5.0, 25.0]))
+
+    grid = np.array(list(itertools.product(*map(choices, shapes))))
     if len(grid) > _CANDIDATES:
         grid = grid[np.random.default_rng(0).choice(len(grid), _CANDIDATES, replace=False)]
     return np.log(grid - np.array([p.parameter.lower for p in shapes]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
@@ -20,6 +20,9 @@ from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
 from allanjax.spectrum.cosine import Bins, cosine_transform
+
+#: Frequencies [Hz].
+Peaks: TypeAlias = Sequence[float] | Float[np.ndarray, " peaks"]
 
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
@@ -45,17 +48,14 @@ def line_columns(
     """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series."""
     xp = namespace(frequency, j, n, rate)
     w, a = 2.0 * np.pi * frequency / rate, np.pi * j / n
-
-    def sums(x: Any) -> tuple[Any, Any]:
-        """Sums over k = 0 … n−1 of cos and sin of x(k + ½)."""
+    cosines, sines = 0.0, 0.0
+    # Sums over k = 0 … n−1 of cos and sin of x(k + ½).
+    for x in (w + a, w - a):
         regular = abs(xp.sin(x / 2.0)) > 1e-13
-        x = xp.where(regular, x, 1.0)
-        cosines = xp.sin(n * x) / (2.0 * xp.sin(x / 2.0))
-        sines = xp.sin(n * x / 2.0) ** 2 / xp.sin(x / 2.0)
-        return xp.where(regular, cosines, 1.0 * n), xp.where(regular, sines, 0.0)
-
-    above, below = sums(w + a), sums(w - a)
-    return xp.stack([above[0] + below[0], above[1] + below[1]], axis=-1) / xp.sqrt(2.0 * n)
+        half = xp.where(regular, x, 1.0) / 2.0
+        cosines += xp.where(regular, xp.sin(2.0 * n * half) / (2.0 * xp.sin(half)), 1.0 * n)
+        sines += xp.where(regular, xp.sin(n * half) ** 2 / xp.sin(half), 0.0)
+    return xp.stack([cosines, sines], axis=-1) / xp.sqrt(2.0 * n)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class Line:
     """Spectral line found in a record.
 
     `frequency_std` is 0 if the frequency [Hz] was given; `gain` is in log-likelihood [nats]; `beta` are the
-    amplitudes of cosine and sine in the samples by least squares. `coefficients` are the record's from index
-    `first` on, this line included and other lines subtracted.
+    amplitudes of cosine and sine in the samples, and `amplitude_std` the error of each. `coefficients` are
+    the record's from index `first` on, this line included and other lines subtracted.
     """
 
     frequency: float
@@ -116,44 +116,45 @@ def take_out_lines(
     """
     if not wanted:
         return cosine_transform(x), ()
-    n, rest = len(x), np.array(x, float)
+    n, rest, found = len(x), np.array(x, float), dict[int, Line]()
     angle = 2.0 * np.pi * (np.arange(n) + 0.5) / rate
-    found: dict[int, Line] = {}
     # Lines with a given frequency first, then the strongest; then each again without the others.
     order = sorted(range(len(wanted)), key=lambda k: wanted[k][0] is None)
     for k in order * (2 if len(order) > 1 else 1):
         start, held = wanted[k]
-        reach = LINE_REACH / 2.0 if start is not None and k not in found else _SEARCH
+        starts, reach = [start or 0.0], LINE_REACH / 2.0
         if k in found:
             rest += found[k].samples(angle)
-            starts = [found[k].frequency]
-        else:
-            starts = [start] if start is not None else find_lines(rest, rate, (n,), _PLACES).tolist()
+            starts, reach = [found[k].frequency], _SEARCH
+        elif start is None:
+            starts, reach = find_lines(rest, rate, (n,), _PLACES).tolist(), _SEARCH
         c = cosine_transform(rest)
         options = [_refined(c, f, 0.0 if held else reach, rate) for f in starts]
         found[k] = max(options, key=lambda line: line.gain)
         rest -= found[k].samples(angle)
     alone = cosine_transform(rest)
     c, lines = alone.copy(), []
-    for line in (found[k] for k in range(len(wanted))):
+    for _, line in sorted(found.items()):
         own = line_columns(line.frequency, line.indices, n, rate) @ line.beta
         lines.append(dataclasses.replace(line, coefficients=alone[line.indices - 1] + own))
         c[line.indices - 1] += own
     return c, tuple(lines)
 
 
+def peaks_for(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Peaks:
+    """Frequencies to try for the lines and resonances of a model that come without one."""
+    searched = any(p.parameter.kind == "line" and p.start is None for p in model.parameters)
+    return find_lines(x, rate) if searched else ()
+
+
 def find_lines(
     x: Float[np.ndarray, " samples"], rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
 ) -> Float[np.ndarray, " peaks"]:
-    """Frequencies [Hz] of the most conspicuous peaks of the spectrum, sharp lines and broad bumps alike.
+    """Frequencies [Hz] of the `count` most conspicuous peaks of the spectrum, sharp lines and broad bumps.
 
     A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
-    several resolutions; a peak found at one resolution is not counted again at another.
-
-    Args:
-        x, rate: samples, and their rate [Hz].
-        lengths: numbers of samples of a periodogram; by default all, and shorter ones for broad peaks.
-        count: number of peaks.
+    several `lengths` [samples], by default all and shorter ones for broad peaks; a peak found at one
+    resolution is not counted again at another.
     """
     from scipy.ndimage import median_filter
     from scipy.signal import welch
@@ -191,23 +192,21 @@ def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: flo
     def fitted(f: float) -> tuple[float, np.ndarray, float]:
         D = line_columns(f, indices, n, rate)
         beta = np.linalg.solve(D.T @ D + 1e-12 * np.eye(2), D.T @ data)
-        return float(data @ D @ beta) / (2.0 * level), beta, float(np.sqrt(2.0 * level / np.sum(D**2)))
-
-    def loss(f: float) -> float:
-        return -fitted(f)[0]
+        return -float(data @ D @ beta) / (2.0 * level), beta, float(np.sqrt(2.0 * level / np.sum(D**2)))
 
     f, std = start, 0.0
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
         grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
-        f, step = grid[np.argmin([loss(g) for g in grid])], spacing / _GRID
-        options = {"xatol": 1e-6 * spacing}
-        f = float(minimize_scalar(loss, bounds=(f - step, f + step), method="bounded", options=options).x)
+        f, step = grid[np.argmin([fitted(g)[0] for g in grid])], spacing / _GRID
+        bounds, options = (f - step, f + step), {"xatol": 1e-6 * spacing}
+        f = float(minimize_scalar(lambda g: fitted(g)[0], bounds=bounds, method="bounded", options=options).x)
         h = 0.05 * spacing
-        curvature = (loss(f + h) - 2.0 * loss(f) + loss(f - h)) / h**2
+        left, middle, right = (fitted(g)[0] for g in (f - h, f, f + h))
+        curvature = (left - 2.0 * middle + right) / h**2
         std = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else spacing
-    gain, beta, amplitude_std = fitted(f)
-    return Line(f, std, gain, beta, amplitude_std, first, data)
+    loss, beta, amplitude_std = fitted(f)
+    return Line(f, std, -loss, beta, amplitude_std, first, data)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -273,9 +272,9 @@ class AxisSpectrum(ByValue):
         owners = tuple(owner for owner, _ in everywhere)
         return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
 
-    def used(self, absent: Sequence[int] = ()) -> Bool[np.ndarray, " columns"]:
-        """Which columns are in use if the model lacks the terms `absent`."""
-        return np.array([owner not in absent for owner in self.owners], bool)
+    def used(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " columns"]:
+        """Which columns are in use if these terms are: theirs, and those of regressors."""
+        return np.array([isinstance(owner, str) or active[owner] for owner in self.owners], bool)
 
     def project(self, variance: Float[np.ndarray, " m"], used: np.ndarray) -> Projection:
         """Project out the columns in use, given the variance of the noise in each bin."""
@@ -297,25 +296,25 @@ class AxisSpectrum(ByValue):
         return Projection(level, dof, amplitude, covariance)
 
 
-def amplitude_quantile(square: float, degrees: int, probability: float) -> float:
-    """Amplitude, in standard deviations, under which a square as small as this one has this probability.
+def amplitude_quantiles(
+    square: float, degrees: int, probabilities: Float[np.ndarray, " p"]
+) -> Float[np.ndarray, " p"]:
+    """Amplitudes, in standard deviations, under which a square as small as this has these probabilities.
 
     The square of an estimate with `degrees` components (a ramp has one, a line two), in units of its
     variance, has a noncentral χ² law. A confidence limit follows for any amplitude, zero included. Upper
     limits (a probability below one half) never use a square below the median of pure noise: data with less
     power than noise say nothing about an amplitude.
     """
-    from scipy.optimize import brentq
-    from scipy.special import chndtr, ndtri
+    from scipy.special import chndtr, chndtrinc, ndtri
 
-    if not np.isfinite(square):
-        return float("nan")
-    if probability < 0.5:
-        square = max(square, float(quantile(0.5, degrees)))
+    least = np.where(probabilities < 0.5, quantile(0.5, degrees), 0.0)
+    squares = np.maximum(square, least)
     if square > 400.0:
         # Here the law is normal, and the mean of the estimate exceeds the amplitude by (degrees −
         # 1)/(2·amplitude).
-        return float(np.sqrt(square) - ndtri(probability) - (degrees - 1) / (2.0 * np.sqrt(square)))
-    if chndtr(square, degrees, 1e-12) <= probability:
-        return 0.0
-    return float(brentq(lambda a: chndtr(square, degrees, a**2) - probability, 1e-6, np.sqrt(square) + 10.0))
+        root = np.sqrt(squares)
+        return root - ndtri(probabilities) - (degrees - 1) / (2.0 * root)
+    possible = chndtr(squares, degrees, 1e-12) > probabilities
+    found = chndtrinc(np.where(possible, squares, 1e3), degrees, probabilities)
+    return np.where(possible, np.sqrt(found), 0.0) + 0.0 * square

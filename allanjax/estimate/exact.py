@@ -14,23 +14,24 @@ regression on the amplitude; those of shapes are by the information.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.optimize import lsq_linear
 
 from allanjax.base.errors import FitError
-from allanjax.estimate.design import free_shapes
+from allanjax.estimate.design import INSIDE, free_shapes
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
 from allanjax.estimate.result import AxisFit, fitted_model
-from allanjax.estimate.whittle import fit_whittle
+from allanjax.estimate.whittle import absent, fit_whittle
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.recording import Recording
+
+_Vector: TypeAlias = Float[np.ndarray, " p"]
 
 #: Most samples of a record.
 MOST = 100_000
@@ -38,8 +39,8 @@ MOST = 100_000
 _DIFFERENCE, _LEAST = 1e-3, 1e-12
 # Most steps, longest step of a shape in ln, and gain of a step [nats] below which the maximum is reached.
 _STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
-# Bounds of a shape about its start, and margin from its own upper bound, in ln.
-_REACH, _INSIDE = 4.0, 1e-2
+# Bounds of a shape about its start, in ln.
+_REACH = 4.0
 # Hypothetical powers in standard deviations from the estimate: `ABOVE` from the lowest up to it, and above.
 _LOWEST = -7.0
 _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
@@ -82,25 +83,21 @@ def fit_exact(
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
     inferred, data = problem.inferred(at), (recording.n, recording.rate)
-    (found,) = coefficients_of(template, [start.axis], active[None], *inferred, *data)
+    found = coefficients_of(template, start.axis, active[None], *inferred, *data)
     values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
-    inactive = [label for label, here in zip(template.term_labels, active, strict=True) if not here]
-    return dataclasses.replace(
-        start,
-        _coefficients=values,
-        _covariance=np.nan_to_num(found.covariance),
-        _model=fitted_model(template, values, inactive),
-    ), True
+    model = fitted_model(template, values, absent(template, active))
+    result = dataclasses.replace(start, _coefficients=values, _covariance=found.covariance, _model=model)
+    return result, True
 
 
 class _Place(NamedTuple):
     """Parameters, the likelihood there, its score and information, the next step, and its expected gain."""
 
-    theta: Float[np.ndarray, " p"]
+    theta: _Vector
     log_likelihood: float
-    score: Float[np.ndarray, " p"]
+    score: _Vector
     information: Float[np.ndarray, "p p"]
-    step: Float[np.ndarray, " p"]
+    step: _Vector
     gain: float
 
     def covariance(self, of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
@@ -131,7 +128,7 @@ class _Problem:
         distance = np.where(np.isfinite(value) & ~self.is_power, value - self.origin, 1.0)
         self.start = np.where(self.is_power, value**2 / self.unit, np.log(distance))
         self.lower = np.where(self.is_power, 0.0, self.start - _REACH)
-        highest = np.maximum(np.log(end - self.origin) - _INSIDE, self.start)
+        highest = np.maximum(np.log(end - self.origin) - INSIDE, self.start)
         self.upper = np.where(self.is_power, np.inf, np.minimum(highest, self.start + _REACH))
 
     def innovations(self, thetas: Float[np.ndarray, "points p"]) -> tuple[np.ndarray, np.ndarray]:
@@ -141,7 +138,7 @@ class _Problem:
         models = [self.template.with_values(**dict(zip(self.labels, row, strict=True))) for row in rows]
         return innovations_under(models, *self.data)
 
-    def place(self, theta: Float[np.ndarray, " p"]) -> _Place:
+    def place(self, theta: _Vector) -> _Place:
         """Likelihood and its derivatives at these parameters."""
         move = np.diag(_DIFFERENCE * np.where(self.is_power, np.maximum(theta, 1e-2), 1.0))[self.moves]
         # At zero power the difference is one-sided.
@@ -181,10 +178,10 @@ class _Problem:
         tests = np.full((2, terms, ABOVE + len(_ABOVE)), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
             tests[:, k] = self._hypotheses(at, k, inside)
-        solved: Any = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        found: Any = (covariance, *tests, np.full(terms, np.inf))
+        solved = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
+        found = (covariance, *tests, np.full(terms, np.inf))
         # As of several axes.
-        return jax.tree.map(lambda x: np.asarray(x)[None], (Solution(*solved), Inference(*found)))
+        return Solution(*(np.asarray(x)[None] for x in solved)), Inference(*(x[None] for x in found))
 
     def _hypotheses(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "2 grid"]:
         """Hypothetical powers of a term, and signed roots of the likelihood ratio of each.

@@ -23,13 +23,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int, Shaped
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.linalg import non_negative_least_squares
-from allanjax.estimate.design import AllanDesign
+from allanjax.estimate.design import INSIDE, REACH, AllanDesign
 
-# Bound of a shape's distance from its start, in ln: the spectrum locates a line better than the Allan curve
-# does; the starts of other shapes are two to a decade or denser.
-_SHAPE_BOUND = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}
-# Margin kept from a shape's upper bound in ln, since the bound is open.
-_INSIDE = 1e-2
 # Errors of the model in the first steps, nearly log-log fits, which converge from anywhere; of a model that
 # is tried without an error, and of one that needs one.
 _WARM_UP = np.array([[0.5, 0.2, 0.05, 0.0], [0.5, 0.2, 0.05, 0.1]])
@@ -38,40 +33,32 @@ _WARM = _WARM_UP.shape[1]
 _STEPS, _INNER_STEPS = _WARM + 100, 20
 # Largest factor by which the acceleration extrapolates the last move.
 _MAX_EXTRAPOLATION = 5.0
-# Number of full steps; afterwards shapes move by at most _LATE in ln, times _SHORTER after each step.
-_FULL_STEPS = _WARM + 25
-_LATE, _SHORTER = 0.5, 0.92
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
-# The same after the last step: in a poorly determined direction, such as a long correlation time, steps stay
-# longer, and this share of a standard deviation suffices.
-_CLOSE = 0.05
-# A model whose χ² is so many times too large after so many steps is not tried further without an error.
-_HOPELESS, _TRIED = 4.0, _WARM + 5
-_LEAST_ERROR, _LESS_ERROR = 1e-4, 0.5
+_LEAST_ERROR = 1e-4
 
 
 class Solution(NamedTuple):
-    """Estimate of one axis, or of several along a first dimension.
+    """Estimate of one axis in arrays of JAX or NumPy, or of several along a first dimension.
 
     Attributes:
-        power: powers (squared amplitudes) of the terms.
-        shape: transformed shapes, ln(value − lower bound).
+        power: powers (squared amplitudes) of the terms [terms].
+        shape: transformed shapes, ln(value − lower bound) [shapes].
         chi2: χ² without an error of the model.
         power_error: relative error of the model's powers that explains the misfit; 0 if the model suffices.
         converged: whether the iteration converged.
         cost: minus twice the log-likelihood, to choose among solutions.
     """
 
-    power: Float[Array, " terms"]
-    shape: Float[Array, " shapes"]
-    chi2: Float[Array, ""]
-    power_error: Float[Array, ""]
-    converged: Bool[Array, ""]
-    cost: Float[Array, ""]
+    power: Any
+    shape: Any
+    chi2: Any
+    power_error: Any
+    converged: Any
+    cost: Any
 
     @property
-    def discrepancy(self) -> Float[Array, "*axes"]:
+    def discrepancy(self) -> Any:
         """Relative error of the model's deviations, which is half of that of its powers."""
         return self.power_error / 2.0
 
@@ -98,14 +85,10 @@ class _State(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """Data of one axis, the part of the model that is fitted to them, and the start.
+    """Data of one axis, the model that is fitted to them, and the start; see `solve`.
 
-    Attributes:
-        design, V, free, active: as in `solve`.
-        power, shape: where the fit starts; inactive terms have zero power, held ones keep theirs.
-        moves, lower, upper: which shapes are fitted, and their bounds.
-        still: means and products if no shape moves, computed once.
-        dof: degrees of freedom of χ².
+    `still` are means and products if no shape moves, computed once; `moves`, `lower` and `upper` tell which
+    shapes are fitted, and their bounds; `dof` are the degrees of freedom of χ².
     """
 
     design: AllanDesign
@@ -124,14 +107,13 @@ class _Problem(NamedTuple):
     def of(
         cls, design: AllanDesign, V: Array, free: Array, active: Array, power: Array, shape: Array
     ) -> _Problem:
-        declared = [s.parameter for s in design.shapes]
-        reach = jnp.asarray([_SHAPE_BOUND[p.kind] for p in declared])
-        end = jnp.asarray([np.log(p.upper - p.lower) for p in declared]) - _INSIDE
-        moves = active[jnp.asarray(design.owner)] & design.movable
-        dof = jnp.maximum(design.rows - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-        still = None if design.has_shapes else (design.means(shape), design.products_at(shape))
+        reach = jnp.asarray([REACH[s.parameter.kind] for s in design.shapes])
+        end = jnp.asarray([np.log(s.parameter.upper - s.parameter.lower) for s in design.shapes]) - INSIDE
+        moves, power = active[jnp.asarray(design.owner)], jnp.where(active, power, 0.0)
+        dof = jnp.maximum(design.geometry.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
+        still = None if design.shapes else (design.means(shape), design.products_at(shape))
         bounds = (shape - reach, jnp.minimum(shape + reach, end))
-        return cls(design, V, free, active, jnp.where(active, power, 0.0), shape, moves, *bounds, still, dof)
+        return cls(design, V, free, active, power, shape, moves, *bounds, still, dof)
 
     def within(self, u: Array) -> Float[Array, " shapes"]:
         """Shapes clipped to their bounds; those that are not fitted stay at their start."""
@@ -146,10 +128,10 @@ class _Problem(NamedTuple):
         return self.design.mean(power, self.means(shape)), self.design.covariance(power, products)
 
     def start(self, tolerant: bool) -> _State:
-        at, no = (self.power, self.shape), jnp.asarray(False)
-        error, infinite = jnp.asarray(_WARM_UP[int(tolerant), 0]), jnp.asarray(jnp.inf)
-        of_error = (error, jnp.asarray(tolerant), jnp.asarray(0))
-        return _State(*at, *self.moments(*at), at, at, *of_error, infinite, infinite, no, no)
+        at, no, infinite = (self.power, self.shape), jnp.asarray(False), jnp.asarray(jnp.inf)
+        error = jnp.asarray(_WARM_UP[int(tolerant), 0])
+        counts = (jnp.asarray(tolerant), jnp.asarray(0))
+        return _State(*at, *self.moments(*at), at, at, error, *counts, infinite, infinite, no, no)
 
     def misfit(self, mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
@@ -173,17 +155,10 @@ class _Problem(NamedTuple):
                 return self.powers(self.within(u), W, state.mean)[1]
 
             # Not the default QR: see `linalg` about batches of LAPACK calls.
-            linear: lx.AbstractLinearSolver = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
-            solver: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
-                rtol=1e-6, atol=1e-6, linear_solver=linear
-            )
-            found: optx.Solution = optx.least_squares(
-                residual, solver, shape, max_steps=_INNER_STEPS, throw=False
-            )
-            new = jnp.where(jnp.isfinite(found.value), self.within(found.value), shape)
-            late = state.step - _FULL_STEPS
-            longest = jnp.where(late >= 0, _LATE * _SHORTER**late, jnp.inf)
-            shape = shape + jnp.clip(new - shape, -longest, longest)
+            linear: Any = lx.Normal(lx.CG(rtol=1e-9, atol=1e-12))
+            solver: Any = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-6, linear_solver=linear)
+            found: Any = optx.least_squares(residual, solver, shape, max_steps=_INNER_STEPS, throw=False)
+            shape = jnp.where(jnp.isfinite(found.value), self.within(found.value), shape)
         return self.powers(shape, W, state.mean)[0], shape
 
     def accelerated(self, state: _State, W: Array, move: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -198,9 +173,8 @@ class _Problem(NamedTuple):
         gamma = jnp.vdot(change, here) / jnp.maximum(jnp.vdot(change, change), 1e-30)
         # Moves that grow in one direction lead away from a near solution: extrapolate, do not return.
         gamma = jnp.where((jnp.vdot(here, last) > 0.0) & (gamma > 0.0), -_MAX_EXTRAPOLATION, gamma)
-        # The first steps each solve another problem, and after many the iteration cycles.
-        steady = (state.step > _WARM) & (state.step < _FULL_STEPS)
-        gamma = jnp.where(steady, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
+        # The first steps each solve another problem.
+        gamma = jnp.where(state.step > _WARM, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
         power, shape = (
             x + f - gamma * (x - x_last + f - f_last)
             for x, f, x_last, f_last in zip(state[:2], move, state.last, state.last_move, strict=True)
@@ -222,14 +196,12 @@ class _Problem(NamedTuple):
         )
         limit, excess = beyond_doubt(self.dof), with_error / self.dof
         # With few clusters the tail is heavier than that of χ².
-        suffices, last = chi2 < limit, k + 1 == _STEPS
+        suffices = chi2 < limit
         known = ~tolerant | (jnp.abs(excess - 1.0) < 0.02) | (error <= _LEAST_ERROR) & suffices
-        settled = (k >= _WARM) & (moved < jnp.where(last, _CLOSE, _TOLERANCE)) & known
-        ended = settled | last | ~tolerant & (k >= _TRIED) & (chi2 > _HOPELESS * limit)
-        # Where the model's error dominates the covariance, χ² is proportional to its inverse square. If the
-        # first steps led far off but the model suffices, its error must vanish in the end.
-        change = jnp.where((k >= _FULL_STEPS) & suffices, _LESS_ERROR, jnp.sqrt(excess))
-        adapted = jnp.where(tolerant, jnp.clip(error * change, _LEAST_ERROR, 10.0), 0.0)
+        settled = (k >= _WARM) & (moved < _TOLERANCE) & known
+        ended = settled | (k + 1 == _STEPS)
+        # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
+        adapted = jnp.where(tolerant, jnp.clip(error * jnp.sqrt(excess), _LEAST_ERROR, 10.0), 0.0)
         warm = jnp.asarray(_WARM_UP)[tolerant.astype(int), jnp.minimum(k + 1, _WARM - 1)]
         new = _State(
             *at,
@@ -273,9 +245,9 @@ def solve(
         active: the terms in use, for each axis.
         power, shape: start values.
     """
-    room, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
+    padding, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
     of_terms = (np.pad(free, (0, slots)), *(np.pad(x, ((0, 0), (0, slots))) for x in (active, power)))
-    V = np.pad(V, ((0, 0), (0, room)), constant_values=1.0)
+    V = np.pad(V, ((0, 0), (0, padding)), constant_values=1.0)
     found: Any = jax.device_get(_solutions(design, V, *of_terms, shape))
     return found._replace(power=found.power[:, : len(free)])
 
@@ -291,4 +263,4 @@ def _solutions(
         return _Problem.of(design, axis[0], jnp.asarray(free), *axis[1:]).solution()
 
     # With shapes one after another, for then no axis waits for the slowest.
-    return jax.lax.map(of, (V, *of_axes)) if design.has_shapes else jax.vmap(of)((V, *of_axes))
+    return jax.lax.map(of, (V, *of_axes)) if design.shapes else jax.vmap(of)((V, *of_axes))

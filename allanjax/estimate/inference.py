@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.estimate.design import Tangent, of_owners
-from allanjax.estimate.deterministic import Line, amplitude_quantile
+from allanjax.estimate.deterministic import Line, amplitude_quantiles
 from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
@@ -21,28 +22,26 @@ from allanjax.record.recording import Axis
 # Ends of intervals and the one-sided limit, in standard deviations below the value.
 _LEVELS = np.array([TWO_SIDED_95, -TWO_SIDED_95, TWO_SIDED_68, -TWO_SIDED_68, -ONE_SIDED_95])
 # A shape is at a bound if it is closer than this share of the distance between its bounds.
-_INSIDE = 0.0125
+_MARGIN = 0.0125
 # A limit that is so many times as far from a bound as the estimate is not reported.
 _NOWHERE = 1e4
 # A line at an unknown frequency is detected if noise has a line as strong in at most one of so many records.
 _FALSE_LINE = 1.35e-3
 # Hypothetical powers, in standard deviations from the estimate; the first is zero power.
 _BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-# Those that are tested first, and those that are only where none of these is excluded.
-_NEAREST, _FARTHER = np.array([0, 6, 7, 8, 9, 10, 11]), np.arange(1, 6)
 # If the scatter grows with the power, as for few long clusters, limits may be far above.
 _NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
 _ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
 #: Number of hypotheses below the estimate, itself included.
 ABOVE = len(_BELOW)
 # No interval ends beyond this score.
-_FAR_ENOUGH = -2.0
+_FAR_ENOUGH = 2.0
 # Probability that a ceiling is too low.
 _CHANCE = 0.025
-# Numbers that are computed together.
-_TOGETHER = 400_000
-# Rounds in which all powers of a wrong sign are exchanged at once, and most rounds.
-_ALL_AT_ONCE, _ROUNDS = 5, 100
+_Terms: TypeAlias = Float[np.ndarray, "axes terms"]
+_Grid: TypeAlias = Float[np.ndarray, "axes grid"]
+_Flags: TypeAlias = Bool[np.ndarray, "axes _"]
+_Index: TypeAlias = Int[np.ndarray, " axes"]
 
 
 class Inference(NamedTuple):
@@ -70,51 +69,38 @@ def infer(
 ) -> Inference:
     """Covariance of the parameters, and for each term the distance of the data from hypothetical powers.
 
-    The first hypothesis is v = 0. Upwards, hypotheses continue until the data exclude one, and the other
-    powers are fitted anew at each, since far away a linear prediction of them is useless. Hypotheses that are
-    not tested are NaN.
-
+    Hypotheses lead from the estimate down to v = 0, and up, until the data exclude one; the others are NaN.
     The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
-    powers adjusted to it), so that it is right at the boundary v = 0 as well as where the scatter grows
-    with v. It exists for inactive terms too, whose upper limits it gives.
+    powers fitted anew), so that it is right at the boundary v = 0 as well as where the scatter grows with v.
+    It exists for inactive terms too, whose upper limits it gives.
     """
-    power, error = np.asarray(solution.power), np.asarray(solution.power_error)
-    owner, count = tangent.owner, power.shape
-    has_shape = active[:, owner] & (power[:, owner] > 0.0) & tangent.movable
-    axes = _Axes(tangent, V, active, active & free, power, error, has_shape)
-    estimated = np.concatenate([axes.fitted, has_shape], axis=1)
-    covariance = axes.linearized(power[:, None], estimated[:, None]).covariance[:, 0]
-    # Every term of every axis, as many together as fit into little memory.
-    axis, term = (x.ravel() for x in np.indices(count))
-    blocks = np.array_split(
-        np.arange(len(axis)), -(-len(axis) * V.shape[1] * estimated.shape[1] // _TOGETHER)
-    )
-    tests = [axes.of_axes(axis[some]).hypotheses(term[some]) for some in blocks]
-    power_at, pivot_at = (np.concatenate(x).reshape(*count, -1) for x in zip(*tests, strict=True))
+    power, owner = solution.power, tangent.owner
+    has_shape = active[:, owner] & (power[:, owner] > 0.0)
+    axes = _Axes(tangent, V, active, active & free, power, solution.power_error, has_shape)
+    covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1)).covariance
+    # Every term of every axis.
+    axis, term = (x.ravel() for x in np.indices(power.shape))
+    power_at, pivot_at = (x.reshape(*power.shape, -1) for x in axes.of_axes(axis).hypotheses(term))
     return Inference(covariance, power_at, pivot_at, axes.ceiling())
 
 
 class _Linearized(NamedTuple):
-    """One-step estimates at hypotheses, linear in the relative residuals r: `inverse` · `raw`' C⁻¹ r.
+    """One-step estimates at hypotheses, linear in the relative residuals r: `covariance` · `raw`' C⁻¹ r.
 
-    `weighed` is C⁻¹ `raw`; `covariance` is `inverse` without what is not estimated, `step` the estimate.
+    `weighed` is C⁻¹ `raw`, `step` the estimate; parameters that are not estimated have zeros.
     """
 
-    raw: Float[np.ndarray, "axes h m params"]
-    weighed: Float[np.ndarray, "axes h m params"]
-    inverse: Float[np.ndarray, "axes h params params"]
-    covariance: Float[np.ndarray, "axes h params params"]
-    step: Float[np.ndarray, "axes h params"]
+    raw: Float[np.ndarray, "axes m params"]
+    weighed: Float[np.ndarray, "axes m params"]
+    covariance: Float[np.ndarray, "axes params params"]
+    step: Float[np.ndarray, "axes params"]
 
 
 class _Axes(NamedTuple):
     """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
-    Attributes:
-        tangent, V, active: the model, the estimates of power, the terms in use.
-        fitted: the terms in use whose power is estimated.
-        power, error: powers, and error of the model.
-        has_shape: which shapes the data determine; a term without power has none.
+    `V` are the estimates, `active` the terms in use, `fitted` those of them whose power is estimated, and
+    `has_shape` the shapes that the data determine; a term without power has none.
     """
 
     tangent: Tangent
@@ -128,95 +114,82 @@ class _Axes(NamedTuple):
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
         return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
 
-    def linearized(
-        self, power: Float[np.ndarray, "axes h terms"], estimated: Bool[np.ndarray, "axes h params"]
-    ) -> _Linearized:
+    def linearized(self, power: _Terms, estimated: _Flags) -> _Linearized:
         """One-step estimates at hypotheses of those parameters that are estimated."""
-        at = self.tangent
-        mean = power @ at.means
-        moved = np.einsum(
-            "ahk,akms->ahms", power, np.broadcast_to(at.by_shape, (len(power), *at.by_shape.shape[1:]))
-        )
-        units = np.broadcast_to(at.means.swapaxes(1, 2)[:, None], (*mean.shape, at.means.shape[1]))
-        raw = np.concatenate([units, moved], axis=-1) / mean[..., None] * estimated[:, :, None]
-        residual = self.V[:, None] / mean - 1.0
+        at, mean = self.tangent, self.tangent.mean(power)
+        moved = np.sum(power[:, :, None, None] * at.by_shape, axis=1)
+        units = np.broadcast_to(at.means.swapaxes(1, 2), (*mean.shape, power.shape[1]))
+        raw = np.concatenate([units, moved], axis=2) / mean[:, :, None] * estimated[:, None]
         weighed = at.weighed(power, self.error, raw)
-        normal = raw.swapaxes(2, 3) @ weighed
-        size = np.sqrt(np.einsum("...ii->...i", normal))
+        normal = raw.swapaxes(1, 2) @ weighed
+        size = np.sqrt(np.einsum("aii->ai", normal))
         size = np.where(size > 0.0, size, 1.0)
-        sizes = size[..., None] * size[..., None, :]
+        sizes = size[:, :, None] * size[:, None]
         # A zero column (not estimated) gets a unit on the diagonal.
         rest = np.where(estimated, 0.0, 1.0) + 1e-12
-        inverse = np.linalg.inv(normal / sizes + rest[..., None] * np.eye(rest.shape[-1])) / sizes
-        covariance = inverse * (estimated[..., None] & estimated[..., None, :])
-        step = (inverse @ (weighed.swapaxes(2, 3) @ residual[..., None]))[..., 0]
-        return _Linearized(raw, weighed, inverse, covariance, step)
+        covariance = np.linalg.inv(normal / sizes + rest[:, :, None] * np.eye(rest.shape[1])) / sizes
+        covariance *= estimated[:, :, None] & estimated[:, None]
+        score = weighed.swapaxes(1, 2) @ (self.V / mean - 1.0)[:, :, None]
+        return _Linearized(raw, weighed, covariance, (covariance @ score)[..., 0])
 
-    def scores(
-        self,
-        term: Int[np.ndarray, " axes"],
-        power: Float[np.ndarray, "axes h terms"],
-        estimated: Bool[np.ndarray, "axes h params"],
-    ) -> Float[np.ndarray, "axes h"]:
+    def scores(self, term: _Index, power: _Terms, estimated: _Flags) -> Float[np.ndarray, " axes"]:
         """Distance of the data from these powers, that of one term being tested, as a normal score."""
         there, axis = self.linearized(power, estimated), np.arange(len(term))
-        row, variance = there.inverse[axis, :, term][..., None], there.covariance[axis, :, term, term]
+        row, variance = there.covariance[axis, term][:, :, None], there.covariance[axis, term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(2, 3))
+        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(1, 2))
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
-        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, :, term], 1e-300)
-        t = there.step[axis, :, term] / np.sqrt(variance)
-        return _normal_score(t, np.minimum(third / variance**1.5, most))
+        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, term], 1e-300)
+        return _normal_score(
+            there.step[axis, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
+        )
 
-    def profiled(
-        self, power: Float[np.ndarray, "axes terms"], allowed: Bool[np.ndarray, "axes terms"]
-    ) -> Float[np.ndarray, "axes terms"]:
-        """Powers, the allowed ones fitted to the data with weights from the covariance at `power`."""
-        held, mean = np.where(allowed, 0.0, power)[:, None], (power[:, None] @ self.tangent.means)
-        A = (self.tangent.means / mean).swapaxes(1, 2)
-        target = (self.V[:, None] / mean - held @ self.tangent.means / mean).swapaxes(1, 2)
-        both = np.concatenate([A, target], axis=2)
-        products = both.swapaxes(1, 2) @ self.tangent.weighed(power[:, None], self.error, both[:, None])[:, 0]
-        return np.where(allowed, _non_negative(products, allowed), power)
+    def profiled(self, power: _Terms, allowed: _Flags) -> _Terms:
+        """Powers, the allowed ones fitted to the data with weights from the covariance at `power`.
 
-    def hypotheses(
-        self, term: Int[np.ndarray, " axes"]
-    ) -> tuple[Float[np.ndarray, "axes grid"], Float[np.ndarray, "axes grid"]]:
-        """Hypothetical powers of a term of each axis, and the data's distance from each."""
-        power, owner, axis = self.power, self.tangent.owner, np.arange(len(term))
-        # The term under test is estimated even if inactive; at v = 0 its shape cannot be.
-        alone, own = np.eye(power.shape[1], dtype=bool)[term], owner == term[:, None]
-        tested = self.fitted | alone
-        estimated = np.concatenate([tested, self.has_shape & ~own], axis=1)
-        local = self.linearized(power[:, None], estimated[:, None]).covariance[axis, 0, term]
-        variance, here = local[axis, term][:, None], power[axis, term][:, None]
-        slope = np.where(tested, local[:, : power.shape[1]] / variance, 0.0)
-        down, up = (here + sds * np.sqrt(variance) for sds in (_BELOW, _ABOVE))
-        down, least = np.maximum(down, 0.0), 1e-9 * here
-        # The only term cannot vanish altogether.
-        v = np.maximum(down, least)[..., None]
-        others = np.maximum(power[:, None] + slope[:, None] * (v - here[..., None]), 0.05 * power[:, None])
-        at = np.where(alone[:, None], v, np.where(self.active[:, None], others, 0.0))
-        known = (v > 0.0) & self.active[:, None, owner]
-        shaped = np.where(own[:, None], known, self.has_shape[:, None])
-        known = np.concatenate([np.broadcast_to(tested[:, None], at.shape), shaped], axis=2)
-        below, left = np.full(down.shape, np.nan), axis
-        for some in _NEAREST, _FARTHER:
-            rows = np.ix_(left, some)
-            below[rows] = self.of_axes(left).scores(term[left], at[rows], known[rows])
-            left = left[~(below[left, _NEAREST[1]] - below[left, -1] > -_FAR_ENOUGH)]
-            if not len(left):
+        Negative ones are left out, one set after another.
+        """
+        means, mean = self.tangent.means, self.tangent.mean(power)
+        A = (means / mean[:, None]).swapaxes(1, 2)
+        rest = (self.V - self.tangent.mean(np.where(allowed, 0.0, power))) / mean
+        weighed = self.tangent.weighed(power, self.error, A).swapaxes(1, 2)
+        normal, target = weighed @ A, (weighed @ rest[:, :, None])[..., 0]
+        size = np.sqrt(np.einsum("aii->ai", normal))
+        size = np.where(size > 0.0, size, 1.0)
+        normal, target, positive = normal / (size[..., None] * size[:, None]), target / size, allowed
+        for _ in range(power.shape[1]):
+            system = np.where(positive[..., None] & positive[:, None], normal, 0.0)
+            system += np.where(positive, 1e-12, 1.0)[..., None] * np.eye(power.shape[1])
+            x = np.linalg.solve(system, np.where(positive, target, 0.0)[..., None])[..., 0]
+            if not np.any(x < 0.0):
                 break
-        above = self._above(term, np.maximum(up, least))
-        return np.concatenate([down, up], axis=1), np.concatenate([below, above], axis=1)
+            positive = positive & (x >= 0.0)
+        return np.where(allowed, np.maximum(x, 0.0) / size, power)
 
-    def _above(
-        self, term: Int[np.ndarray, " axes"], v: Float[np.ndarray, "axes grid"]
-    ) -> Float[np.ndarray, "axes grid"]:
-        """Distance from each of the powers above the estimate, as far as the data do not exclude one."""
+    def hypotheses(self, term: _Index) -> tuple[_Grid, _Grid]:
+        """Hypothetical powers of a term of each axis, and the data's distance from each."""
+        axis, alone = np.arange(len(term)), np.eye(self.power.shape[1], dtype=bool)[term]
+        # The term under test is estimated even if inactive; its shape may be unknown.
+        shaped = self.has_shape & (self.tangent.owner != term[:, None])
+        estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
+        variance = self.linearized(self.power, estimated).covariance[axis, term, term]
+        here = self.power[axis, term][:, None]
+        down, up = (np.maximum(here + sds * np.sqrt(variance)[:, None], 0.0) for sds in (_BELOW, _ABOVE))
+        # The only term cannot vanish altogether.
+        below, above = (
+            self._walked(term, np.maximum(v, 1e-9 * here), sign) for v, sign in ((down[:, ::-1], 1), (up, -1))
+        )
+        return np.concatenate([down, up], axis=1), np.concatenate([below[:, ::-1], above], axis=1)
+
+    def _walked(self, term: _Index, v: _Grid, sign: int) -> _Grid:
+        """Distance from each of these powers, from the estimate on, until the data exclude one.
+
+        The other powers are fitted anew at each, with the weights of the last.
+        """
         scores, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
         owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
+        present = self.power[left, term] > 0.0
         for k in range(v.shape[1]):
             some, here = self.of_axes(left), alone[left]
             new = some.profiled(np.where(here, v[left, k, None], at[left]), some.fitted & ~here)
@@ -224,14 +197,15 @@ class _Axes(NamedTuple):
             own = owner == term[left, None]
             shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
             known = np.concatenate([some.fitted | here, shaped], axis=1)
-            scores[left, k] = some.scores(term[left], new[:, None], known[:, None])[:, 0]
+            scores[left, k] = some.scores(term[left], new, known)
             at[left] = new
-            left = left[~(scores[left, k] - np.minimum(scores[left, 0], 0.0) < _FAR_ENOUGH)]
+            distance = sign * (scores[left, k] - _at_estimate(scores[left, 0], present[left]))
+            left = left[~(distance > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
             if not len(left):
                 break
         return scores
 
-    def ceiling(self) -> Float[np.ndarray, "axes terms"]:
+    def ceiling(self) -> _Terms:
         """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
 
         Other terms can only add to an estimate, so that V ≥ v·mean·e^(error·z)·χ²/ν, with a normal z. With m
@@ -240,8 +214,8 @@ class _Axes(NamedTuple):
         """
         from scipy.special import gammaln, ndtri
 
-        means, terms = self.tangent.means, self.power.shape[1]
-        each = self.tangent.variances(np.broadcast_to(np.eye(terms), (len(means), terms, terms)))
+        means, units = self.tangent.means, np.eye(self.power.shape[1])
+        each = np.stack([self.tangent.variances(unit[None]) for unit in units], axis=1)
         relative = np.max(np.where(means > 0.0, each / means**2, 0.0), axis=1)
         half, chance = 1.0 / np.maximum(relative, 1e-9), _CHANCE / (2.0 * self.V.shape[1])
         least = (np.log(chance) + gammaln(half + 1.0)) / half - np.log(half)
@@ -251,8 +225,8 @@ class _Axes(NamedTuple):
 
 
 def _normal_score(
-    t: Float[np.ndarray, "axes h"], skewness: Float[np.ndarray, "axes h"]
-) -> Float[np.ndarray, "axes h"]:
+    t: Float[np.ndarray, " axes"], skewness: Float[np.ndarray, " axes"]
+) -> Float[np.ndarray, " axes"]:
     """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
 
     With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
@@ -261,50 +235,26 @@ def _normal_score(
     return np.sign(g) * cube_root_score(np.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
 
 
-def _non_negative(
-    products: Float[np.ndarray, "axes terms+1 terms+1"], allowed: Bool[np.ndarray, "axes terms"]
-) -> Float[np.ndarray, "axes terms"]:
-    """Non-negative x that minimize |Ax − b|, zero where not allowed, from the products [A b]'[A b].
+def _at_estimate(
+    score: Float[np.ndarray, " axes"], present: Bool[np.ndarray, " axes"]
+) -> Float[np.ndarray, " axes"]:
+    """Score at the estimate, which is not zero where other powers ended at zero, to be subtracted.
 
-    By principal pivoting, as `linalg.non_negative_least_squares`.
+    Also for an absent term whose score is negative, so that its limit does not shrink.
     """
-    size = np.sqrt(np.einsum("aii->ai", products))
-    size = np.where(size > 0.0, size, 1.0)
-    size, norm = size[:, :-1], size[:, -1:]
-    normal, target = products[:, :-1, :-1] / (size[..., None] * size[:, None]), products[:, :-1, -1] / size
-    positive = allowed
-    for k in range(_ROUNDS):
-        system = np.where(positive[..., None] & positive[:, None], normal, 0.0)
-        system += np.where(positive, 1e-12, 1.0)[..., None] * np.eye(normal.shape[1])
-        x = np.linalg.solve(system, np.where(positive, target, 0.0)[..., None])[..., 0]
-        wanted = target - (normal @ x[..., None])[..., 0] > 1e-12 * norm
-        bad = allowed & np.where(positive, x < 0.0, wanted)
-        if not bad.any():
-            break
-        last = np.cumsum(bad[:, ::-1], axis=1)[:, ::-1] == 1
-        positive = positive ^ (bad if k < _ALL_AT_ONCE else bad & last)
-    return np.maximum(x, 0.0) / size
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Coefficients:
-    """The coefficients of one axis by label, and their covariance [SI] in the same order."""
-
-    values: Mapping[str, Estimate]
-    covariance: Float[np.ndarray, "params params"]
-
-    def with_values(self, values: Mapping[str, Estimate]) -> Coefficients:
-        """A copy with these coefficients, uncorrelated with the others."""
-        new, covariance = {**self.values, **values}, self.covariance.copy()
-        for k in (k for k, label in enumerate(new) if label in values):
-            covariance[k, :] = covariance[:, k] = 0.0
-        stds = [values[label].std ** 2 if label in values else 0.0 for label in new]
-        return Coefficients(new, covariance + np.diag(stds))
+    score = np.where(np.isfinite(score), score, 0.0)
+    return np.where(present, score, np.minimum(score, 0.0))
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
     """Parameters of a model that are coefficients: all but infinite ones and held ones without a value."""
     return tuple(p for p in model.parameters if p.free or (p.start is not None and np.isfinite(p.start)))
+
+
+def count_estimated(model: Model, active: Bool[np.ndarray, " terms"]) -> int:
+    """Number of coefficients that are estimated, by which the degrees of freedom of χ² are reduced."""
+    here = of_owners(model, active)
+    return sum(p.free and bool(here[p.term]) for p in model.parameters)
 
 
 class Estimates(NamedTuple):
@@ -329,76 +279,76 @@ class Estimates(NamedTuple):
 def estimates_of(
     model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
 ) -> Estimates:
-    """The coefficients of every axis from its solution; terms not active have upper limits only.
-
-    Args:
-        model: the model.
-        active: the terms that each axis has.
-        solution, inference: what `gls.solve` and `infer` return, of as many axes.
-    """
-    parameters, terms = reported(model), len(model)
-    shapes = [p for p in parameters if p.free and not p.parameter.is_amplitude]
-    power, shape = np.asarray(solution.power), np.asarray(solution.shape)
+    """The coefficients of every axis from its solution and inference; inactive terms have limits only."""
+    parameters, power = reported(model), solution.power
     sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
     count = (len(power), len(parameters))
-    value, std, ends = np.zeros(count), np.zeros(count), np.full((*count, 5), np.nan)
-    jacobian = np.zeros((*count, inference.covariance.shape[-1]))
-    has_power = active & (power > 0.0)
-    found, there = has_power.copy(), of_owners(model, has_power)
+    value, ends = np.zeros(count), np.full((*count, 5), np.nan)
+    # Derivatives of the coefficients by powers and shapes.
+    slopes = np.zeros((*count, sd.shape[1]))
+    found = active & (power > 0.0)
+    there, shapes = of_owners(model, found), itertools.count(len(model))
     for row, p in enumerate(parameters):
+        own = p.parameter
         if not p.free:
-            value[:, row] = p.start or 0.0
-            ends[:, row, :4] = p.start or 0.0
-            if p.parameter.is_amplitude:
+            value[:, row] = ends[:, row, :4] = p.start or 0.0
+            if own.is_amplitude:
                 found[:, p.term] = True
-        elif p.parameter.is_amplitude:
-            k = p.term
-            value[:, row] = np.sqrt(power[:, k])
-            ends[:, row] = np.sqrt(_crossings(inference, k, power[:, k] > 0.0))
-            found[:, k] = active[:, k] & (ends[:, row, 0] > 0.0)
-            jacobian[:, row, k] = np.where(power[:, k] > 0.0, 0.5 / value[:, row], 0.0)
-            std[:, row] = jacobian[:, row, k] * sd[:, k]
+        elif own.is_amplitude:
+            present = power[:, p.term] > 0.0
+            value[:, row] = np.sqrt(power[:, p.term])
+            ends[:, row] = np.sqrt(_crossings(inference, p.term, present))
+            found[:, p.term] = active[:, p.term] & (ends[:, row, 0] > 0.0)
+            slopes[:, row, p.term] = np.where(present, 0.5 / value[:, row], 0.0)
         else:
-            k, bound, present = terms + shapes.index(p), p.parameter, there[:, p.term]
-            distance = np.exp(shape[:, k - terms])
-            value[:, row] = np.where(present, bound.lower + distance, np.nan)
-            std[:, row] = np.where(present, distance * sd[:, k], np.nan)
-            jacobian[:, row, k] = np.where(present, distance, 0.0)
+            k, present = next(shapes), there[:, p.term]
+            distance = np.exp(solution.shape[:, k - len(model)])
+            value[:, row] = np.where(present, own.lower + distance, np.nan)
+            slopes[:, row, k] = np.where(present, distance, 0.0)
             # In ln of the distance from the bound; wider ones are unbounded.
             ratio = np.exp(np.clip(-_LEVELS[:4] * sd[:, [k]], -300.0, 300.0))
-            around = np.minimum(bound.lower + distance[:, None] * ratio, bound.upper)
-            nowhere = [bound.lower, bound.upper] * 2
-            ends[:, row, :4] = np.where(present[:, None], around, nowhere)
+            around = np.minimum(own.lower + distance[:, None] * ratio, own.upper)
+            ends[:, row, :4] = np.where(present[:, None], around, [own.lower, own.upper] * 2)
     # The response comes after all terms.
     detected = of_owners(model, found)[:, [p.term for p in parameters]]
-    covariance = jacobian @ inference.covariance @ jacobian.swapaxes(1, 2)
-    return Estimates(value, std, ends, detected, covariance)
+    std = np.where(np.isnan(value), np.nan, np.einsum("arp,ap->ar", slopes, sd))
+    return Estimates(value, std, ends, detected, slopes @ inference.covariance @ slopes.swapaxes(1, 2))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Coefficients:
+    """The coefficients of one axis by label, and their covariance [SI] in the same order."""
+
+    values: Mapping[str, Estimate]
+    covariance: Float[np.ndarray, "params params"]
+
+    def with_values(self, values: Mapping[str, Estimate], model: Model) -> Coefficients:
+        """A copy with these coefficients, uncorrelated with the others, in the order of the model."""
+        both, order = {**self.values, **values}, [p.label for p in reported(model)]
+        covariance = np.diag([both[label].std ** 2 for label in order])
+        kept = [(order.index(label), k) for k, label in enumerate(self.values) if label not in values]
+        rows, own = np.array(kept, int).reshape(-1, 2).T
+        covariance[np.ix_(rows, rows)] = self.covariance[np.ix_(own, own)]
+        return Coefficients({label: both[label] for label in order}, np.nan_to_num(covariance))
 
 
 def coefficients_of(
     model: Model,
-    axes: Sequence[Axis],
-    active: Bool[np.ndarray, "axes terms"],
+    axis: Axis,
+    active: Bool[np.ndarray, "1 terms"],
     solution: Solution,
     inference: Inference,
     n: int,
     rate: float,
-) -> tuple[Coefficients, ...]:
-    """Coefficients of several axes by their labels, from `estimates_of`.
+) -> Coefficients:
+    """Coefficients of one axis by their labels, from `estimates_of`.
 
     Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
     """
     found = estimates_of(model, active, solution, inference)
-    numbers = [x.tolist() for x in found[:4]]
-    coefficients = []
-    for k, axis in enumerate(axes):
-        of_axis = {
-            p.label: _estimate(p, axis, *(x[k][row] for x in numbers))
-            for row, p in enumerate(reported(model))
-        }
-        seen = {label: _within(c, n, rate) for label, c in of_axis.items()}
-        coefficients.append(Coefficients(seen, found.covariance[k]))
-    return tuple(coefficients)
+    rows = zip(reported(model), *(x[0].tolist() for x in found[:4]), strict=True)
+    of_axis = [_within(_estimate(p, axis, *row), n, rate) for p, *row in rows]
+    return Coefficients({c.label: c for c in of_axis}, np.nan_to_num(found.covariance[0]))
 
 
 def _estimate(
@@ -421,30 +371,30 @@ def _estimate(
 
 
 def _within(c: Estimate, n: int, rate: float) -> Estimate:
-    """Estimate, of a shape turned into a limit if its interval extends beyond the record's observable
-    range."""
+    """Estimate, of a shape turned into a limit if its interval extends beyond the observable range."""
     p: Any = c.parameter
     if c.held or p.is_amplitude or not (c.detected and c.std > 0.0):
         return c
     # Bounds are open, and searches keep a little away from them.
-    inside = _INSIDE * (p.upper - p.lower) if np.isfinite(p.upper) else 0.0
-    low, high = {"time": (2.0 / rate, n / rate), "number": (p.lower + inside, p.upper - inside)}.get(
-        p.kind, (rate / n, rate / 2.0)
-    )
+    margin = _MARGIN * (p.upper - p.lower) if np.isfinite(p.upper) else 0.0
+    observable = {"time": (2.0 / rate, n / rate), "number": (p.lower + margin, p.upper - margin)}
+    low, high = observable.get(p.kind, (rate / n, rate / 2.0))
     below, above = c.interval[0] <= low, c.interval[1] >= high
     if not (below or above):
         return c
     distance = c.value - p.lower
     ratio = float(np.exp(min(ONE_SIDED_95 * c.std / distance, 700.0)))
     # At a bound itself the data do not determine the logarithm of the distance from it.
-    below, above = (True, True) if ratio > _NOWHERE else (below, above)
-    ends = (p.lower if below else c.interval[0], p.upper if above else c.interval[1])
-    ends_68 = (p.lower if below else c.interval_68[0], p.upper if above else c.interval_68[1])
+    below, above = below or ratio > _NOWHERE, above or ratio > _NOWHERE
+
+    def cut(ends: tuple[float, float]) -> tuple[float, float]:
+        return p.lower if below else ends[0], p.upper if above else ends[1]
+
     return dataclasses.replace(
         c,
         std=float("nan"),
-        interval=ends,
-        interval_68=ends_68,
+        interval=cut(c.interval),
+        interval_68=cut(c.interval_68),
         lower_limit=p.lower + distance / ratio if above and not below else None,
         upper_limit=p.lower + distance * ratio if below and not above else None,
     )
@@ -454,9 +404,8 @@ def deterministic_coefficients(
     model: Model,
     term: int,
     axis: Axis,
-    square: float,
-    unit: float,
-    components: int,
+    amplitude: Float[np.ndarray, " components"],
+    covariance: Float[np.ndarray, "components components"],
     line: Line | None,
     n: int,
     active: bool = True,
@@ -466,25 +415,25 @@ def deterministic_coefficients(
     Args:
         model: the model, and `term` the index of the ramp or line in it.
         axis: the axis.
-        square: squared estimate in units of its variance.
-        unit: standard deviation of each component, SI.
-        components: 1 of a ramp or a step, 2 of a line.
+        amplitude: estimates of its components, SI: one of a ramp or a step, two of a line.
+        covariance: their covariance.
         line: where the line was found.
         n: samples of the record; a line at an unknown frequency competes with n/2 frequencies without one.
         active: whether the term is in the model.
     """
     from scipy.special import ndtr
 
+    square = float(amplitude @ np.linalg.solve(covariance, amplitude))
+    unit = float(np.sqrt(np.trace(covariance) / len(amplitude)))
     searched = line is not None and line.frequency_std > 0.0
-    chance = np.exp(-square / 2.0) * n if searched else 0.0
+    chance, detected = np.exp(-square / 2.0) * n if searched else 0.0, True
     found: dict[str, Estimate] = {}
-    detected = True
     for p in (p for p in reported(model) if p.term == term):
         if not p.free:
             value, std, ends, seen = float(p.start or 0.0), 0.0, [float(p.start or 0.0)] * 5, True
         elif p.parameter.is_amplitude:
-            levels = ndtr(np.append(_LEVELS, 0.0)).tolist()
-            *ends, value = (unit * amplitude_quantile(square, components, level) for level in levels)
+            levels = ndtr(np.append(_LEVELS, 0.0))
+            *ends, value = (unit * amplitude_quantiles(square, len(amplitude), levels)).tolist()
             value = value if active else 0.0
             std = unit if value > 0.0 else 0.0
             seen = detected = bool(active and ends[0] > 0.0 and chance < _FALSE_LINE)
@@ -511,10 +460,7 @@ def _crossings(
         power, pivot = inference.power_at[:, term, side], inference.pivot_at[:, term, side]
         # Without this term the others may leave no noise at all: such a hypothesis is excluded.
         pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
-        # If other powers ended at zero, the score at the estimate may not be zero; it is then subtracted, and
-        # also for an absent term whose score is negative, so that its limit does not shrink.
-        at_estimate = np.where(np.isfinite(pivot[:, 0]), pivot[:, 0], 0.0)
-        pivot = pivot - np.where(present, at_estimate, np.minimum(at_estimate, 0.0))[:, None]
+        pivot = pivot - _at_estimate(pivot[:, 0], present)[:, None]
         # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
         beyond = pivot >= level if below else pivot <= level
         outer = np.argmax(beyond, axis=1)

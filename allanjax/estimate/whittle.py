@@ -8,34 +8,32 @@ with the levels in their place. Lines, ramps and regressors are estimated alongs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
-from allanjax.estimate.design import (
-    different,
-    free_powers,
-    free_shapes,
-    of_owners,
-    random_terms,
-    shape_candidates,
+from allanjax.estimate.design import find_starts, free_powers, free_shapes, shape_candidates
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    Peaks,
+    Projection,
+    lines_of,
+    peaks_for,
+    take_out_lines,
 )
-from allanjax.estimate.deterministic import AxisSpectrum, Projection, find_lines, lines_of, take_out_lines
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import (
     Coefficients,
     coefficients_of,
+    count_estimated,
     deterministic_coefficients,
     infer,
-    reported,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
 from allanjax.estimate.spectral.fit import Arrangement, ExpectedLevels, LevelFit, best_of, fit_levels
-from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
@@ -71,7 +69,7 @@ def spectrum_of(
     x: Float[np.ndarray, " n"],
     rate: float,
     regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    peaks: Peaks = (),
     bins: Bins | None = None,
 ) -> AxisSpectrum:
     """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
@@ -79,18 +77,18 @@ def spectrum_of(
     Bins that are not given are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those
     without one.
     """
-    n = fast_length(len(x))
+    n, (lines, wanted) = fast_length(len(x)), lines_of(template)
     x = x[:n]
-    lines, wanted = lines_of(template)
-    known = [k for k, term in enumerate(template.terms) if term.deterministic and k not in lines]
     c, found = take_out_lines(x - x.mean(), rate, wanted)
     columns: list[tuple[str | int, np.ndarray]] = []
     columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
-    columns += [(k, term_column(template.terms[k], n, rate)) for k in known]
+    for k, term in enumerate(template.terms):
+        if term.deterministic and k not in lines:
+            columns.append((k, term_column(term, n, rate)))
     if bins is None:
-        around = [line.frequency for line in found]
         narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
         unknown = iter(peaks)
+        around = [line.frequency for line in found]
         around += [p.start if p.start is not None else float(next(unknown, rate / 8.0)) for p in narrow]
         per_octave = PER_OCTAVE if template.response is None else _FINE
         bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
@@ -116,8 +114,7 @@ def fit_whittle(
 ) -> AxisFit:
     """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
     x, rate = recording.values[:, k], recording.rate
-    searched = any(p.parameter.kind == "line" and p.start is None for p in template.parameters)
-    peaks = find_lines(x, rate) if searched else ()
+    peaks = peaks_for(template, x, rate)
     spectrum = spectrum_of(template, x, rate, regressors, peaks)
     return fit_spectrum(template, recording.axes[k], spectrum, active, peaks)
 
@@ -127,14 +124,13 @@ def fit_spectrum(
     axis: Axis,
     spectrum: AxisSpectrum,
     active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float] = (),
+    peaks: Peaks = (),
     at_low: bool = False,
 ) -> AxisFit:
     """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
     Args:
-        template: the terms.
-        axis: the axis.
+        template, axis: the terms, and the axis.
         spectrum: the statistics, with a column for each deterministic term.
         active: the terms in use; for the others there is an upper limit.
         peaks: frequencies [Hz] to try for narrow-band terms without one.
@@ -149,32 +145,31 @@ def fit_spectrum(
         raise FitError(
             "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
         )
-    noise, here = random_terms(template), active[random]
-    used = spectrum.used(np.flatnonzero(~active).tolist())
+    noise, here, used = template.without(absent(template, random)), active[random], spectrum.used(active)
     arrangement, projection, fit = _fit_noise(noise, spectrum, used, here, peaks)
-    mean = np.asarray(fit.maximum.mean)[: len(projection.level)]
-    misfit = None
-    if fit.solution.converged and float(fit.solution.power_error) > 0.0:
-        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
+    bins, level, dof = spectrum.bins, projection.level, projection.dof
+    mean, misfit = np.asarray(fit.maximum.mean)[: len(level)], None
+    if fit.solution.converged and fit.solution.power_error > 0.0:
+        misfit = spectral_misfit(bins.frequency, level, mean, dof)
     white = noise.term_labels.index("angle_random_walk") if at_low else 0
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
-    tangent, solution = arrangement.tangent(fit, plateaus, white)
-    solution = widened(jax.tree.map(lambda x: np.asarray(x)[None], solution), [misfit])
-    inference = infer(tangent, projection.level[None], free_powers(noise), here[None], solution)
-    place = int(spectrum.bins.n), spectrum.bins.rate
-    (found,) = coefficients_of(noise, [axis], here[None], solution, inference, *place)
-    values = dict(found.values)
-    for k in np.flatnonzero(~random):
-        values |= _deterministic(template, int(k), axis, spectrum, mean, bool(active[k]))
-    order = [p.label for p in reported(template)]
-    covariance = np.diag([values[label].std ** 2 for label in order])
-    rows = [order.index(label) for label in found.values]
-    covariance[np.ix_(rows, rows)] = found.covariance
-    coefficients = Coefficients({label: values[label] for label in order}, np.nan_to_num(covariance))
-    dof = round(projection.estimates) - estimated(template, active & random)
-    one = jax.tree.map(lambda x: np.asarray(x)[0], solution)
-    regression = _regression(spectrum, projection)
-    result = axis_fit(axis, template, active, coefficients, one, dof, misfit)
+    tangent, found = arrangement.tangent(fit, plateaus, white)
+    solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit])
+    inference = infer(tangent, level[None], free_powers(noise), here[None], solution)
+    coefficients = coefficients_of(noise, axis, here[None], solution, inference, int(bins.n), bins.rate)
+    others: dict[str, Estimate] = {}
+    for k in np.flatnonzero(~random).tolist():
+        own = np.array([owner == k for owner in spectrum.owners])
+        joint = spectrum.project(mean, own | used)
+        estimate = joint.amplitude[own], joint.covariance[np.ix_(own, own)]
+        line = spectrum.lines.get(k)
+        others |= deterministic_coefficients(template, k, axis, *estimate, line, int(bins.n), bool(active[k]))
+    coefficients = coefficients.with_values(others, template)
+    degrees = round(projection.estimates) - count_estimated(template, active & random)
+    result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
+    std = np.sqrt(np.diag(projection.covariance)).tolist()
+    amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
+    regression = {owner: (x, error) for owner, x, error in amplitudes if isinstance(owner, str)}
     result = dataclasses.replace(result, regression=regression, spectrum=spectrum)
     if plateaus:
         alone = template.with_values(angle_random_walk=float(np.sqrt(fit.solution.power[white])))
@@ -184,13 +179,9 @@ def fit_spectrum(
 
 
 def _fit_noise(
-    noise: Model,
-    spectrum: AxisSpectrum,
-    used: Bool[np.ndarray, " columns"],
-    active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+    noise: Model, spectrum: AxisSpectrum, used: np.ndarray, active: np.ndarray, peaks: Peaks
 ) -> tuple[Arrangement, Projection, LevelFit]:
-    """Fit the random terms, alternating with the projection of the deterministic parts in use."""
+    """Fit the active random terms, alternating with the projection of the deterministic columns in use."""
     window = np.ones(7)
     size, squares = (np.convolve(x, window, "same") for x in (spectrum.bins.size, spectrum.squares))
     smooth = np.where(size > 0, squares / np.maximum(size, 1.0), spectrum.squares.sum() / spectrum.bins.n)
@@ -212,29 +203,18 @@ def _fit_noise(
 
 
 def _starts(
-    noise: Model,
-    bins: Bins,
-    level: Float[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-    active: Bool[np.ndarray, " terms"],
-    peaks: Float[np.ndarray, " peaks"] | Sequence[float],
+    noise: Model, bins: Bins, level: np.ndarray, dof: np.ndarray, active: np.ndarray, peaks: Peaks
 ) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
-    """Powers and shapes to start from: the best candidates of shapes with the powers that fit best."""
+    """Powers and shapes to start from."""
     shapes, parameters = free_shapes(noise), noise.parameters
-    candidates = shape_candidates(shapes, float(bins.n / bins.rate), bins.rate, peaks)
+    candidates = shape_candidates(noise, float(bins.n / bins.rate), bins.rate, peaks)
     values = np.tile([1.0 if p.start is None else p.start for p in parameters], (len(candidates), 1))
     places = [k for k, p in enumerate(parameters) if p.free and not p.parameter.is_amplitude]
     values[:, places] = np.exp(candidates) + [p.parameter.lower for p in shapes]
-    of, found = ExpectedLevels(noise, bins), []
-    amplitudes = [p for p in parameters if p.parameter.is_amplitude]
-    held, free = np.array([float(p.start or 0.0) ** 2 for p in amplitudes]), free_powers(noise)
-    for some in np.array_split(values, -(-len(values) // _BLOCK)):
-        unit = np.broadcast_to(of(some), (len(some), len(noise), len(level)))
-        start = np.where(free, np.min(level / np.maximum(unit, 1e-300), axis=-1), held)
-        found.append(power_fits(level, dof / 2.0, level, unit, start, np.tile(active, (len(some), 1))))
-    power, loss = (np.concatenate(part) for part in zip(*found, strict=True))
-    power = np.where(free, power, held)
-    return [(power[k], candidates[k]) for k in different(candidates, loss, shapes)]
+    of, blocks = ExpectedLevels(noise, bins), np.array_split(values, -(-len(values) // _BLOCK))
+    unit = [np.broadcast_to(of(some), (len(some), len(noise), len(level))) for some in blocks]
+    power, shape = find_starts(noise, candidates, np.concatenate(unit), level[None], dof, active[None])
+    return list(zip(power[0], shape[0], strict=True))
 
 
 def _plateaus(
@@ -264,42 +244,8 @@ def _plateaus(
     return found
 
 
-def _regression(spectrum: AxisSpectrum, projection: Projection) -> dict[str, tuple[float, float]]:
-    """Amplitude of each regressor and its standard deviation."""
-    std = np.sqrt(np.diag(projection.covariance)).tolist()
-    found = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
-    return {owner: (value, error) for owner, value, error in found if isinstance(owner, str)}
-
-
-def _deterministic(
-    template: Model,
-    k: int,
-    axis: Axis,
-    spectrum: AxisSpectrum,
-    variance: Float[np.ndarray, " m"],
-    active: bool,
-) -> dict[str, Estimate]:
-    """Coefficients of a ramp, a step or a line, from the joint estimate of its components."""
-    own = np.array([owner == k for owner in spectrum.owners])
-    regressors = np.array([isinstance(owner, str) for owner in spectrum.owners])
-    projection = spectrum.project(variance, own | (spectrum.used() if active else regressors))
-    covariance = projection.covariance[np.ix_(own, own)]
-    components = projection.amplitude[own]
-    square = float(components @ np.linalg.solve(covariance, components))
-    unit = float(np.sqrt(np.trace(covariance) / own.sum()))
-    return deterministic_coefficients(
-        template, k, axis, square, unit, int(own.sum()), spectrum.lines.get(k), spectrum.bins.n, active
-    )
-
-
-def estimated(template: Model, active: Bool[np.ndarray, " terms"]) -> int:
-    """Number of coefficients that are estimated, by which the degrees of freedom of χ² are reduced."""
-    here = of_owners(template, active)
-    return sum(p.free and bool(here[p.term]) for p in reported(template))
-
-
 def absent(template: Model, active: Bool[np.ndarray, " terms"]) -> list[str]:
-    """Labels of the terms that are not in use."""
+    """Labels of the terms that are not among the active ones."""
     return [label for label, here in zip(template.term_labels, active, strict=True) if not here]
 
 
@@ -312,16 +258,16 @@ def axis_fit(
     dof: int,
     misfit: Misfit | None,
 ) -> AxisFit:
-    """Result of one axis; if its misfit is excessive, coefficients lose intervals and limits."""
-    converged = bool(solution.converged)
+    """Result of one axis from its solution [1]; see `with_misfit`."""
+    converged = bool(solution.converged[0])
     result = AxisFit(
         axis=axis,
         converged=converged,
         reason="" if converged else "the fit did not converge; try fewer terms or other start values",
-        chi2=float(solution.chi2),
+        chi2=float(solution.chi2[0]),
         dof=dof,
-        p_value=float(upper_tail(solution.chi2, dof)),
-        discrepancy=float(solution.discrepancy),
+        p_value=float(upper_tail(solution.chi2[0], dof)),
+        discrepancy=float(solution.discrepancy[0]),
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,
         _model=fitted_model(template, coefficients.values, absent(template, active)),

@@ -123,7 +123,7 @@ class AllanDensity:
     def __init__(self, fit: Fit, result: AxisFit, values: _All) -> None:
         curve, model = fit.curve, fit.template
         # The fit's own design, whose programs are there.
-        design = AllanDesign.of(model, curve.n, curve.rate, curve.cluster_size, curve.strides, ALLAN_CAPACITY)
+        design = AllanDesign.of(model, curve, ALLAN_CAPACITY)
         rows = np.arange(0, len(curve.cluster_size), _THINNED)
         self._variance = curve.variance[rows, fit.axes.index(result.axis.name)]
         self._error = 2.0 * result.discrepancy

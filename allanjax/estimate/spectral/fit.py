@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.estimate.design import Tangent, free_powers, free_shapes, of_owners
+from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
@@ -35,9 +35,6 @@ _SHAPES = {
 _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), math.log(5.0)
 # Power of what is not in use, which has levels, too, for its limit.
 _NOTHING = 1e-290
-# Farthest that a shape moves from its start, in ln: the spectrum's peaks locate a line better than that; the
-# starts of other shapes are two to a decade or denser. And the margin kept from an open upper bound.
-_REACH, _INSIDE = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}, 1e-2
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
 # Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
@@ -174,7 +171,6 @@ class Arrangement(NamedTuple):
             means=base[None],
             by_shape=by_shape[None],
             owner=owner,
-            movable=np.ones(len(owner), bool),
             degrees=fit.degrees,
             per_octave=self.bins.per_octave(),
         )
@@ -214,17 +210,17 @@ class LevelTangent(Tangent):
     degrees: Float[np.ndarray, " m"]
     per_octave: Float[np.ndarray, " m"]
 
-    def variances(self, power: Float[np.ndarray, "axes h terms"]) -> Float[np.ndarray, "axes h m"]:
-        return 2.0 * (power @ self.means) ** 2 / np.maximum(self.degrees, 1e-9)
+    def variances(self, power: Float[np.ndarray, "axes terms"]) -> Float[np.ndarray, "axes m"]:
+        return 2.0 * self.mean(power) ** 2 / np.maximum(self.degrees, 1e-9)
 
     def weighed(
         self,
-        power: Float[np.ndarray, "axes h terms"],
+        power: Float[np.ndarray, "axes terms"],
         error: Float[np.ndarray, " axes"],
-        X: Float[np.ndarray, "axes h m k"],
-    ) -> Float[np.ndarray, "axes h m k"]:
+        X: Float[np.ndarray, "axes m k"],
+    ) -> Float[np.ndarray, "axes m k"]:
         variance = 2.0 / np.maximum(self.degrees, 1e-9) + error[:, None] ** 2 * self.per_octave
-        return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, None, :, None]
+        return X * np.where(self.degrees > 0.0, 1.0 / variance, 0.0)[:, :, None]
 
 
 class _Shape(NamedTuple):
@@ -355,10 +351,10 @@ def _maximum(
     start[:count] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
     parameter, offset = arrangement.parameter, arrangement.offset
     for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
-        reach, top = _REACH[p.parameter.kind], p.parameter.upper
+        reach, top = REACH[p.parameter.kind], p.parameter.upper
         if k == of.first[-1]:
             top = bandwidths(of.kind)[1] * arrangement.bins.rate / (2.0 * np.pi)
-        end = np.log(top - p.parameter.lower) - _INSIDE + u
+        end = np.log(top - p.parameter.lower) - INSIDE + u
         joint.lower[k] = max(joint.lower[k], start[k] - reach)
         joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
     found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, _TOLERANCE)
