@@ -287,7 +287,7 @@ def estimates_of(
     # Derivatives of the coefficients by powers and shapes.
     slopes = np.zeros((*count, sd.shape[1]))
     found = active & (power > 0.0)
-    there, shapes = of_owners(model, found), itertools.count(len(model))
+    there, shapes = of_owners(model, found.copy()), itertools.count(len(model))
     for row, p in enumerate(parameters):
         own = p.parameter
         if not p.free:

@@ -33,6 +33,15 @@ def test_white_noise_has_the_intervals_of_its_chi_square_law(n):
     assert result.covariance == pytest.approx(c.std**2, rel=1e-9)
 
 
+def test_what_has_an_amplitude_has_a_time_detected_or_not():
+    """In white noise most processes that are fitted are not detected."""
+    x = np.random.default_rng(1).standard_normal((4096, 12))
+    found = aj.fit(recording(x, RATE), "N + markov", as_is=True).results
+    present = [r["markov_amplitude"].value > 0.0 for r in found]
+    assert [bool(np.isfinite(r["markov_correlation_time"].value)) for r in found] == present
+    assert any(p and not r["markov_amplitude"].detected for p, r in zip(present, found, strict=True))
+
+
 def test_amplitudes_have_the_limits_of_the_likelihoods_profile():
     """Scores at hypotheses and the ratio of likelihoods agree where an amplitude is known to a tenth."""
     model = WHITE + aj.RateRandomWalk(1.0)
