@@ -41,7 +41,7 @@ class BulkFit(ByValue, Tabled):
     Axes that did not converge have NaN for their coefficients and detect nothing.
 
     Attributes:
-        template: the model that was asked for.
+        template: the model whose terms were fitted.
         curve: the Allan deviations it was fitted to.
         value: the estimates; zero for the amplitude of a term that improves nothing.
         std: their standard deviations.

@@ -126,7 +126,7 @@ def _around(
     scaled = information / np.sqrt(own[:, :, None] * own[:, None])
     scaled = np.where(present[:, :, None] & present[:, None], scaled, 0.0)
     scaled += np.eye(used.shape[1]) * np.where(present, 1e-12, 1.0)[:, None]
-    # Of each power alone the precision is lower; what is common to them is in the determinant.
+    # Each power is less certain when the others are unknown too; the determinant holds their correlation.
     spread = np.einsum("spp->sp", np.linalg.inv(scaled))
     value = -0.5 * (np.linalg.slogdet(scaled)[1] + np.sum(np.log(spread), axis=1))
     slope = np.where(present, 0.0, np.minimum(slope, 0.0))

@@ -7,8 +7,8 @@ s, and their derivatives by central differences, score and information are
     −Σ e ∂_i e/s − ½ Σ ∂_i s/s·(1 − e²/s)    and    Σ ∂_i e ∂_j e/s + ½ Σ ∂_i s ∂_j s/s²
 
 (Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, 3.4.5): a step is least
-squares. Intervals of amplitudes are those of the likelihood ratio, the other parameters moving along their
-regression on the amplitude; those of shapes are by the information.
+squares. Intervals of amplitudes come from the likelihood ratio, with the other parameters moving along their
+regression on the amplitude; intervals of shapes come from the information matrix.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from allanjax.record.recording import Recording
 
 
 def with_quiet_others(recording: Recording, quiet: Recording, as_is: bool) -> Recording:
-    """The undisturbed parts of a recording's longest segment, with those of its other segments."""
+    """Undisturbed parts of all segments of a recording, of which `quiet` has those of the longest."""
     if not recording.others or as_is:
         return quiet
     others, parts = quiet.others[: len(recording.others)], quiet.others[len(recording.others) :]

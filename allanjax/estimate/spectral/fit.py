@@ -262,7 +262,7 @@ def _kind(term: NoiseTerm) -> int:
 class LevelFit(NamedTuple):
     """Maximum of the likelihood of a model's levels, and whether that follows them within their scatter.
 
-    The degrees of freedom are those of the levels, less what the model's uncertainty costs.
+    The levels' degrees of freedom are reduced to allow for the model's uncertainty.
     """
 
     solution: Solution
@@ -280,7 +280,7 @@ def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], shar
 def share_with_error(dof: Any, per_octave: Any, error: Any) -> Any:
     """Share of their weight that levels keep if the model has a relative error that is common to an octave.
 
-    The relative variance 2/dof of each becomes 2/dof + per_octave·error². For arrays of NumPy or JAX.
+    The relative variance 2/dof of each becomes 2/dof + per_octave·error².
     """
     return 1.0 / (1.0 + 0.5 * dof * per_octave * error**2)
 
