@@ -21,13 +21,13 @@ from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import MARKOV, NONE
 from allanjax.estimate.spectral.model import CLOSE, response_of
 from allanjax.estimate.structure.search import (
-    TIMES,
     Record,
     bins_around,
     completed,
     narrow,
     refitted,
     searched,
+    with_process,
 )
 from allanjax.estimate.structure.structure import (
     FIXED,
@@ -36,7 +36,6 @@ from allanjax.estimate.structure.structure import (
     OUTSIDE,
     QUANTIZATION,
     Structure,
-    markov,
     term_of,
 )
 from allanjax.estimate.whittle import fit_spectrum, spectrum_of
@@ -55,9 +54,8 @@ _BLOCK, _MEDIAN = 64, 0.4549
 # Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
 # absolute, that the removal of what is not detected may cause: judgements.
 _ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
-# Share of the discrepancy that must be removed, and fewest samples for a search; and the shortest correlation
-# time [samples] that a Markov process starts from.
-_LESS, _SHORTEST, _SHORT = 0.5, 1024, 20.0
+# Share of the discrepancy that must be removed, and fewest samples for a search.
+_LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
@@ -194,9 +192,7 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
         structure = structure.with_column(k, 0.0) if label in chosen else structure
     spectrum = Record(content.c**2, content.bins.rate).binned(structure)
     for _ in range(count):
-        level = float(np.median(spectrum.rough))
-        starts = [structure.plus(markov(max(spectrum.n**p, _SHORT), level)) for p in TIMES]
-        structure = min(map(spectrum.fit, starts), key=lambda fit: fit.loss).structure
+        structure = min(with_process(spectrum, structure), key=lambda fit: fit.loss).structure
     # What follows the response is as the search found it.
     processes = [structure.components[k] for k in structure.of_kind(MARKOV)]
     return content.structure.without(*own).plus(*processes)

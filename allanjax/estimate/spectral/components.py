@@ -48,6 +48,8 @@ from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 _LAGS = 256
 # Step of a difference, relative to the scale on which a function changes: its error is 10⁻¹⁰.
 _STEP = 1e-5
+# Relative distance from whole samples at which a moving average has as many.
+_SAME = 1e-9
 # Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
 _NEARLY_CONSTANT = 0.01
 
@@ -290,14 +292,15 @@ def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarra
     return power - np.sum(np.real(first * ends * inverse**2), axis=0)
 
 
-def _averaged(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
+def _averaged(levels: Levels, samples: Any, whole: Any = None) -> Float[np.ndarray, "... 2 m"]:
     """`passed` of a moving average, with the ends −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
 
     The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
-    transform of a stream's means does not notice the ends of a filter that is shorter than those.
+    transform of a stream's means does not notice the ends of a filter that is shorter than those. The average
+    lies between those of whole samples and of one sample more; beyond them it is continued.
     """
-    samples = np.clip(samples, 1.0, LONGEST)
-    whole = np.floor(samples)
+    samples = np.clip(samples, 1.0, LONGEST) if whole is None else samples
+    whole = np.floor(samples) if whole is None else np.broadcast_to(whole, samples.shape)
     numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
     m, n = numbers[:, None, None], levels.length
     small = levels.angle * LONGEST < _NEARLY_CONSTANT
@@ -315,12 +318,37 @@ def _averaged(levels: Levels, samples: Any) -> Float[np.ndarray, "... 2 m"]:
 
 
 def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int) -> tuple[Any, Any]:
-    """`passed` of a kind of response, and its derivatives by ln ω_c and ln(Q − ½) (2, 2, m)."""
-    slopes = np.zeros((2, *levels.angle.shape))
+    """`passed` of a kind of response, and its derivatives by ln ω_c and ln(Q − ½) (3, 2, m).
+
+    The third is half the jump of the first, which a moving average has at whole samples.
+    """
+    slopes = np.zeros((3, *levels.angle.shape))
     if kind == NONE:
         return np.ones_like(levels.angle), slopes
     moves = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     wc, excess = np.exp(shape + _STEP * moves[: 5 if kind in SHAPED else 3]).T[:, :, None, None]
+    if kind == MOVING_AVERAGE:
+        samples = 2.0 * np.pi * HALF_POWER / wc
+        wider, narrower = _pieces(float(samples[0, 0, 0]))
+        both = [_averaged(levels, samples, whole) for whole in dict.fromkeys((wider, narrower or wider))]
+        sides = [(around[1] - around[2]) / (2.0 * _STEP) for around in both]
+        slopes[0], slopes[2] = (sides[0] + sides[-1]) / 2.0, (sides[-1] - sides[0]) / 2.0
+        return both[0][0], slopes
     around = passed(levels, kind, wc, 0.5 + excess)
     slopes[: len(around) // 2] = (around[1::2] - around[2::2]) / (2.0 * _STEP)
     return around[0], slopes
+
+
+def _pieces(samples: float) -> tuple[int, int]:
+    """Whole samples below a duration, and below one that is slightly shorter."""
+    longer = math.floor(samples * (1.0 + _SAME))
+    return longer, math.ceil(samples * (1.0 - _SAME)) - 1
+
+
+def piece_of(kind: int, bandwidth: float) -> tuple[float, float]:
+    """Bandwidths between which the response is smooth around this one [radians per sample interval]."""
+    if kind != MOVING_AVERAGE:
+        return 0.0, math.inf
+    unit = 2.0 * math.pi * HALF_POWER
+    longer, shorter = _pieces(unit / bandwidth)
+    return unit / (longer + 1.0), unit / shorter if shorter else math.inf

@@ -24,14 +24,20 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import Levels, passed, passed_and_slopes, response_of_kind
+from allanjax.estimate.spectral.components import (
+    Levels,
+    passed,
+    passed_and_slopes,
+    piece_of,
+    response_of_kind,
+)
 from allanjax.estimate.spectral.others import Others
 from allanjax.noise.response import Response
 
-# Damping of the first step, relative to the information; shares of the predicted gain above which it falls
-# and below which a step is taken back; by what factors it changes; and the largest one with which a small
-# step ends the iteration, and with which any does.
-_DAMPING, _GOOD, _BAD, _LESS, _MORE, _SLACK, _STUCK = 0.01, 0.5, 0.01, 1.0 / 6.0, 1.0 / 0.15, 0.1, 1e8
+# Damping of the first step, relative to the information; shares of the predicted gain above which it falls,
+# below which it rises, and below which a step is taken back besides; by what factors it changes; and one at
+# which the iteration ends in any case.
+_DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
 # Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
 # steps, and the longest one of a parameter, in ln.
 _SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-11, 200, 2.0
@@ -208,7 +214,8 @@ class Joint:
 def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
     """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
 
-    Then those of the sum of all components by bandwidth and quality factor of the response.
+    Then those of the sum of all components by bandwidth and quality factor of the response, and half the jump
+    of the first.
     """
     count, owner, m = len(of.components), of.owner, levels.angle.shape[1]
     unit, by_shape, passing = np.empty((count, m)), np.empty((len(owner), m)), np.zeros((2, m))
@@ -242,7 +249,7 @@ class Maximum(NamedTuple):
     mean: Float[np.ndarray, " m"]
     unit: Float[np.ndarray, "components m"]
     by_shape: Float[np.ndarray, "shapes m"]
-    by_response: Float[np.ndarray, "2 m"]
+    by_response: Float[np.ndarray, "3 m"]
     owner: Int[np.ndarray, " shapes"]
     information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
     interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
@@ -253,7 +260,7 @@ class Maximum(NamedTuple):
         """Derivatives of the logarithms of the levels by ln(p + scale) of the powers and by the shapes."""
         power = self.theta[: len(self.scale)]
         of_powers = (power + self.scale)[:, None] * self.unit
-        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response]
+        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response[:2]]
         return np.concatenate(slope) / self.mean
 
 
@@ -267,7 +274,7 @@ def maximize(
     """Maximum of the likelihood from a start.
 
     The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
-    ends where the next step would gain less than the tolerance [nats].
+    ends where the next step would gain less than the tolerance [nats], even without damping.
     """
     of, count = joint.composition, len(joint.composition.components)
 
@@ -285,15 +292,14 @@ def maximize(
         while not converged and steps < _STEPS and not np.isnan(predicted):
             steps += 1
             trial, predicted = _next(best, joint, levels, damping)
-            # At a kink of a response no step gains anything.
-            converged = (abs(predicted) < tolerance and damping < _SLACK) or damping > _STUCK
+            converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
             if not converged:
                 new = place(trial, best.scale)
                 gain = best.loss - new.loss
                 # Of a small step the gain is lost in rounding.
-                taken = gain > max(_BAD * predicted, 0.0) or 0.0 <= predicted < _SMALL
-                damping *= (_LESS if gain > _GOOD * predicted else 1.0) if taken else _MORE
-                best = new if taken else best
+                share = 1.0 if 0.0 <= predicted < _SMALL else gain / abs(predicted)
+                damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
+                best = new if share > _BAD else best
         slope, _, interior = _slopes(best, joint, levels)
         slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
     information = (slope * levels.shape) @ slope.T + np.diag(prior)
@@ -318,11 +324,17 @@ def _next(
     """The next place to try, and the gain to expect there.
 
     The curvature is that of the levels' deviances: far from the maximum steps are as long as in logarithms.
+    Where the slope by the bandwidth jumps, it is that of the side on which the loss falls; if it falls on
+    neither, the bandwidth stays. No step goes beyond the next jump.
     """
     slope, gradient, interior = _slopes(best, joint, levels)
-    moving, weight = np.flatnonzero(interior), levels.shape
+    weight, excess = levels.shape, levels.level / best.mean - 1.0
+    if np.any(jump := best.by_response[2] / best.mean):
+        bend = -float(jump @ (weight * excess))
+        side, interior[-2] = -np.sign(gradient[-2]), interior[-2] and abs(gradient[-2]) > bend
+        slope[-2], gradient[-2] = slope[-2] + side * jump, gradient[-2] + side * bend
+    moving = np.flatnonzero(interior)
     slope, gradient = slope[moving], gradient[moving]
-    excess = levels.level / best.mean - 1.0
     close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
     deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
     weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
@@ -332,8 +344,13 @@ def _next(
     move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
     every, count = np.zeros(len(best.theta)), len(best.scale)
     every[moving] = move
+    share, piece = 1.0, np.log(piece_of(joint.composition.kind, math.exp(best.theta[-2])))
+    if every[-2] != 0.0:
+        share = min((piece[int(every[-2] > 0.0)] - best.theta[-2]) / every[-2], 1.0)
+    every *= share
     every[:count] = (best.theta[:count] + best.scale) * np.expm1(every[:count])
-    return np.clip(best.theta + every, joint.lower, joint.upper), -0.5 * float(gradient @ move)
+    gain = -0.5 * float(gradient @ move) * share * (2.0 - share)
+    return np.clip(best.theta + every, joint.lower, joint.upper), gain
 
 
 def power_scales(unit: Any, shape: Any, noise: Any) -> Float[np.ndarray, " components"]:

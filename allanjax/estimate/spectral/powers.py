@@ -13,10 +13,8 @@ from jaxtyping import Bool, Float
 # Damping of the first step, its least and largest values, its factor after each step that gains or loses; and
 # the longest step in ln.
 _DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.01, (1e-6, 1e6), 0.1, 10.0, 2.0
-# A fit ends if the next step would gain less than this [nats].
-_SETTLED = 1e-6
 # Steps after which models that are far behind the best one are left as they are.
-_PATIENCE = 8
+_PATIENCE = 6
 # Fewest degrees of freedom of a level from which a ramp was removed.
 _FEWEST = 1e-3
 
@@ -67,6 +65,7 @@ def power_fits(
     steps: int = 30,
     ramps: Ramps | None = None,
     far: float = np.inf,
+    tolerance: float = 1e-6,
 ) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
     """Most likely powers ≥ 0 of the terms of each model, and minus the log-likelihood [nats].
 
@@ -84,6 +83,7 @@ def power_fits(
         steps: largest number of steps.
         ramps: which models have a ramp besides; none by default.
         far: models that remain farther behind the best one than this [nats] are not fitted to the end.
+        tolerance: the fit of a model ends if the next step would gain less than this [nats].
     """
     rough = rough[..., None, :]
     start = (rough / unit).min(axis=-1) if start is None else start
@@ -106,7 +106,7 @@ def power_fits(
         bent = curvature[going] * reach[:, :, None] * reach[:, None]
         move, gain = _move(uphill * reach, bent, damping[going])
         trial[going] = np.maximum((p + s) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - s, 0.0)
-        going = going[(gain > _SETTLED) & ((step < _PATIENCE) | (loss[going] < loss.min() + far))]
+        going = going[(gain > tolerance) & ((step < _PATIENCE) | (loss[going] < loss.min() + far))]
         if not len(going):
             break
     return power, loss

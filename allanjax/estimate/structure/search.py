@@ -28,6 +28,7 @@ from allanjax.estimate.structure.structure import (
     LOWEST,
     OUTSIDE,
     QUANTIZATION,
+    ROUGH,
     WHITE,
     Fitted,
     Spectrum,
@@ -61,10 +62,11 @@ _KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *
 _OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
 _BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.1
-#: Correlation times that a Markov process starts from, in powers of the number of samples.
-TIMES = (0.35, 0.55, 0.75, 0.95)
-# Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly.
-_RANKED, _TRIED = 12, 3
+# Correlation times that a slow process starts from, in powers of the number of samples.
+_SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
+# Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
+# behind the best one [nats] a proposal is not followed to its best powers.
+_RANKED, _TRIED, _HOPELESS = 12, 3, 30.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Correlation time [samples] below which a Markov process may stand for what a response does.
@@ -241,7 +243,9 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
         unit[k, own], used[k, own] = spectrum.units(s, s.components), True
         # The noise before a response is about what it is without.
         power[k, own] = [c.power for c in s.components]
-    power, loss = power_fits(levels.level, levels.shape, spectrum.rough, unit, power, used)
+    power, loss = power_fits(
+        levels.level, levels.shape, spectrum.rough, unit, power, used, far=_HOPELESS, tolerance=ROUGH
+    )
     loss += [_price(s) for s in every]
     best, first = [], 0
     for group in groups:
@@ -290,7 +294,7 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     sure = [new for peak, new in found if peak.slimness > _NARROW and peak.gain > _SURE]
     proposals += _oscillators(spectrum.n, inside) if resonances else []
     if processes:
-        proposals += [markov(time, 1.0) for time in np.geomspace(20.0, spectrum.n / 4.0, _TIMES).tolist()]
+        proposals += [markov(time, 1.0) for time in np.geomspace(_QUICK, spectrum.n / 4.0, _TIMES).tolist()]
     if inside and structure.place(OUTSIDE) is None:
         proposals.append(Component(kinds.COLUMN, 1.0, which=OUTSIDE))
     gain, power = _promised(spectrum, now, spectrum.units(structure, proposals))
@@ -484,14 +488,19 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
     Slow terms are hardly distinguished by the evidence, but differ in the drift that they predict.
     """
     for _ in range(2):
-        level = float(np.median(now.mean))
-        starts = [[now.structure.plus(markov(max(spectrum.n**p, 20.0), level))] for p in TIMES]
-        fits = [spectrum.fit(s) for s in _ranked(spectrum, starts)[:2]]
-        best = min((f for f in fits if _keeps_white(now, f)), key=lambda found: found.loss, default=now)
+        fits = [f for f in with_process(spectrum, now.structure) if _keeps_white(now, f)]
+        best = min(fits, key=lambda found: found.loss, default=now)
         if best.loss > now.loss - _PREDICTS:
             break
         now = best
     return now
+
+
+def with_process(spectrum: Spectrum, structure: Structure) -> list[Fitted]:
+    """Fits with another Markov process, slower than filtered white noise, from the best start values."""
+    level = float(np.median(spectrum.rough))
+    starts = [[structure.plus(markov(max(spectrum.n**p, _QUICK), level))] for p in _SLOW_TIMES]
+    return [spectrum.fit(s) for s in _ranked(spectrum, starts)[:2]]
 
 
 def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
