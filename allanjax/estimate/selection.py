@@ -524,7 +524,7 @@ class _Spectrum(NamedTuple):
                 found = found.of(~found.used[:, self.of.plain :].any(axis=1))
             for _ in range(_ROUNDS):
                 error = max(error, self.error_of(found))
-                share = share_with_error(self.size, self.of.bins.per_octave(), error)
+                share = share_with_error(self.size, self.of.bins.per_octave() * error**2)
                 weighted = SpectralStatistics(*(share * x for x in self.statistics))
                 spectrum = self._replace(statistics=weighted, size=share * self.size)
                 found = spectrum.evidence(TermSets(*found[:3]))

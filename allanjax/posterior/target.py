@@ -57,7 +57,7 @@ class WhittleDensity:
         self._levels = ExpectedLevels(model.without(others), self._bins)
         self._random = self._amplitude[random]
         # The error of powers is twice that of deviations.
-        self._share = share_with_error(size, self._bins.per_octave(), 2.0 * result.discrepancy)
+        self._share = share_with_error(size, self._bins.per_octave() * (2.0 * result.discrepancy) ** 2)
         self._shape = 0.5 * self._share * size
         # The likelihood ratio of each line neglects the other lines.
         self._squares = self._share * (spectrum.squares - spectrum.overlap)

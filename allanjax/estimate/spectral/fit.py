@@ -271,34 +271,40 @@ class LevelFit(NamedTuple):
     degrees: Float[np.ndarray, " m"]
 
 
-def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"], share: ArrayLike = 1.0) -> float:
-    """χ² of levels from their ratios to their expectations, each weighted by its share."""
-    square = normal_score(ratio, dof) ** 2
-    return float(np.sum((square * share)[np.asarray(dof) > _FEW]))
+def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> float:
+    """χ² of levels from their ratios to their expectations."""
+    return float(np.sum(_squares(ratio, dof)))
 
 
-def share_with_error(dof: Any, per_octave: Any, error: Any) -> Any:
-    """Share of their weight that levels keep if the model has a relative error that is common to an octave.
+def _squares(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> Float[np.ndarray, " m"]:
+    return np.where(np.asarray(dof) > _FEW, normal_score(ratio, dof) ** 2, 0.0)
 
-    The relative variance 2/dof of each becomes 2/dof + per_octave·error².
+
+def share_with_error(dof: Any, variance: Any) -> Any:
+    """Share of their weight that levels keep if the model's error has this relative variance.
+
+    The relative variance 2/dof of each becomes 2/dof + variance.
     """
-    return 1.0 / (1.0 + 0.5 * dof * per_octave * error**2)
+    return 1.0 / (1.0 + 0.5 * dof * variance)
 
 
 def error_of_powers(
     ratio: Float[ArrayLike, " m"],
-    dof: Float[ArrayLike, " m"],
+    dof: Float[np.ndarray, " m"],
     per_octave: Float[np.ndarray, " m"],
     degrees: float,
 ) -> float:
     """Relative error of a model that brings χ² to its degrees of freedom; 0 if χ² is not above them.
 
-    The ratios are those of levels to their expectations; the levels in an octave share the error.
+    The ratios are those of levels to their expectations; the levels in an octave share the error, which adds
+    per_octave·error² to the relative variance of each.
     """
     from scipy.optimize import brentq
 
+    squares = _squares(ratio, dof)
+
     def excess(error: float) -> float:
-        return chi_squared(ratio, dof, share_with_error(np.asarray(dof), per_octave, error)) - degrees
+        return float(squares @ share_with_error(dof, per_octave * error**2)) - degrees
 
     if not excess(0.0) > 0.0:
         return 0.0
@@ -324,14 +330,14 @@ def fit_levels(
 
     fit, error, share = fitted(power, shape), 0.0, np.ones(len(dof))
     if not fit.sufficient and np.isfinite(fit.solution.cost):
-        share = 1.0 / (1.0 + 0.5 * dof * model_error(arrangement.composition, fit.maximum, arrangement.bins))
+        share = share_with_error(dof, model_error(arrangement.composition, fit.maximum, arrangement.bins))
         fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
     for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not fit.sufficient else 0):
         wanted = error_of_powers(arrangement.levels.level / fit.maximum.mean, dof, per_octave, degrees)
         if abs(wanted - error) <= _SETTLED * wanted:
             break
         error = wanted
-        fit = fitted(*fit.solution[:2], share * share_with_error(share * dof, per_octave, error))
+        fit = fitted(*fit.solution[:2], share * share_with_error(share * dof, per_octave * error**2))
     final: Any = np.asarray(error)
     return fit._replace(solution=fit.solution._replace(power_error=final), degrees=share * dof)
 

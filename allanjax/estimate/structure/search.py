@@ -271,7 +271,7 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         if best.evidence < now.evidence - 1.0 or not _keeps_white(now, best):
             continue
         finer = record.binned(best.structure)
-        again = finer.fit(best.structure)
+        again = finer.fit(best.structure, np.inf)
         # Whatever is added has to show where the filter has not fallen, lest it mends the filter's shape.
         same = best.structure.kind == now.structure.kind
         plain, finer = finer.weighing(again), finer.weighing(again, filters=same)

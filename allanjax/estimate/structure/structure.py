@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, passed
-from allanjax.estimate.spectral.fit import model_error
+from allanjax.estimate.spectral.fit import model_error, share_with_error
 from allanjax.estimate.spectral.model import (
     Component,
     Composition,
@@ -44,7 +44,7 @@ _ERROR = 0.005
 # Number of factors of e beyond which the errors of a response count in a search: a judgement.
 _DEEP = 3.0
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
-ROUGH, FINE = 1e-2, 1e-7
+ROUGH, FINE = 1e-3, 1e-7
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
 FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
@@ -207,8 +207,7 @@ class Spectrum:
 
     def with_error(self, error: Any) -> Spectrum:
         """Copy for models with these squares of relative errors, of which models are to be compared only."""
-        half = 0.5 * self.size
-        levels = self.levels._replace(shape=half / (1.0 + half * error))
+        levels = self.levels._replace(shape=0.5 * self.size * share_with_error(self.size, error))
         return dataclasses.replace(self, levels=levels, error=error)
 
     @property
