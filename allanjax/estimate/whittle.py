@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
-from allanjax.estimate.design import find_starts, free_powers, free_shapes, shape_candidates
+from allanjax.estimate.design import find_starts, free_powers, shape_candidates
 from allanjax.estimate.deterministic import (
     AxisSpectrum,
     Peaks,
@@ -33,7 +33,7 @@ from allanjax.estimate.inference import (
     infer,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
-from allanjax.estimate.spectral.fit import Arrangement, ExpectedLevels, LevelFit, best_of, fit_levels
+from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
@@ -192,7 +192,7 @@ def _fit_noise(
         if fit is None:
             # Single coefficients scatter too much for start values.
             rough = np.where(projection.dof < _FEW, smooth, projection.level)
-            starts = _starts(noise, spectrum.bins, rough, projection.dof, active, peaks)
+            starts = _starts(arrangement, rough, active, peaks)
         else:
             starts = [(np.asarray(fit.solution.power), np.asarray(fit.solution.shape))]
         # The likelihood may have several maxima in a correlation time: all starts are tried.
@@ -203,17 +203,15 @@ def _fit_noise(
 
 
 def _starts(
-    noise: Model, bins: Bins, level: np.ndarray, dof: np.ndarray, active: np.ndarray, peaks: Peaks
+    arrangement: Arrangement, level: np.ndarray, active: np.ndarray, peaks: Peaks
 ) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
-    """Powers and shapes to start from."""
-    shapes, parameters = free_shapes(noise), noise.parameters
+    """Powers and shapes to start from, found in these levels."""
+    noise, bins, dof = arrangement.model, arrangement.bins, 2.0 * arrangement.levels.shape
     candidates = shape_candidates(noise, float(bins.n / bins.rate), bins.rate, peaks)
-    values = np.tile([1.0 if p.start is None else p.start for p in parameters], (len(candidates), 1))
-    places = [k for k, p in enumerate(parameters) if p.free and not p.parameter.is_amplitude]
-    values[:, places] = np.exp(candidates) + [p.parameter.lower for p in shapes]
-    of, blocks = ExpectedLevels(noise, bins), np.array_split(values, -(-len(values) // _BLOCK))
-    unit = [np.broadcast_to(of(some), (len(some), len(noise), len(level))) for some in blocks]
-    power, shape = find_starts(noise, candidates, np.concatenate(unit), level[None], dof, active[None])
+    blocks = np.array_split(candidates, -(-len(candidates) // _BLOCK))
+    shape = (len(noise), len(level))
+    unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *shape)) for x in blocks])
+    power, shape = find_starts(noise, candidates, unit, level[None], dof, active[None])
     return list(zip(power[0], shape[0], strict=True))
 
 

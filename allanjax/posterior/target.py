@@ -20,7 +20,7 @@ from allanjax.estimate.design import AllanDesign, free_shapes, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, Line, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.spectral.fit import ExpectedLevels, share_with_error
+from allanjax.estimate.spectral.fit import Arrangement, share_with_error
 from allanjax.estimate.spectral.others import in_batches
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Prior
@@ -54,7 +54,10 @@ class WhittleDensity:
         random = [k for k, term in enumerate(model.terms) if not term.deterministic]
         self._own = [k for k, p in enumerate(model.parameters) if p.term in (*random, len(model))]
         others = [label for k, label in enumerate(model.term_labels) if k not in random]
-        self._levels = ExpectedLevels(model.without(others), self._bins)
+        self._of, self._last = Arrangement.of(model.without(others), self._bins), (b"", np.zeros((0, 0, 0)))
+        shapes = free_shapes(self._of.model)
+        self._shapes = [k for k, p in enumerate(self._of.model.parameters) if p in shapes]
+        self._lower = np.array([p.parameter.lower for p in shapes])
         self._random = self._amplitude[random]
         # The error of powers is twice that of deviations.
         self._share = share_with_error(size, self._bins.per_octave() * (2.0 * result.discrepancy) ** 2)
@@ -88,7 +91,7 @@ class WhittleDensity:
 
     def scales(self, values: _All) -> dict[int, float]:
         """By index, the amplitude of each term whose power is one standard deviation about these values."""
-        mean, units = self._mean(values[None])[0], self._levels(values[None, self._own])[0]
+        mean, units = self._mean(values[None])[0], self._levels(values[None])[0]
         information = np.sum(self._shape * (units / mean) ** 2, axis=1)
         found = dict(zip(self._random.tolist(), (information**-0.25).tolist(), strict=True))
         for k, owner in enumerate(self._spectrum.owners):
@@ -97,9 +100,18 @@ class WhittleDensity:
                 found[int(self._amplitude[owner])] = float(power**-0.5)
         return found
 
+    def _levels(self, values: _Values) -> Float[np.ndarray, "_ terms m"]:
+        """Levels of the random terms of unit amplitude, which walkers with the same shapes have in common."""
+        shapes = np.log(values[:, self._own][:, self._shapes] - self._lower)
+        if not (shapes == shapes[:1]).all():
+            return self._of.expected(shapes)
+        if (key := b"|" + shapes[0].tobytes()) != self._last[0]:
+            self._last = key, self._of.expected(shapes[:1])
+        return self._last[1]
+
     def _mean(self, values: _Values) -> Float[np.ndarray, "b m"]:
         """Expected levels [rate²]."""
-        power, units = values[:, self._random] ** 2, self._levels(values[:, self._own])
+        power, units = values[:, self._random] ** 2, self._levels(values)
         return power @ units[0] if len(units) == 1 else np.einsum("bk,bkm->bm", power, units)
 
     def _line(

@@ -192,6 +192,7 @@ def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
     return np.append(single, rest)
 
 
+@functools.lru_cache(maxsize=16)
 def exact_expectation(
     n: int, rate: float, top: int
 ) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, "top lags"]]:

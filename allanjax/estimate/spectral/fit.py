@@ -104,6 +104,14 @@ class Arrangement(NamedTuple):
         theta[..., self.parameter] = shape + self.offset
         return theta
 
+    def expected(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "_ terms m"]:
+        """Levels [rate²] of each term of unit amplitude for these values of ln(shape − lower bound).
+
+        They are [1, terms, m] if all shapes are the same.
+        """
+        theta = self.parameters(shape[:1] if (shape == shape[:1]).all() else shape)
+        return self.composition.levels(theta, self.levels) * self.unit_power(theta)[..., None]
+
     def estimated(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " terms+shapes"]:
         """Which powers and which free shapes are estimated, if these terms are in use."""
         owned = of_owners(self.model, active)[self.owner]
@@ -386,30 +394,3 @@ def best_of(fits: Sequence[LevelFit]) -> LevelFit:
     cost = [float(np.nan_to_num(fit.solution.cost, nan=np.inf)) for fit in fits]
     close = [fit for fit, c in zip(fits, cost, strict=True) if c <= min(cost) + _AS_LIKELY]
     return next((fit for fit in close if fit.solution.converged), close[0])
-
-
-class ExpectedLevels:
-    """Levels of the random terms of a model in these bins, for unit amplitudes.
-
-    A call takes values of all parameters of the model [b, parameters] in SI, and returns the levels [rate²]
-    of each term, [b, terms, m] or [1, terms, m] if all have the same shapes. Amplitudes make no difference.
-    The walkers of a chain move together: a batch of them is one call of NumPy.
-    """
-
-    def __init__(self, model: Model, bins: Bins) -> None:
-        self._of, self._last = Arrangement.of(model, bins), (b"", np.zeros((0, 0, 0)))
-        shapes = [(k, p) for k, p in enumerate(model.parameters) if p.free and not p.parameter.is_amplitude]
-        self._shapes, self._lower = [k for k, _ in shapes], np.array([p.parameter.lower for _, p in shapes])
-
-    def __call__(self, values: Float[np.ndarray, "b parameters"]) -> Float[np.ndarray, "_ terms m"]:
-        shapes = np.log(values[:, self._shapes] - self._lower)
-        if not (shapes == shapes[:1]).all():
-            return self._evaluated(shapes)
-        if (key := b"|" + shapes[0].tobytes()) != self._last[0]:
-            self._last = key, self._evaluated(shapes[:1])
-        return self._last[1]
-
-    def _evaluated(self, shapes: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
-        theta = self._of.parameters(shapes)
-        levels = self._of.composition.levels(theta, self._of.levels)
-        return levels * self._of.unit_power(theta)[..., None]

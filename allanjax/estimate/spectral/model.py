@@ -37,7 +37,7 @@ from allanjax.noise.response import Response
 # Damping of the first step, relative to the information; shares of the predicted gain above which it falls,
 # below which it rises, and below which a step is taken back besides; by what factors it changes; and one at
 # which the iteration ends in any case.
-_DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
+_DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1/6, 1/0.15, 1e8
 # Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
 # steps, and the longest one of a parameter, in ln.
 _SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-11, 200, 2.0

@@ -48,7 +48,7 @@ _MOST = {kinds.OSCILLATOR: 12, kinds.MARKOV: 4}
 # Gains [nats]: log odds of an addition, and of any other change, beyond a fit's tolerance; in likelihood by a
 # slow process, of which two are the expected ones of its two parameters; and from which on a proposal is
 # fitted jointly, less than its evidence costs.
-_GAIN, _BETTER, _PREDICTS, _HOPEFUL = 2.0, 0.02, 3.0, 5.0
+_GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 # Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
 # quality factor above which a resonance is narrow, gain of a peak that is surely one.
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
@@ -77,6 +77,10 @@ _DEEP = 0.05
 WIDE = 4.0
 # Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
 _EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
+# Difference of the logarithms of correlation times below which two processes are alike.
+_SAME_TIME = 0.7
+# Tolerance [nats] of fits that show what is worth a better one.
+_GLANCE = 0.1
 # Relative error of a power beyond which the fit is tried without it; and deviation of a smoothed level from
 # its expectation, in standard deviations, beyond which a search begins.
 _DOUBTFUL, _CLEAR = 0.2, 2.5
@@ -170,7 +174,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
             structure = structure.plus(peak.resonance)
     spectrum = record.binned(structure)
     tried = _ranked(spectrum, _responses(spectrum, structure))
-    fits = [spectrum.fit(s) for s in (structure, *tried[:2])]
+    fits = [spectrum.fit(s, _GLANCE) for s in (structure, *tried[:2])]
     finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
     best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
     now = pruned(finer, best)
@@ -267,7 +271,7 @@ def _price(structure: Structure) -> float:
 def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
     """The best of all additions, fitted in bins that are made for it; None if none gains enough."""
     for proposal in _additions(record, spectrum, now):
-        best = spectrum.fit(proposal)
+        best = spectrum.fit(proposal, _GLANCE)
         if best.evidence < now.evidence - 1.0 or not _keeps_white(now, best):
             continue
         finer = record.binned(best.structure)
@@ -298,12 +302,24 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     if inside and structure.place(OUTSIDE) is None:
         proposals.append(Component(kinds.COLUMN, 1.0, which=OUTSIDE))
     gain, power = _promised(spectrum, now, spectrum.units(structure, proposals))
-    best = [k for k in np.argsort(-gain)[:_RANKED].tolist() if gain[k] > _HOPEFUL]
-    groups = [[structure.plus(proposals[k]._replace(power=float(power[k])))] for k in best]
+    best: list[Component] = []
+    for k in np.argsort(-gain)[: np.count_nonzero(gain > _HOPEFUL)].tolist():
+        if len(best) < _RANKED and not any(_alike(proposals[k], other) for other in best):
+            best.append(proposals[k]._replace(power=float(power[k])))
+    groups = [[structure.plus(new)] for new in best]
     if _lacks_response(spectrum, now):
         groups += _responses(spectrum, structure)
     together = [structure.plus(*sure[:resonances])] * (len(sure) > 1)
     return together + _ranked(spectrum, groups)[:_TRIED]
+
+
+def _alike(one: Component, other: Component) -> bool:
+    """Whether a joint fit of one component is likely to end where that of the other one does."""
+    if one.kind != other.kind or not one.shape:
+        return False
+    if one.kind == kinds.MARKOV:
+        return abs(one.shape[0] - other.shape[0]) < _SAME_TIME
+    return abs(one.frequency - other.frequency) < min(one.width, other.width)
 
 
 class _Peak(NamedTuple):
