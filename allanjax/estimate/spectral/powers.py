@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 
 # Damping of the first step, its least and largest values, its factor after each step that gains or loses; and
 # the longest step in ln.
-_DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.01, (1e-6, 1e6), 0.1, 10.0, 2.0
+_DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.1, (0.01, 1e6), 0.25, 10.0, 2.0
 # Steps after which models that are far behind the best one are left as they are.
-_PATIENCE = 6
+_PATIENCE = 10
 # Fewest degrees of freedom of a level from which a ramp was removed.
 _FEWEST = 1e-3
 
