@@ -6,10 +6,11 @@ not distinguish from it are fitted to the Allan variances with non-negative powe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.result import AxisFit, Fit
@@ -50,6 +51,17 @@ def one_by_one(model: Model) -> list[Model]:
     """Models of one term each, with the response if the term passes it."""
     labels = model.term_labels
     return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
+
+
+def side_by_side(
+    sets: Sequence[Likely],
+) -> tuple[list[tuple[str, Model]], Float[np.ndarray, "draws terms"], Bool[np.ndarray, " terms"]]:
+    """The terms of all sets, each with its label; draws of their powers; and which of them are detected."""
+    from scipy.linalg import block_diag
+
+    terms = [pair for s in sets for pair in zip(s.labels, one_by_one(s.model), strict=True)]
+    detected = [np.arange(len(s.labels)) < len(s.labels) - s.limited for s in sets]
+    return terms, block_diag(*(s.power for s in sets)), np.concatenate(detected)
 
 
 def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
