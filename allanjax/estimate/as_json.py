@@ -16,6 +16,7 @@ import numpy as np
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import finite_or_none
+from allanjax.estimate.likely_models import class_of
 from allanjax.estimate.result import AxisFit, Fit, Misfit, extended_model, fitted_model
 from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
@@ -109,13 +110,10 @@ def to_dict(fit: Fit) -> dict[str, Any]:
     curve, n, rate = fit.curve, int(fit.curve.n), float(fit.curve.rate)
     columns = {"deviation": curve.deviation, "degrees_of_freedom": curve.edf}
     by_axis = {key: dict(zip(fit.axes, _plain(x.T), strict=True)) for key, x in columns.items()}
-    axes = [_axis(result) for result in fit.results]
-    if fit.selection is not None:
-        for axis, ranking in zip(axes, fit.selection.results, strict=True):
-            axis |= _ranking(ranking)
+    rankings = [None] * len(fit.results) if fit.selection is None else fit.selection.results
+    axes = [_axis(*pair) for pair in zip(fit.results, rankings, strict=True)]
     for d in fit.dead:
-        none = AxisFit(axis=d.axis, converged=False, reason=d.reason, not_measured=("dead axes",))
-        axes.append({**_axis(none), "dead": True})
+        axes.append(_axis(AxisFit(d.axis, False, d.reason, not_measured=("dead axes",)), dead=True))
     return {
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
@@ -133,40 +131,32 @@ def to_dict(fit: Fit) -> dict[str, Any]:
     }
 
 
-def _axis(result: AxisFit) -> dict[str, Any]:
-    found, extension = list(result._coefficients.values()), None
+def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = False) -> dict[str, Any]:
+    found = list(result._coefficients.values())
+    more: dict[str, Any] = {
+        "dead": dead,
+        "coefficients": _plain(found),
+        "covariance": {
+            "labels": [c.label for c in found],
+            "units": [c.si_unit for c in found],
+            "values": _plain(result._covariance),
+        },
+        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
+    }
+    if ranking is not None:
+        sets = [{**_written(s), "chosen": s == ranking.chosen} for s in ranking.ranking]
+        more |= {"selection": sets, "selection_discrepancy": ranking.discrepancy}
+        if (of := ranking.averaged) is not None:
+            averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
+            more["selection_averaged"] = averaged
     if result.own_template is not None and result.plain is not None:
-        extension = {
+        more["extension"] = {
             **_terms(result.own_template),
             "further": list(result.further),
             "correction": result.correction,
             "plain": _axis(result.plain),
         }
-    covariance = {
-        "labels": [c.label for c in found],
-        "units": [c.si_unit for c in found],
-        "values": _plain(result._covariance),
-    }
-    return {
-        **_written(result.axis),
-        **_written(result),
-        "dead": False,
-        "coefficients": _plain(found),
-        "covariance": covariance,
-        "extension": extension,
-        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
-    }
-
-
-def _ranking(selection: AxisSelection) -> dict[str, Any]:
-    chosen, averaged = selection.chosen, None
-    if (of := selection.averaged) is not None:
-        averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
-    return {
-        "selection": [{**_written(s), "chosen": s == chosen} for s in selection.ranking],
-        "selection_discrepancy": selection.discrepancy,
-        "selection_averaged": averaged,
-    }
+    return {**_written(result.axis), **_written(result), **more}
 
 
 def in_both_units(c: Estimate) -> dict[str, Any]:
@@ -228,34 +218,28 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
 
 
 def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
-    """Fit from its JSON document."""
-    if "baseline" in document or "schema_version" not in document or "axes" not in document:
+    written, version_of = document.get("allanjax_version"), document.get("schema_version")
+    if "baseline" in document or version_of is None or "axes" not in document:
         raise AllanjaxError("not a fit written by allanjax; give a NAME.json of allanjax characterize")
-    if document["schema_version"] != SCHEMA_VERSION:
+    if version_of != SCHEMA_VERSION:
         raise AllanjaxError(
-            f"schema version {document['schema_version']}, but this allanjax reads version {SCHEMA_VERSION}; "
-            f"load it with allanjax {document.get('allanjax_version', 'of the version that wrote it')}"
+            f"schema version {version_of}, but this allanjax reads version {SCHEMA_VERSION}; load it with "
+            f"allanjax {written or 'of the version that wrote it'}"
         )
     if "curve" not in document:
         raise AllanjaxError(
-            f"written by allanjax {document.get('allanjax_version')} without the curve; characterize the "
-            "recording again"
+            f"written by allanjax {written} without the curve; characterize the recording again"
         )
     template, of, curve = _model(document, classes), document["recording"], document["curve"]
     alive = [(a, _read(Axis, a)) for a in document["axes"] if not a["dead"]]
-    axes = tuple(axis for _, axis in alive)
-    deviation, edf = (
-        np.array([curve[key][axis.name] for axis in axes], float).T
-        for key in ("deviation", "degrees_of_freedom")
-    )
+    axes, keys = tuple(axis for _, axis in alive), {"deviation": "deviation", "edf": "degrees_of_freedom"}
+    known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
     return Fit(
         name=of["name"],
         template=template,
-        curve=_read(
-            AllanDeviation, curve, deviation=deviation, edf=edf, n=of["n"], rate=of["rate_hz"], axes=axes
-        ),
+        curve=_read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
         notes=tuple(document["notes"]),
         facts=tuple(map(Fact.from_dict, document["facts"])),
@@ -267,7 +251,6 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
 
 
 def _model(document: Mapping[str, Any], classes: _Classes) -> Model:
-    """The model that was fitted."""
     for name in (term["term"] for term in document["model"]):
         if name not in classes:
             raise AllanjaxError(
@@ -287,7 +270,6 @@ def _parametrized(made: type[_Own], of: Mapping[str, Any]) -> _Own:
 
 
 def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes) -> AxisFit:
-    """Result of one axis."""
     own = plain = None
     if extension := a.get("extension"):
         own = _model(extension, classes)
@@ -308,37 +290,28 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
     )
 
 
-def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Estimate:
     """Coefficient in SI."""
     si = c["si"]
-    more: dict[str, Any] = {"interval": _interval(si["interval_95"])}
-    more["interval_68"] = _interval(si["interval_68"])
+    for name, key in (("interval", "interval_95"), ("interval_68", "interval_68")):
+        # Without an upper end it extends to infinity; without both there is none.
+        low, high = (math.nan if x is None else x for x in si[key])
+        more[name] = low, math.inf if math.isnan(high) and not math.isnan(low) else high
     if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
         more["upper_limit"] = math.inf
     return _read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
-def _interval(ends: Sequence[float | None]) -> tuple[float, float]:
-    """Without an upper end it extends to infinity; without both there is none."""
-    lower, upper = ends
-    if lower is None:
-        return math.nan, math.nan if upper is None else upper
-    return lower, math.inf if upper is None else upper
-
-
 def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
-    """Ranking of the term sets for one axis."""
-    ranking = []
+    ranking, averaged = [], None
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
         intervals = {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()}
         ranking.append(_read(TermSet, s, log_evidence=evidence, intervals=intervals))
-    averaged = None
     if of := a.get("selection_averaged"):
         coefficients = {}
         for c in of["coefficients"]:
-            term = c["term"] if c["term"] in classes else c["term"].rpartition("_")[0]
-            found = _estimate(c, classes[term].amplitude_parameter(), axis)
-            coefficients[c["label"]] = dataclasses.replace(found, source="averaged")
+            parameter = class_of(c["term"], classes).amplitude_parameter()
+            coefficients[c["label"]] = _estimate(c, parameter, axis, source="averaged")
         averaged = _read(Averaged, of, coefficients=coefficients)
     return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)

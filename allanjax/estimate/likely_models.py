@@ -6,7 +6,7 @@ not distinguish from it are fitted to the Allan variances with non-negative powe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -108,8 +108,8 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     shape = np.maximum(curve.edf[octaves, column], 1.0) / 2.0
     # A Markov process of any time between ten samples and the longest cluster.
     markov = [Markov(1.0, float(T_c)) for T_c in np.geomspace(10.0 / curve.rate, time[-1], _TIMES)]
-    named = [name if name in classes else name.rpartition("_")[0] for name in terms]
-    tried = [markov if name == "markov" else [_unit(classes[name])] for name in named]
+    of = [class_of(name, classes) for name in terms]
+    tried = [markov if term is Markov else [_unit(term)] for term in of]
     unit = np.empty((max(map(len, tried)), len(tried), len(time)))
     for k, units in enumerate(tried):
         unit[:, k] = [term.sampled(curve.rate).allan_variance(time) for term in units]
@@ -125,6 +125,11 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     order = np.argsort(~there, kind="stable")
     model = Model(tuple(tried[k][best % len(tried[k])] for k in order))
     return Likely(model, tuple(terms[k] for k in order), power[:, order], int((~there).sum()))
+
+
+def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTerm]:
+    """Class of a term by its label in a model, which has a number if there are several of its kind."""
+    return classes[label if label in classes else label.rpartition("_")[0]]
 
 
 def _factors(
