@@ -42,7 +42,7 @@ from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
-from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
+from allanjax.noise.terms import DriftRamp, Markov
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
@@ -98,49 +98,37 @@ class _Filters:
 
     def variance(self, model: Model, duration: float) -> Float[np.ndarray, "g t"]:
         """True variance of the integral [rad² or (m/s)²] for a model of one term, of this duration [s]."""
-        (term,), rate, steps, share = model.terms, self.rate, self.steps, self.share
-        gain, again = self.gain[:, None], self.again[:, None]
-        if isinstance(term, Sinusoid):
-            z = np.exp(2j * np.pi * term.frequency / rate)
-            error = (z**steps - 1.0) / (z - 1.0) - share * gain / (z - again)
-            return term.amplitude**2 / 2.0 * np.abs(error / rate) ** 2
-        if isinstance(term, DriftRamp):
-            followed = share * gain / (1.0 - again)
-            # The estimate of a drifting bias lags behind.
-            slope = steps * (steps + 1.0) / 2.0 + followed * again / (1.0 - again)
-            # About its mean over the record; a walk's filter follows that in full, except for rounding.
-            missed = np.where(np.isinf(self.time)[:, None], 0.0, steps - followed)
-            error = slope**2 + missed**2 * (duration * rate) ** 2 / 12.0
-            return (term.coefficient / rate**2) ** 2 * error
-        block = _states(term, rate, duration)
+        (term,), gain, steps = model.terms, self.gain[:, None], self.steps.astype(int).tolist()
+        block = _states(term, self.rate, duration)
         if model.response is not None:
-            block = filtered_block(block, *model.response.sampled(rate).transfer(rate), "")
-        return self._of_states(block, duration)
-
-    def _of_states(self, block: Block, duration: float) -> Float[np.ndarray, "g t"]:
-        """The same for noise of these states, from the covariance of those and b̂ together."""
-        A, H, n, gain = block.transition, block.observation, block.size, self.gain[:, None]
+            block = filtered_block(block, *model.response.sampled(self.rate).transfer(self.rate), "")
+        A, H, n = block.transition, block.observation, block.size
         space = StateSpace.of(block, self.rate, "gyro", "")
-        sums = [space.sum_covariance(int(steps)) for steps in self.steps]
+        sums, states, followed = [space.sum_covariance(n) for n in steps], np.arange(n), gain * (H @ A)
         observed = np.stack([transition[-1, :-1] for transition, _ in sums])
+        # The error is linear in the states and b̂ at the last sample, and in the noise after it.
+        ahead = np.broadcast_to(observed @ A, (len(gain), *observed.shape))
+        if term.deterministic:
+            # The estimate follows the states of a line, or of a ramp that is somewhere about its mean.
+            joint = A.T - self.again[:, None, None] * np.eye(n)
+            rows = ahead - self.share[:, :, None] * np.linalg.solve(joint, followed[..., None])[:, None, :, 0]
+            ramp = isinstance(term, DriftRamp)
+            P = block.start[1, 1] * np.diag([duration**2 / 12.0, 1.0]) if ramp else block.start
+            return np.einsum("gti,ij,gtj->gt", rows, P, rows, optimize=True) / self.rate**2
+        rows = np.concatenate([ahead, -self.share[:, :, None]], axis=2)
         joint = np.zeros((len(gain), n + 1, n + 1))
-        joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, gain * (H @ A), self.again
+        joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, followed, self.again
         enters = np.concatenate([np.broadcast_to(np.eye(n), (len(gain), n, n)), (gain * H)[:, None]], axis=1)
         noise = enters @ block.noise @ enters.swapaxes(1, 2)
         noise[:, n, n] += self.gain**2 * block.white
         # About its mean over the record a walk has the variance of a process with a correlation time of a
         # third of it; so has, nearly, anything slower than the record.
-        walks, states = np.isinf(self.time), np.arange(n)
+        walks = np.isinf(self.time)
         joint[:, states, states] *= np.where(walks, 1.0, math.exp(-3.0 / (duration * self.rate)))[:, None]
         P, level = np.empty_like(joint), np.append(block.level, False)
         for own, walk in ((walks, level), (~walks, np.zeros_like(level))):
             P[own] = settled(joint[own], noise[own], walk)
-        # The error is linear in the states and b̂ at the last sample, and in the noise after it.
-        ahead = np.broadcast_to(observed @ A, (len(gain), *observed.shape))
-        rows = np.concatenate([ahead, -self.share[:, :, None]], axis=2)
-        later = np.einsum("ti,ij,tj->t", observed, block.noise, observed) + [
-            added[-1, -1] for _, added in sums
-        ]
+        later = np.einsum("ti,ij,tj->t", observed, block.noise, observed) + [Q[-1, -1] for _, Q in sums]
         return (np.einsum("gti,gij,gtj->gt", rows, P, rows, optimize=True) + later) / self.rate**2
 
 
@@ -161,17 +149,14 @@ class AxisHorizon(ByValue):
         white, walk: the N and K whose predicted variance is the true one at the horizon, and whose largest
             ratio to it at shorter times, from a hundredth of the horizon on, is closest to one. K² is the
             density of the noise that drives the bias.
-        correlation_time: correlation time of the Gauss–Markov process, from a grid of values that are a
-            factor of two apart or less; None for a walk.
+        correlation_time: correlation time of the Gauss–Markov process; None for a walk.
         mismatch: largest factor between the predicted and the true standard deviation at these times.
-        bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
-            true variance, at each with this probability; of all such pairs the one with the least mean
-            logarithm of the predicted variance.
-        bounding_time: correlation time of the bounding process [s]; infinite for a walk.
+        bounding_white, bounding_walk, bounding_time: the N and K, SI, and the time [s], infinite for a walk,
+            whose prediction is at none of these times below the true variance, at each with this probability,
+            and has the least mean logarithm.
         raw_white, raw_walk: N and K of the fitted model, SI; zero if it has none.
         time: times [s] since the last correction.
-        error: standard deviation of the angle or velocity [rad or m/s] with `white` and `walk`, all terms
-            included.
+        error: standard deviation of the angle or velocity [rad or m/s], of all terms, with that pair.
         raw_error, raw_prediction: the same with the raw N and K, as a walk, and what these predict.
         bound: the standard deviation that the bounding pair predicts.
         shares: shares of the terms in the variance of the error at the horizon, the largest first.

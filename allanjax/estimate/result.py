@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -41,15 +41,13 @@ if TYPE_CHECKING:
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
-#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement.
-#: 30 % in the deviation is 69 % in the variances, which are fitted; standard deviations propagate the model's
-#: error to first order only. A coefficient is determined by one or two octaves. (Static sensors with
-#: resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
+#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement, as
+#: errors are propagated to first order only, and a coefficient is determined by one or two octaves. (Two
+#: ADIS16405 on a bench, which have resonances, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-# p-value below which a model is doubtful.
-_DOUBTFUL = 1e-3
-# Curves differ for certain where the model is outside this central interval of all estimates (χ²).
-_SURE = 0.997
+# p-value below which a model is doubtful; and curves differ for certain where the model is outside this
+# central interval of all estimates (χ²).
+_DOUBTFUL, _SURE = 1e-3, 0.997
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
 # Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
@@ -60,6 +58,9 @@ _NOTABLE, _CLEAR = 0.02, 0.06
 _FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
 # One, to rounding; and the least share of N that counts as white noise.
 _ALMOST, _LITTLE = 1.0 + 1e-6, 1e-6
+_Coefficients: TypeAlias = Mapping[str, Estimate]
+_Covariance: TypeAlias = Float[np.ndarray, "params params"]
+_Places: TypeAlias = Float[np.ndarray, " m"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,16 +108,8 @@ class Misfit:
         return f"{self.curve} off by {deviation(self.largest)} at {place}, {deviation(self.rms)} rms"
 
 
-def misfit_of(
-    place: Float[np.ndarray, " m"],
-    ratio: Float[np.ndarray, " m"],
-    edf: Float[np.ndarray, " m"],
-    unit: Literal["s", "Hz"],
-) -> Misfit:
-    """Misfit of estimated deviations, given measured/model, and the degrees of freedom of their squares.
-
-    The places are cluster times [s] or frequencies [Hz], increasing.
-    """
+def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "Hz"]) -> Misfit:
+    """Misfit of deviations at increasing places, by measured/model and the squares' degrees of freedom."""
     log = np.log(np.maximum(ratio, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
     ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
@@ -143,21 +136,13 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
 
     The discrepancy alone would be too small, as the fit bends towards data that it cannot follow.
     """
-    # The error of powers is twice that of deviations.
+    # In powers it is twice that of deviations.
     least = [0.0 if misfit is None else 2.0 * misfit.rms for misfit in misfits]
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), least))
 
 
-def spectral_misfit(
-    frequency: Float[np.ndarray, " m"],
-    level: Float[np.ndarray, " m"],
-    mean: Float[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-) -> Misfit:
-    """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
-
-    Each level is of a bin about its frequency [Hz]; those without degrees of freedom do not count.
-    """
+def spectral_misfit(frequency: _Places, level: _Places, mean: _Places, dof: _Places) -> Misfit:
+    """Misfit of a root PSD: levels at frequencies [Hz], averaged over thirds of octaves, to their means."""
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
     part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
@@ -177,18 +162,14 @@ def deviation(relative: float) -> str:
 class AxisEstimates:
     """Base of the fit and of the posterior of one axis: estimates by name, as a table, and as text.
 
-    Attributes:
-        axis: the axis.
-        coefficients: each by its label, detected or not.
+    `COLUMNS` are those of the table, and `ERROR` is raised for an unknown coefficient.
     """
 
-    #: Columns of the table, each in the usual unit.
     COLUMNS: ClassVar[tuple[str, ...]] = ()
-    #: Error for an unknown coefficient.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     axis: Axis
-    coefficients: Mapping[str, Estimate]
+    coefficients: _Coefficients
 
     @TextProperty
     def verdict(self) -> str:
@@ -219,9 +200,7 @@ class AxisEstimates:
         return f"<{type(self).__name__} {self.axis.name}: {shown};\n {self.verdict}>"
 
 
-def fitted_model(
-    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
-) -> Model:
+def fitted_model(template: Model, coefficients: _Coefficients, inactive: Sequence[str] = ()) -> Model:
     """The template with these values, without the terms that are inactive or whose amplitude is zero."""
     values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
     amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
@@ -229,15 +208,12 @@ def fitted_model(
     return template.with_values(**values).without([*absent, *inactive])
 
 
-def extended_model(
-    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
-) -> Model:
+def extended_model(template: Model, coefficients: _Coefficients, inactive: Sequence[str] = ()) -> Model:
     """The model of an extension; its white noise excludes the part of wide resonances and short processes."""
     N, left = coefficients["angle_random_walk"], template.values["angle_random_walk"] or 0.0
     # The term stays if it is detected.
-    value = max(float(left), _LITTLE * N.value)
-    own = {**coefficients, "angle_random_walk": dataclasses.replace(N, value=value)}
-    return fitted_model(template, own, inactive)
+    own = dataclasses.replace(N, value=max(float(left), _LITTLE * N.value))
+    return fitted_model(template, {**coefficients, N.label: own}, inactive)
 
 
 def _causes(result: AxisFit, template: Model) -> Iterator[str]:
@@ -269,15 +245,14 @@ class AxisFit(ByValue, AxisEstimates):
 
     Attributes:
         axis: the axis.
-        converged: whether there is a result; otherwise `reason` gives the reason.
+        converged, reason: whether there is a result, and the reason if there is none.
         chi2, dof, p_value: χ² of the spectrum's levels about the model (for "exact", about the maximum of
             Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; it
             has no p-value, as it does not follow a χ² law at long cluster times.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
             Standard deviations and intervals include it.
-        misfit: how far the fitted curve is off and where; None if the model fits or there is no result.
-            If it is excessive, no coefficient is a measurement of the sensor (`measured`).
+        misfit: how far the fitted curve is off and where; None if the model fits.
         allan_misfit: for a fit of the spectrum, the same for its Allan deviations, if they are off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics that were fitted; neither saved nor compared.
@@ -288,8 +263,7 @@ class AxisFit(ByValue, AxisEstimates):
             where that of the other axes does not fit this one. N is then the density at low frequencies,
             including resonances with Q < 4 and processes of less than 20 samples.
         plain: the fit without these.
-        widening: factor by which standard deviations exceed those of a complete record, see
-            `completion.widening`; `sample` applies it, too.
+        widening: ratio of standard deviations to those of a complete record (`completion.widening`).
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -305,10 +279,8 @@ class AxisFit(ByValue, AxisEstimates):
     dof: int = 0
     p_value: float = np.nan
     discrepancy: float = np.nan
-    _coefficients: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
-    _covariance: Float[np.ndarray, "params params"] = dataclasses.field(
-        default_factory=lambda: np.zeros((0, 0))
-    )
+    _coefficients: _Coefficients = dataclasses.field(default_factory=dict)
+    _covariance: _Covariance = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _model: Model = dataclasses.field(default_factory=lambda: Model(()))
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
@@ -326,9 +298,9 @@ class AxisFit(ByValue, AxisEstimates):
     def __post_init__(self) -> None:
         if not self.converged:
             # The numbers are meaningless, and no file contains them.
-            nothing = AxisFit(self.axis, True, "")
+            nothing = vars(AxisFit(self.axis, True, ""))
             for name in ("chi2", "p_value", "discrepancy", "_coefficients", "_covariance", "_model"):
-                object.__setattr__(self, name, getattr(nothing, name))
+                object.__setattr__(self, name, nothing[name])
 
     def _known(self) -> AxisFit:
         if not self.converged:
@@ -336,12 +308,12 @@ class AxisFit(ByValue, AxisEstimates):
         return self
 
     @property
-    def coefficients(self) -> Mapping[str, Estimate]:  # type: ignore[override]  # others have it as a field
+    def coefficients(self) -> _Coefficients:  # type: ignore[override]  # others have it as a field
         """The coefficients by label, detected or not."""
         return self._known()._coefficients
 
     @property
-    def covariance(self) -> Float[np.ndarray, "params params"]:
+    def covariance(self) -> _Covariance:
         """Covariance (SI) of the coefficients in their order; zero for what was not estimated."""
         return self._known()._covariance
 
@@ -395,7 +367,7 @@ class AxisFit(ByValue, AxisEstimates):
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
 
-    def with_estimates(self, found: Mapping[str, Estimate], **more: Any) -> AxisFit:
+    def with_estimates(self, found: _Coefficients, **more: Any) -> AxisFit:
         """A copy with these estimates, and a covariance rescaled to their standard deviations."""
         pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
         by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
@@ -414,10 +386,9 @@ class AxisFit(ByValue, AxisEstimates):
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
-        """A copy with intervals widened for errors of the record.
+        """A copy with intervals widened for a relative error of every amplitude, and `foreign` white noise.
 
-        `share` is the relative error of the Allan deviation, and thus of every amplitude; `foreign` a density
-        of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
+        That is its density [rad/√s or m/s/√s]; it may be in N but not from the sensor.
         """
 
         def factor(c: Estimate) -> float:
@@ -578,7 +549,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return {r.axis.name: r.verdict for r in self.results if r.converged and not r.measured}
 
     @property
-    def coefficients(self) -> dict[str, Mapping[str, Estimate]]:
+    def coefficients(self) -> dict[str, _Coefficients]:
         """Coefficients by axis and label. Raises FitError if an axis did not converge."""
         return {result.axis.name: result.coefficients for result in self.results}
 

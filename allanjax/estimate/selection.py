@@ -1,8 +1,7 @@
 """The choice of noise terms: every subset of the candidates, ranked by its evidence, and their average.
 
-Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
-the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
-the logarithms of their powers from the normal law at the maximum of their likelihood.
+For the average, sets are drawn by their probabilities, and the logarithms of their powers from the normal law
+at the maximum of their likelihood: where the data cannot distinguish two terms, the drift may be known.
 """
 
 from __future__ import annotations
@@ -219,18 +218,13 @@ class AxisSelection(ByValue):
         """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
 
-        close = len(self.indistinguishable)
-        return pd.DataFrame(
-            {
-                "axis": self.axis.name,
-                "rank": rank,
-                "terms": str(s),
-                "probability": s.probability,
-                "log_evidence": s.log_evidence - self.best.log_evidence,
-                "indistinguishable": rank <= close,
-            }
+        name, best, close = self.axis.name, self.best.log_evidence, len(self.indistinguishable)
+        rows = [
+            (name, rank, str(s), s.probability, s.log_evidence - best, rank <= close)
             for rank, s in enumerate(self.ranking, 1)
-        )
+        ]
+        columns = ["axis", "rank", "terms", "probability", "log_evidence", "indistinguishable"]
+        return pd.DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
         chosen, best = (f"{s} ({percent(s.probability, 3)})" for s in (self.chosen, self.best))
@@ -329,16 +323,13 @@ def select_terms(
 ) -> TermSelection:
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
-    The evidence (see `evidence`) is Whittle's likelihood integrated over the coefficients. Unlike BIC it
-    needs no effective number of samples per coefficient (about ten for a rate random walk, all for an angle
-    random walk); unlike held-out likelihood it uses the few low frequencies of a drift in full. All sets have
-    the same prior probability. Where none fits the spectrum (p < 10⁻⁶), all are given the relative error that
+    The evidence (see `evidence`) is Whittle's likelihood integrated over the coefficients; all sets have the
+    same prior probability. Where none fits the spectrum (p < 10⁻⁶), all are given the relative error that
     makes the best one fit, which lowers all Bayes factors; sets with a free time, which would absorb the
-    misfit, are then left out.
+    misfit, are then left out. If the candidates have two Markov processes (`"N + B + K + markov + markov"`),
+    both together are compared, too, beside the sets that come near the best with one of them.
 
-    If the candidates have two Markov processes (`"N + B + K + markov + markov"`), both together are compared,
-    too, beside the sets that come near the best with one of them. The segments of a recording with gaps are
-    combined. Disturbed parts that `inspect` detects are left out, as by `fit`.
+    The segments of a recording with gaps are combined. Disturbed parts are left out, as by `fit`.
 
     Args:
         recording: a result of `read`, or anything else that `fit` takes.
@@ -388,13 +379,10 @@ def rank_terms(
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
     """
     values = [np.asarray(x) for x in statistics]
+    own = [SpectralStatistics(*(x[k] for x in values)) for k in range(len(axes))]
     candidates = _Candidates.of(model, bins, statistics)
-
-    def of_axis(k: int) -> AxisSelection:
-        own = candidates._replace(statistics=SpectralStatistics(*(x[k] for x in values)))
-        return own.ranked_for(axes[k])
-
-    return TermSelection(name, tuple(for_each(of_axis, range(len(axes)))))
+    results = for_each(lambda k: candidates._replace(statistics=own[k]).ranked_for(axes[k]), range(len(axes)))
+    return TermSelection(name, tuple(results))
 
 
 class _Candidates(NamedTuple):
