@@ -36,10 +36,7 @@ _Classes: TypeAlias = Mapping[str, type[NoiseTerm]]
 
 
 def _keys(text: str) -> dict[str, str]:
-    """Keys in their order, and the attribute behind each: `key=attribute` if it has another name.
-
-    `key=` is written by a function of its own.
-    """
+    """Keys, and the attribute behind each: `key=attribute`, or `key=` if a function writes it."""
     words = (word.partition("=") for word in text.split())
     return {key: name if equals else key for key, equals, name in words}
 
@@ -62,16 +59,16 @@ _KEYS: Mapping[type, dict[str, str]] = {
 }
 
 
-def _plain(value: Any) -> Any:
-    """A value in types of JSON, which has neither NaN nor infinity."""
+def in_json(value: Any) -> Any:
+    """A value in types of JSON, which has neither NaN nor infinity: numbers that are not finite are None."""
     if isinstance(value, Estimate):
         return {**_written(value), **in_both_units(value)}
     if type(value) in _KEYS:
         return _written(value)
     if isinstance(value, Mapping):
-        return {key: _plain(x) for key, x in value.items()}
+        return {key: in_json(x) for key, x in value.items()}
     if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(x) for x in value]
+        return [in_json(x) for x in value]
     if isinstance(value, np.integer):
         return int(value)
     return finite_or_none(value) if isinstance(value, float) else value
@@ -79,13 +76,13 @@ def _plain(value: Any) -> Any:
 
 def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
     keys = _KEYS[type(of)] if keys is None else keys
-    return {key: _plain(getattr(of, name)) if name else None for key, name in keys.items()}
+    return {key: in_json(getattr(of, name)) if name else None for key, name in keys.items()}
 
 
 def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
-    """The object of a class from its JSON, and as given what that does not hold.
+    """The object of a class from its JSON, and as given what that does not hold; else fields have defaults.
 
-    A field that an earlier version did not write has its default. Null is NaN in a field that cannot be None.
+    Null is NaN in a field that cannot be None.
     """
     keys = {name: key for key, name in _KEYS[made].items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
@@ -104,12 +101,11 @@ def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made
 def to_dict(fit: Fit) -> dict[str, Any]:
     """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` describes the keys.
 
-    Numbers that do not exist, such as the χ² of an axis without a result, and numbers that are not finite,
-    such as the upper end of an open interval, are None. `load` restores the fit.
+    Numbers that do not exist or are not finite are None. `load` restores the fit.
     """
     curve, n, rate = fit.curve, int(fit.curve.n), float(fit.curve.rate)
     columns = {"deviation": curve.deviation, "degrees_of_freedom": curve.edf}
-    by_axis = {key: dict(zip(fit.axes, _plain(x.T), strict=True)) for key, x in columns.items()}
+    by_axis = {key: dict(zip(fit.axes, in_json(x.T), strict=True)) for key, x in columns.items()}
     rankings = [None] * len(fit.results) if fit.selection is None else fit.selection.results
     axes = [_axis(*pair) for pair in zip(fit.results, rankings, strict=True)]
     for d in fit.dead:
@@ -125,8 +121,8 @@ def to_dict(fit: Fit) -> dict[str, Any]:
         "axes": axes,
         "facts": [fact.to_dict() for fact in fit.facts],
         "warnings": list(fit.warnings),
-        "stretch_s": _plain(fit.longest_part),
-        "parts_s": _plain(fit.parts),
+        "stretch_s": in_json(fit.longest_part),
+        "parts_s": in_json(fit.parts),
         "notes": list(fit.notes),
     }
 
@@ -135,11 +131,11 @@ def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = Fa
     found = list(result._coefficients.values())
     more: dict[str, Any] = {
         "dead": dead,
-        "coefficients": _plain(found),
+        "coefficients": in_json(found),
         "covariance": {
             "labels": [c.label for c in found],
             "units": [c.si_unit for c in found],
-            "values": _plain(result._covariance),
+            "values": in_json(result._covariance),
         },
         "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
     }
@@ -147,7 +143,7 @@ def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = Fa
         sets = [{**_written(s), "chosen": s == ranking.chosen} for s in ranking.ranking]
         more |= {"selection": sets, "selection_discrepancy": ranking.discrepancy}
         if (of := ranking.averaged) is not None:
-            averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
+            averaged = {**_written(of), "coefficients": in_json(list(of.coefficients.values()))}
             more["selection_averaged"] = averaged
     if result.own_template is not None and result.plain is not None:
         more["extension"] = {
@@ -177,8 +173,7 @@ def _terms(model: Model) -> dict[str, Any]:
 def _parameters(of: Parametrized) -> dict[str, Any]:
     values = {p.name: getattr(of, p.name) for p in of.parameters()}
     known = {name: INFINITY if x == math.inf else x if x is None else float(x) for name, x in values.items()}
-    options = {"options": of.options} if of.options else {}
-    return {"parameters": known, **options, "held": sorted(of.held)}
+    return {"parameters": known, **({"options": of.options} if of.options else {}), "held": sorted(of.held)}
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:

@@ -68,9 +68,9 @@ class NeededLength(ByValue):
         coefficient: the estimate of N, B or K [SI].
         relative_std: its relative standard deviation now; nan if it is not detected or not measured.
         now: length [s] that was fitted.
-        seconds: length [s] at which the Cramér–Rao bound is 20 %, for an undetected coefficient if it were at
-            its 95 % upper limit; None if that is more than a month, or unknown. If the standard deviation
-            exceeds the bound now, it is assumed to exceed it by the same factor later.
+        seconds: length [s] at which the Cramér–Rao bound is 20 % (or what the standard deviation now exceeds
+            it by less), for an undetected coefficient if it were at its 95 % upper limit; None if that is
+            more than a month, or unknown.
         reason: why it is unknown; "" if it is known.
     """
 
@@ -308,7 +308,7 @@ def check(
 
     The lines are on time stamps, repeated and interpolated samples, resolution, saturation, dead axes,
     motion, disturbances, spectral lines, plausible units, temperature, bandwidth, and the length needed for
-    N, B and K, which are estimated roughly. No structure is searched, so this takes seconds.
+    N, B and K, which are estimated roughly.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
@@ -365,18 +365,15 @@ def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Itera
 
 def _in_short(lengths: Sequence[NeededLength]) -> str:
     """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
-    states: dict[str, list[NeededLength]] = {}
-    for x in lengths:
+    # Axes whose fit does not describe the sensor have a line of their own.
+    left, states = [x for x in lengths if not x.reason], dict[str, list[str]]()
+    for x in left or lengths:
         state = "not detected" if math.isnan(x.relative_std) else f"known to worse than {_TARGET_WORDS}"
-        states.setdefault("unknown" if x.reason else state, []).append(x)
-    if len(states) > 1:
-        # Axes whose fit does not describe the sensor have a line of their own.
-        states.pop("unknown", None)
-    names = [x[0].coefficient.axis.name if len(x) == 1 else f"{len(x)} axes" for x in states.values()]
-    head = ", ".join(f"{axes} {state}" for axes, state in zip(names, states, strict=True))
-    if "unknown" in states:
+        states.setdefault("unknown" if x.reason else state, []).append(x.coefficient.axis.name)
+    every = ((of[0] if len(of) == 1 else f"{len(of)} axes", state) for state, of in states.items())
+    head = ", ".join(f"{axes} {state}" for axes, state in every)
+    if not left:
         return head
-    left = [x for of in states.values() for x in of]
     longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = "at the limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)

@@ -34,8 +34,8 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
-from allanjax.base.wording import finite_or_none, percent, significant
-from allanjax.estimate.as_json import in_both_units
+from allanjax.base.wording import percent, significant
+from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.likely_models import Likely, exact_model, likely_models, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
@@ -215,14 +215,20 @@ class AxisHorizon(ByValue):
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
         # The table has no space for an interval of N beside a correlation time.
         T_c, N_ends = (0.0, self.white.interval) if (T := self.correlation_time) is None else (T.value, ())
-        error, bound, K_ends = self.error[-1], self.bound[-1], self.walk.interval
-        N_max, K_max, T_max = self.bounding_white, self.bounding_walk, self.bounding_time
-        raw, raw_error = self.raw_prediction[-1], self.raw_error[-1]
+        last = {name: getattr(self, name)[-1] for name in _SERIES}
+        N, K, N_max, K_max = self.white.value, self.walk, self.bounding_white, self.bounding_walk
         kinds = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
         table: dict[str, tuple[Any, ...]] = {
-            "equal": (self.white.value, N_ends, self.walk.value, K_ends, T_c, self.bias_std, error, error),
-            "bound": (N_max, (), K_max, (), T_max, self.bounding_bias_std, bound, ()),
-            "fitted": (self.raw_white, (), self.raw_walk, (), (), (), raw, raw_error),
+            "equal": (N, N_ends, K.value, K.interval, T_c, self.bias_std, *[last["error"]] * 2),
+            "bound": (N_max, (), K_max, (), self.bounding_time, self.bounding_bias_std, last["bound"], ()),
+            "fitted": (
+                self.raw_white,
+                (),
+                self.raw_walk,
+                *[()] * 3,
+                last["raw_prediction"],
+                last["raw_error"],
+            ),
         }
         return [(self.axis.name, pair, *map(self._shown, kinds, row)) for pair, row in table.items()]
 
@@ -235,28 +241,21 @@ class AxisHorizon(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
-        time = self.correlation_time
-        return {
-            "name": self.axis.name,
-            "sensor": self.axis.sensor,
-            "white": in_both_units(self.white),
-            "walk": in_both_units(self.walk),
-            "correlation_time": None if time is None else in_both_units(time),
-            "bias_std_si": finite_or_none(self.bias_std),
+        pair = {"white": self.white, "walk": self.walk, "correlation_time": self.correlation_time}
+        bounding = {"correlation_time": self.bounding_time, "bias_std": self.bounding_bias_std}
+        numbers = {
+            "bias_std_si": self.bias_std,
             "mismatch": self.mismatch,
-            "bounding_si": {
-                "white": self.bounding_white,
-                "walk": self.bounding_walk,
-                "correlation_time": finite_or_none(self.bounding_time),
-                "bias_std": finite_or_none(self.bounding_bias_std),
-            },
+            "bounding_si": {"white": self.bounding_white, "walk": self.bounding_walk, **bounding},
             "raw_si": {"white": self.raw_white, "walk": self.raw_walk},
-            "inflation": {name: finite_or_none(factor) for name, factor in self.inflation.items()},
-            "raw_factor": finite_or_none(self.raw_factor),
-            "shares": dict(self.shares),
+            "inflation": self.inflation,
+            "raw_factor": self.raw_factor,
+            "shares": self.shares,
             "sets": self.sets,
-            "curves_si": {name: getattr(self, name).tolist() for name in _SERIES},
+            "curves_si": {name: getattr(self, name) for name in _SERIES},
         }
+        both = {name: x and in_both_units(x) for name, x in pair.items()}
+        return {"name": self.axis.name, "sensor": self.axis.sensor, **both, **in_json(numbers)}
 
     def __repr__(self) -> str:
         white, walk = self.white.in_unit().describe(), self.walk.in_unit().describe()
@@ -293,10 +292,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
-
-        `allanjax schema horizon` describes each of them.
-        """
+        """The horizon as plain dictionaries, lists, numbers and strings; see `allanjax schema horizon`."""
         return {
             "schema_version": SCHEMA_VERSION,
             "recording": {"name": self.name},
@@ -319,12 +315,11 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     def _notes(self) -> list[str]:
         kinds = {"gyro": "angle", "accel": "velocity"}
         errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
-        explained = (
+        notes = [
             f"error: 1σ of the {errors} after {length(self.horizon)}. equal: N and K that predict the true "
             "error. bound: N and K that predict at least the true error, with a probability of "
             f"{percent(self.probability)}. fitted: N and K of the fit without its other terms"
-        )
-        notes = [explained]
+        ]
         for r in self.results:
             averaged = f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else ""
             notes.append(f"{r.axis.name}: true error from {r.causes()}{averaged}")
@@ -355,8 +350,8 @@ def horizon(
         seconds: time between corrections [s], at least two samples and at most half the record.
         process: how the filter models the bias: as a random walk, or ("markov") as a first-order Gauss–Markov
             process, whose correlation time is then chosen with the pair, among filters whose true error at
-            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
-            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
+            the horizon is at most a tenth above the least (a bias that is soon forgotten may predict as well,
+            but leaves the drift in the error).
         rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
         axes: names of axes; by default all that are a measurement. The axes of a data sheet are its sensors.
         probability: probability of the bounds.
