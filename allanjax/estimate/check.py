@@ -68,9 +68,9 @@ class NeededLength(ByValue):
         coefficient: the estimate of N, B or K [SI].
         relative_std: its relative standard deviation now; nan if it is not detected or not measured.
         now: length [s] that was fitted.
-        seconds: length [s] at which the Cramér–Rao bound is 20 % (or what the standard deviation now exceeds
-            it by less), for an undetected coefficient if it were at its 95 % upper limit; None if that is
-            more than a month, or unknown.
+        seconds: length [s] at which the Cramér–Rao bound is 20 %, or as much less as the standard deviation
+            is above the bound now; for an undetected coefficient as if it were at its 95 % upper limit; None
+            if that is more than a month, or unknown.
         reason: why it is unknown; "" if it is known.
     """
 
