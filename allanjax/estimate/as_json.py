@@ -45,6 +45,9 @@ def _keys(text: str) -> dict[str, str]:
 _NUMBERS = _keys("""unit value std interval_68 interval_95=interval upper_limit_95=upper_limit
     lower_limit_95=lower_limit""")
 _KEYS: Mapping[type, dict[str, str]] = {
+    Fit: _keys("""schema_version= allanjax_version= recording= objective converged model= response= curve=
+        axes= facts warnings stretch_s=longest_part parts_s=parts notes"""),
+    Fact: _keys("kind text axes consequence size unit spans share"),
     Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured misfit allan_misfit coefficients= covariance= selection=
@@ -94,8 +97,14 @@ def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made
             value = np.array(value, int if "Int" in kind else float)
         elif value is None and "None" not in kind:
             value = math.nan
-        given[field.name] = tuple(value) if isinstance(value, list) else value
+        given[field.name] = _tuples(value)
     return made(**given)
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _tuples(x) for key, x in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
@@ -111,19 +120,13 @@ def to_dict(fit: Fit) -> dict[str, Any]:
     for d in fit.dead:
         axes.append(_axis(AxisFit(d.axis, False, d.reason, not_measured=("dead axes",)), dead=True))
     return {
+        **_written(fit),
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
         "recording": {"name": fit.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
-        "objective": fit.objective,
-        "converged": fit.converged,
         **_terms(fit.template),
         "curve": {**_written(curve), **by_axis},
         "axes": axes,
-        "facts": [fact.to_dict() for fact in fit.facts],
-        "warnings": list(fit.warnings),
-        "stretch_s": in_json(fit.longest_part),
-        "parts_s": in_json(fit.parts),
-        "notes": list(fit.notes),
     }
 
 
@@ -231,15 +234,14 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
     known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
-    return Fit(
+    return _read(
+        Fit,
+        document,
         name=of["name"],
         template=template,
         curve=_read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
-        notes=tuple(document["notes"]),
-        facts=tuple(map(Fact.from_dict, document["facts"])),
-        parts=tuple(map(tuple, document["parts_s"])),
-        objective=document["objective"],
+        facts=tuple(_read(Fact, fact) for fact in document["facts"]),
         selection=TermSelection(of["name"], rankings) if chosen else None,
         dead=tuple(DeadAxis(_read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
@@ -301,8 +303,7 @@ def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelec
     ranking, averaged = [], None
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
-        intervals = {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()}
-        ranking.append(_read(TermSet, s, log_evidence=evidence, intervals=intervals))
+        ranking.append(_read(TermSet, s, log_evidence=evidence))
     if of := a.get("selection_averaged"):
         coefficients = {}
         for c in of["coefficients"]:

@@ -467,12 +467,12 @@ class _Candidates(NamedTuple):
         total = np.array([np.logaddexp.reduce(each[which == k]) for k in range(len(sets))])
         probability, labels, ranking = np.exp(total - np.logaddexp.reduce(total)), self.model.term_labels, []
         free = np.bincount([p.term for p in self.model.parameters if p.free], minlength=len(labels))
-        for k in np.argsort(-total, kind="stable"):
+        for k in np.argsort(-total, kind="stable").tolist():
             behind, rows = float(total[k] - total.max()), np.flatnonzero(which == k)
             best = found.of(rows[[np.argmax(each[rows])]])
             known = weighed.intervals(best) if behind > -np.log(_ODDS) else {}
-            names, count = tuple(itertools.compress(labels, sets[k])), int(free @ sets[k])
-            ranking.append(TermSet(names, count, behind, float(probability[k]), known))
+            names = tuple(itertools.compress(labels, sets[k]))
+            ranking.append(TermSet(names, int(free @ sets[k]), behind, float(probability[k]), known))
         averaged = weighed.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
         return AxisSelection(axis, tuple(ranking), error / 2.0, averaged)
 
