@@ -81,10 +81,8 @@ class Averaged(ByValue):
 
     def at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Deviation and the ends of its interval at a cluster time [s]; nan where there is none."""
-        if not self.cluster_time[0] <= time <= self.cluster_time[-1]:
-            return np.full(3, np.nan)
         curves, log_time = np.log([self.deviation, *self.interval.T]), np.log(self.cluster_time)
-        return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
+        return np.exp([np.interp(np.log(time), log_time, y, np.nan, np.nan) for y in curves])
 
 
 @dataclasses.dataclass(frozen=True)
