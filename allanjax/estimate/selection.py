@@ -194,18 +194,14 @@ class AxisSelection(ByValue):
         """
         found, chosen = [], self.chosen
         for other in self.indistinguishable:
-            extra, missing = (
-                [title_of(t, self.axis.sensor) for t in a.terms if t not in b.terms]
-                for a, b in ((other, chosen), (chosen, other))
-            )
-            if len(missing) == len(extra) == 1:
-                question = f"{missing[0]} or {extra[0]}", "{} and {}"
-            elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                question = (missing or extra)[0], "{} without it, {} with it"
-            else:
-                continue
+            extra = [t for t in other.terms if t not in chosen.terms]
+            missing = [t for t in chosen.terms if t not in other.terms]
+            titles = [title_of(t, self.axis.sensor) for t in missing + extra]
             one, two = (chosen, other) if extra else (other, chosen)
-            found.append((*question, one.probability, two.probability))
+            if len(missing) == len(extra) == 1:
+                found.append((" or ".join(titles), "{} and {}", one.probability, two.probability))
+            elif len(titles) == 1 and other.probability > _WORTH_SAYING:
+                found.append((titles[0], "{} without it, {} with it", one.probability, two.probability))
         return tuple(found[:3])
 
     def ambiguities(self) -> tuple[str, ...]:
@@ -386,11 +382,11 @@ def rank_terms(
 class _Candidates(NamedTuple):
     """Candidate terms, and the spectrum of an axis by which sets of them are ranked.
 
-    A set has a place for each of the `plain` terms without a free shape, and one for each term with a free
-    time; `owner` is the term of each place. The columns are those of the plain terms, and of the term with a
-    free time at each time of a grid: their `levels` [rate²] in the bins, and their Allan `variances` at
-    octaves of the cluster `time` [s], for unit amplitude. `ramp` is the index of the ramp, None without one;
-    `size` is the number of coefficients in each bin, the less the farther the model is off.
+    A set has a place for each of the `plain` terms without a free shape, and for each term with a free time;
+    `owner` is the term of each place. The columns, of unit amplitude, are of the plain terms, and of the
+    term with a free time at the times of a grid: `levels` [rate²] in the bins, and Allan `variances` at
+    octaves of the cluster `time` [s]. `ramp` is the index of the ramp, if there is one; `size` the number of
+    coefficients in each bin, multiplied by the share of their weight that it keeps.
     """
 
     model: Model
