@@ -170,11 +170,8 @@ class AxisEstimates:
 
     axis: Axis
     coefficients: _Coefficients
-
-    @TextProperty
-    def verdict(self) -> str:
-        """Whether the estimates can be trusted, in one line."""
-        raise NotImplementedError
+    #: Whether the estimates can be trusted, in one line.
+    verdict: Any
 
     def __getitem__(self, name: str) -> Estimate:
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
