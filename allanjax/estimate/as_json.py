@@ -16,6 +16,7 @@ import numpy as np
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import finite_or_none
+from allanjax.estimate.likely_models import class_of
 from allanjax.estimate.result import AxisFit, Fit, Misfit, extended_model, fitted_model
 from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
@@ -35,10 +36,7 @@ _Classes: TypeAlias = Mapping[str, type[NoiseTerm]]
 
 
 def _keys(text: str) -> dict[str, str]:
-    """Keys in their order, and the attribute behind each: `key=attribute` if it has another name.
-
-    `key=` is written by a function of its own.
-    """
+    """Keys, and the attribute behind each: `key=attribute`, or `key=` if a function writes it."""
     words = (word.partition("=") for word in text.split())
     return {key: name if equals else key for key, equals, name in words}
 
@@ -47,6 +45,9 @@ def _keys(text: str) -> dict[str, str]:
 _NUMBERS = _keys("""unit value std interval_68 interval_95=interval upper_limit_95=upper_limit
     lower_limit_95=lower_limit""")
 _KEYS: Mapping[type, dict[str, str]] = {
+    Fit: _keys("""schema_version= allanjax_version= recording= objective converged model= response= curve=
+        axes= facts warnings stretch_s=longest_part parts_s=parts notes"""),
+    Fact: _keys("kind text axes consequence size unit spans share"),
     Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured misfit allan_misfit coefficients= covariance= selection=
@@ -61,16 +62,16 @@ _KEYS: Mapping[type, dict[str, str]] = {
 }
 
 
-def _plain(value: Any) -> Any:
-    """A value in types of JSON, which has neither NaN nor infinity."""
+def in_json(value: Any) -> Any:
+    """A value in types of JSON, which has neither NaN nor infinity: numbers that are not finite are None."""
     if isinstance(value, Estimate):
         return {**_written(value), **in_both_units(value)}
     if type(value) in _KEYS:
         return _written(value)
     if isinstance(value, Mapping):
-        return {key: _plain(x) for key, x in value.items()}
+        return {key: in_json(x) for key, x in value.items()}
     if isinstance(value, tuple | list | np.ndarray):
-        return [_plain(x) for x in value]
+        return [in_json(x) for x in value]
     if isinstance(value, np.integer):
         return int(value)
     return finite_or_none(value) if isinstance(value, float) else value
@@ -78,13 +79,13 @@ def _plain(value: Any) -> Any:
 
 def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
     keys = _KEYS[type(of)] if keys is None else keys
-    return {key: _plain(getattr(of, name)) if name else None for key, name in keys.items()}
+    return {key: in_json(getattr(of, name)) if name else None for key, name in keys.items()}
 
 
 def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
-    """The object of a class from its JSON, and as given what that does not hold.
+    """The object of a class from its JSON, and as given what that does not hold; else fields have defaults.
 
-    A field that an earlier version did not write has its default. Null is NaN in a field that cannot be None.
+    Null is NaN in a field that cannot be None.
     """
     keys = {name: key for key, name in _KEYS[made].items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
@@ -96,77 +97,65 @@ def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made
             value = np.array(value, int if "Int" in kind else float)
         elif value is None and "None" not in kind:
             value = math.nan
-        given[field.name] = tuple(value) if isinstance(value, list) else value
+        given[field.name] = _tuples(value)
     return made(**given)
+
+
+def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _tuples(x) for key, x in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
     """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` describes the keys.
 
-    Numbers that do not exist, such as the χ² of an axis without a result, and numbers that are not finite,
-    such as the upper end of an open interval, are None. `load` restores the fit.
+    Numbers that do not exist or are not finite are None. `load` restores the fit.
     """
     curve, n, rate = fit.curve, int(fit.curve.n), float(fit.curve.rate)
     columns = {"deviation": curve.deviation, "degrees_of_freedom": curve.edf}
-    by_axis = {key: dict(zip(fit.axes, _plain(x.T), strict=True)) for key, x in columns.items()}
-    axes = [_axis(result) for result in fit.results]
-    if fit.selection is not None:
-        for axis, ranking in zip(axes, fit.selection.results, strict=True):
-            axis |= _ranking(ranking)
+    by_axis = {key: dict(zip(fit.axes, in_json(x.T), strict=True)) for key, x in columns.items()}
+    rankings = [None] * len(fit.results) if fit.selection is None else fit.selection.results
+    axes = [_axis(*pair) for pair in zip(fit.results, rankings, strict=True)]
     for d in fit.dead:
-        none = AxisFit(axis=d.axis, converged=False, reason=d.reason, not_measured=("dead axes",))
-        axes.append({**_axis(none), "dead": True})
+        axes.append(_axis(AxisFit(d.axis, False, d.reason, not_measured=("dead axes",)), dead=True))
     return {
+        **_written(fit),
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
         "recording": {"name": fit.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
-        "objective": fit.objective,
-        "converged": fit.converged,
         **_terms(fit.template),
         "curve": {**_written(curve), **by_axis},
         "axes": axes,
-        "facts": [fact.to_dict() for fact in fit.facts],
-        "warnings": list(fit.warnings),
-        "stretch_s": _plain(fit.longest_part),
-        "parts_s": _plain(fit.parts),
-        "notes": list(fit.notes),
     }
 
 
-def _axis(result: AxisFit) -> dict[str, Any]:
-    found, extension = list(result._coefficients.values()), None
+def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = False) -> dict[str, Any]:
+    found = list(result._coefficients.values())
+    more: dict[str, Any] = {
+        "dead": dead,
+        "coefficients": in_json(found),
+        "covariance": {
+            "labels": [c.label for c in found],
+            "units": [c.si_unit for c in found],
+            "values": in_json(result._covariance),
+        },
+        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
+    }
+    if ranking is not None:
+        sets = [{**_written(s), "chosen": s == ranking.chosen} for s in ranking.ranking]
+        more |= {"selection": sets, "selection_discrepancy": ranking.discrepancy}
+        if (of := ranking.averaged) is not None:
+            averaged = {**_written(of), "coefficients": in_json(list(of.coefficients.values()))}
+            more["selection_averaged"] = averaged
     if result.own_template is not None and result.plain is not None:
-        extension = {
+        more["extension"] = {
             **_terms(result.own_template),
             "further": list(result.further),
             "correction": result.correction,
             "plain": _axis(result.plain),
         }
-    covariance = {
-        "labels": [c.label for c in found],
-        "units": [c.si_unit for c in found],
-        "values": _plain(result._covariance),
-    }
-    return {
-        **_written(result.axis),
-        **_written(result),
-        "dead": False,
-        "coefficients": _plain(found),
-        "covariance": covariance,
-        "extension": extension,
-        "regression": {name: {"value": x, "std": std} for name, (x, std) in result.regression.items()},
-    }
-
-
-def _ranking(selection: AxisSelection) -> dict[str, Any]:
-    chosen, averaged = selection.chosen, None
-    if (of := selection.averaged) is not None:
-        averaged = {**_written(of), "coefficients": _plain(list(of.coefficients.values()))}
-    return {
-        "selection": [{**_written(s), "chosen": s == chosen} for s in selection.ranking],
-        "selection_discrepancy": selection.discrepancy,
-        "selection_averaged": averaged,
-    }
+    return {**_written(result.axis), **_written(result), **more}
 
 
 def in_both_units(c: Estimate) -> dict[str, Any]:
@@ -187,8 +176,7 @@ def _terms(model: Model) -> dict[str, Any]:
 def _parameters(of: Parametrized) -> dict[str, Any]:
     values = {p.name: getattr(of, p.name) for p in of.parameters()}
     known = {name: INFINITY if x == math.inf else x if x is None else float(x) for name, x in values.items()}
-    options = {"options": of.options} if of.options else {}
-    return {"parameters": known, **options, "held": sorted(of.held)}
+    return {"parameters": known, **({"options": of.options} if of.options else {}), "held": sorted(of.held)}
 
 
 def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) -> Fit | dict[str, Fit]:
@@ -228,46 +216,38 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
 
 
 def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
-    """Fit from its JSON document."""
-    if "baseline" in document or "schema_version" not in document or "axes" not in document:
+    written, version_of = document.get("allanjax_version"), document.get("schema_version")
+    if "baseline" in document or version_of is None or "axes" not in document:
         raise AllanjaxError("not a fit written by allanjax; give a NAME.json of allanjax characterize")
-    if document["schema_version"] != SCHEMA_VERSION:
+    if version_of != SCHEMA_VERSION:
         raise AllanjaxError(
-            f"schema version {document['schema_version']}, but this allanjax reads version {SCHEMA_VERSION}; "
-            f"load it with allanjax {document.get('allanjax_version', 'of the version that wrote it')}"
+            f"schema version {version_of}, but this allanjax reads version {SCHEMA_VERSION}; load it with "
+            f"allanjax {written or 'of the version that wrote it'}"
         )
     if "curve" not in document:
         raise AllanjaxError(
-            f"written by allanjax {document.get('allanjax_version')} without the curve; characterize the "
-            "recording again"
+            f"written by allanjax {written} without the curve; characterize the recording again"
         )
     template, of, curve = _model(document, classes), document["recording"], document["curve"]
     alive = [(a, _read(Axis, a)) for a in document["axes"] if not a["dead"]]
-    axes = tuple(axis for _, axis in alive)
-    deviation, edf = (
-        np.array([curve[key][axis.name] for axis in axes], float).T
-        for key in ("deviation", "degrees_of_freedom")
-    )
+    axes, keys = tuple(axis for _, axis in alive), {"deviation": "deviation", "edf": "degrees_of_freedom"}
+    known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
-    return Fit(
+    return _read(
+        Fit,
+        document,
         name=of["name"],
         template=template,
-        curve=_read(
-            AllanDeviation, curve, deviation=deviation, edf=edf, n=of["n"], rate=of["rate_hz"], axes=axes
-        ),
+        curve=_read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
-        notes=tuple(document["notes"]),
-        facts=tuple(map(Fact.from_dict, document["facts"])),
-        parts=tuple(map(tuple, document["parts_s"])),
-        objective=document["objective"],
+        facts=tuple(_read(Fact, fact) for fact in document["facts"]),
         selection=TermSelection(of["name"], rankings) if chosen else None,
         dead=tuple(DeadAxis(_read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
 
 
 def _model(document: Mapping[str, Any], classes: _Classes) -> Model:
-    """The model that was fitted."""
     for name in (term["term"] for term in document["model"]):
         if name not in classes:
             raise AllanjaxError(
@@ -287,7 +267,6 @@ def _parametrized(made: type[_Own], of: Mapping[str, Any]) -> _Own:
 
 
 def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes) -> AxisFit:
-    """Result of one axis."""
     own = plain = None
     if extension := a.get("extension"):
         own = _model(extension, classes)
@@ -308,37 +287,27 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
     )
 
 
-def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Estimate:
     """Coefficient in SI."""
     si = c["si"]
-    more: dict[str, Any] = {"interval": _interval(si["interval_95"])}
-    more["interval_68"] = _interval(si["interval_68"])
+    for name, key in (("interval", "interval_95"), ("interval_68", "interval_68")):
+        # Without an upper end it extends to infinity; without both there is none.
+        low, high = (math.nan if x is None else x for x in si[key])
+        more[name] = low, math.inf if math.isnan(high) and not math.isnan(low) else high
     if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
         more["upper_limit"] = math.inf
     return _read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
-def _interval(ends: Sequence[float | None]) -> tuple[float, float]:
-    """Without an upper end it extends to infinity; without both there is none."""
-    lower, upper = ends
-    if lower is None:
-        return math.nan, math.nan if upper is None else upper
-    return lower, math.inf if upper is None else upper
-
-
 def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
-    """Ranking of the term sets for one axis."""
-    ranking = []
+    ranking, averaged = [], None
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
-        intervals = {label: tuple(ends) for label, ends in s.get("intervals_95_si", {}).items()}
-        ranking.append(_read(TermSet, s, log_evidence=evidence, intervals=intervals))
-    averaged = None
+        ranking.append(_read(TermSet, s, log_evidence=evidence))
     if of := a.get("selection_averaged"):
         coefficients = {}
         for c in of["coefficients"]:
-            term = c["term"] if c["term"] in classes else c["term"].rpartition("_")[0]
-            found = _estimate(c, classes[term].amplitude_parameter(), axis)
-            coefficients[c["label"]] = dataclasses.replace(found, source="averaged")
+            parameter = class_of(c["term"], classes).amplitude_parameter()
+            coefficients[c["label"]] = _estimate(c, parameter, axis, source="averaged")
         averaged = _read(Averaged, of, coefficients=coefficients)
     return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)

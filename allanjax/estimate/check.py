@@ -45,21 +45,17 @@ from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
 
+SCHEMA_VERSION = 1
+#: Relative standard deviation at which a coefficient counts as known, and the coefficients of interest.
+TARGET, _ASKED = 0.2, ("N", "B", "K")
+_TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
+#: Longest recording that is proposed [s]: a month. The fewest samples of a recording whose length is told.
+LONGEST, _FEWEST = 30.0 * 86400.0, 64
+# Lengths that are tried, and levels an octave that stand for all of them above the lowest 64.
+_LENGTHS, _PER_OCTAVE = 40, 32
 # Fits of an axis, each without the lines that exceed the one before; and the scatter beyond which a level
 # contains a line.
 _ROUNDS, _LINE = 3, 6.0
-#: Relative standard deviation at which a coefficient counts as known.
-TARGET = 0.2
-_TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
-#: Longest recording that is proposed [s]: a month.
-LONGEST = 30.0 * 86400.0
-# Coefficients for which a length is reported.
-_ASKED = ("N", "B", "K")
-# Levels an octave that stand for all of them above the lowest 64.
-_PER_OCTAVE = 32
-# Fewest samples for a length, or of a length; and the relative accuracy of a length.
-_FEWEST, _ACCURACY = 64, 1e-3
-SCHEMA_VERSION = 1
 # Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
 
@@ -72,9 +68,9 @@ class NeededLength(ByValue):
         coefficient: the estimate of N, B or K [SI].
         relative_std: its relative standard deviation now; nan if it is not detected or not measured.
         now: length [s] that was fitted.
-        seconds: length [s] at which the Cramér–Rao bound is 20 %, for an undetected coefficient if it were at
-            its 95 % upper limit; None if that is more than a month, or unknown. If the standard deviation
-            exceeds the bound now, it is assumed to exceed it by the same factor later.
+        seconds: length [s] at which the Cramér–Rao bound is 20 %, or as much less as the standard deviation
+            is above the bound now; for an undetected coefficient as if it were at its 95 % upper limit; None
+            if that is more than a month, or unknown.
         reason: why it is unknown; "" if it is known.
     """
 
@@ -127,10 +123,9 @@ def _lengths(
     quiet: Recording, inspection: Inspection, widths: Mapping[str, float | None]
 ) -> Iterator[NeededLength]:
     """Yield how long to record for N, B and K of each axis, by rough fits to its spectrum."""
-    n, rate = quiet.n, quiet.rate
     terms = [term for term in basic_terms().terms if not term.deterministic]
-    bins, statistics = joint_statistics((quiet.values,), rate)
-    columns, densities = columns_of(terms, bins).mean(axis=1), _Densities.of(terms, n, rate)
+    bins, statistics = joint_statistics((quiet.values,), quiet.rate)
+    columns, trials = columns_of(terms, bins).mean(axis=1), _Trials.of(terms, quiet.rate, quiet.n)
     for row, axis in enumerate(quiet.axes):
         # Up to half of its bandwidth a filter passes nearly everything.
         width = widths[axis.name]
@@ -142,7 +137,7 @@ def _lengths(
         for k, c in enumerate(found):
             if c.symbol in _ASKED:
                 c = c.unmeasured() if inspection.why_not(axis.name) else c
-                yield _needed(c, k, detected, fits, n / rate, densities)
+                yield trials.needed(c, k, detected, fits)
 
 
 def _rough_fit(
@@ -183,59 +178,47 @@ def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate
     )
 
 
-class _Densities(NamedTuple):
-    """Logarithms of densities of terms of unit power and of frequencies that suffice for any length."""
+class _Trials(NamedTuple):
+    """Lengths of records that are tried, after that of the recording [s], with what the bounds there need.
 
-    rate: float
-    frequency: Float[np.ndarray, " m"]
-    density: Float[np.ndarray, "terms m"]
+    These are the levels of terms of unit power, and how many levels each stands for.
+    """
+
+    seconds: Float[np.ndarray, " lengths"]
+    units: list[Float[np.ndarray, "terms m"]]
+    sizes: list[Float[np.ndarray, " m"]]
 
     @classmethod
-    def of(cls, terms: Sequence[NoiseTerm], n: int, rate: float) -> _Densities:
-        octaves = math.log2(max(n, LONGEST * rate))
-        frequency = np.geomspace(0.5 * rate / 2.0**octaves, 0.5 * rate, math.ceil(_PER_OCTAVE * octaves))
-        units = [term.sampled(rate).with_unit_amplitude() for term in terms]
-        density = [np.log(unit.sampled_psd(frequency, rate)) for unit in units]
-        return cls(rate, np.log(frequency), np.array(density))
+    def of(cls, terms: Sequence[NoiseTerm], rate: float, n: int) -> _Trials:
+        longest = max(LONGEST * rate, 2.0 * _FEWEST)
+        samples = [n, *np.geomspace(_FEWEST, longest, _LENGTHS)]
+        every = [Bins.of(round(count), rate, per_octave=_PER_OCTAVE) for count in samples]
+        unit = [term.sampled(rate).with_unit_amplitude() for term in terms]
+        units = [np.array([one.sampled_psd(bins.frequency, rate) for one in unit]) for bins in every]
+        return cls(np.array(samples) / rate, units, [np.asarray(bins.size, float) for bins in every])
 
-    def bound(self, seconds: float, power: Float[np.ndarray, " terms"], k: int) -> float:
-        """Bound of the relative standard deviation of one amplitude, for a record of this length."""
-        bins = Bins.of(round(seconds * self.rate), self.rate, per_octave=_PER_OCTAVE)
-        at = np.log(bins.frequency)
-        unit = np.exp([np.interp(at, self.frequency, density) for density in self.density])
-        std = bounds(information(unit, power @ unit, bins.size / 2.0), power > 0.0)
-        return float(std[k] / (2.0 * power[k]))
-
-    def length_for(self, power: Float[np.ndarray, " terms"], k: int, target: float) -> float | None:
-        """Length [s] at which that bound is `target`; None if it is more than `LONGEST`."""
-        from scipy.optimize import brentq
-
-        low, high = _FEWEST / self.rate, max(LONGEST, 2.0 * _FEWEST / self.rate)
-        if self.bound(low, power, k) <= target:
-            return low
-        if self.bound(high, power, k) > target:
-            return None
-        excess = lambda log: math.log(self.bound(math.exp(log), power, k) / target)  # noqa: E731
-        return math.exp(brentq(excess, math.log(low), math.log(high), xtol=_ACCURACY))
-
-
-def _needed(
-    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, now: float, densities: _Densities
-) -> NeededLength:
-    """How long to record for one coefficient of an axis, given the powers of its detected terms."""
-    if not c.measured:
-        return NeededLength(c, math.nan, now, None, "the fit does not describe this sensor")
-    if not c.detected:
-        power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
-        return NeededLength(c, math.nan, now, densities.length_for(power, k, TARGET))
-    std = c.std / c.value
-    if std <= TARGET:
-        return NeededLength(c, std, now, now)
-    if not fits:
-        return NeededLength(c, std, now, None, "the length is unknown as the model does not fit the data")
-    # The fit cannot be better than the bound.
-    target = TARGET * min(densities.bound(now, power, k) / std, 1.0)
-    return NeededLength(c, std, now, densities.length_for(power, k, target))
+    def needed(self, c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool) -> NeededLength:
+        """How long to record for one coefficient of an axis, given the powers of its detected terms."""
+        now, std = float(self.seconds[0]), c.std / c.value if c.detected and c.measured else math.nan
+        if not c.measured:
+            return NeededLength(c, std, now, None, "the fit does not describe this sensor")
+        if std <= TARGET:
+            return NeededLength(c, std, now, now)
+        if c.detected and not fits:
+            reason = "the length is unknown as the model does not fit the data"
+            return NeededLength(c, std, now, None, reason)
+        if not c.detected:
+            power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
+        pairs = zip(self.units, self.sizes, strict=True)
+        every = [bounds(information(unit, power @ unit, size / 2.0), power > 0.0)[k] for unit, size in pairs]
+        bound = np.array(every) / (2.0 * power[k])
+        # The fit cannot be better than the bound.
+        target = TARGET * min(bound[0] / std, 1.0) if c.detected else TARGET
+        if bound[-1] > target:
+            return NeededLength(c, std, now, None)
+        # The bound falls with the length.
+        log, known = np.log(self.seconds[1:]), -np.log(np.minimum.accumulate(bound[1:]))
+        return NeededLength(c, std, now, float(np.exp(np.interp(-np.log(target), known, log))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -262,14 +245,14 @@ class Check(ByValue, Tabled):
     @property
     def stops(self) -> tuple[Line, ...]:
         """The lines whose verdict is stop."""
-        return tuple(line for line in self.lines if line.verdict == "stop")
+        return tuple(self._of("stop"))
 
     def __getitem__(self, name: str) -> Line:
         """Return the line of this name; AllanjaxError if there is none."""
-        for line in self.lines:
-            if line.name == name:
-                return line
-        raise AllanjaxError(f"no line {name!r}; lines are {', '.join(line.name for line in self.lines)}")
+        names = [line.name for line in self.lines]
+        if name not in names:
+            raise AllanjaxError(f"no line {name!r}; lines are {', '.join(names)}")
+        return self.lines[names.index(name)]
 
     def summary(self) -> str:
         """Return one line of text: which checks read stop or look, and how many are fine."""
@@ -290,19 +273,19 @@ class Check(ByValue, Tabled):
     def _title(self) -> str:
         return record_size(self.n, self.rate) if self.rate else "cannot be read as a recording"
 
-    def _of(self, verdict: str) -> list[Line]:
-        return [line for line in self.lines if line.verdict == verdict]
+    def _of(self, *verdicts: str) -> list[Line]:
+        return [line for verdict in verdicts for line in self.lines if line.verdict == verdict]
 
     def _names(self, verdict: str) -> str:
         return ", ".join(line.name for line in self._of(verdict))
 
     def _tables(self) -> list[list[Column]]:
-        lines = (*self._of("stop"), *self._of("look"))
+        lines = self._of("stop", "look")
         rows = [(line.name, line.verdict, line.reason.partition("; ")[0]) for line in lines]
         return [columns_from(("check", "verdict", "reason"), rows)] if rows else []
 
     def _notes(self) -> Iterator[str]:
-        for line in (*self._of("stop"), *self._of("look")):
+        for line in self._of("stop", "look"):
             finding, _, rest = line.reason.partition("; ")
             more = line.reason if len(finding) > _CELL else rest
             # The lengths of all axes are in `lengths`, and in JSON.
@@ -325,7 +308,7 @@ def check(
 
     The lines are on time stamps, repeated and interpolated samples, resolution, saturation, dead axes,
     motion, disturbances, spectral lines, plausible units, temperature, bandwidth, and the length needed for
-    N, B and K, which are estimated roughly. No structure is searched, so this takes seconds.
+    N, B and K, which are estimated roughly.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path.
@@ -369,32 +352,28 @@ def _of_length(inspection: Inspection, lengths: Sequence[NeededLength]) -> Itera
     """Yield lines on the length needed for N, B and K."""
     for symbol in _ASKED:
         own = [length for length in lengths if length.coefficient.symbol == symbol]
-        name = f"length for {symbol}"
+        name, left = f"length for {symbol}", [length for length in own if not length.known]
         if not own:
-            short = f"fewer than {_FEWEST} samples"
-            yield Line(name, "look", f"unknown, {'see disturbances' if inspection.refusal else short}")
-        elif all(length.known for length in own):
+            why = "see disturbances" if inspection.refusal else f"fewer than {_FEWEST} samples"
+            yield Line(name, "look", f"unknown, {why}")
+        elif not left:
             poorest = max(own, key=lambda length: length.relative_std)
             yield Line(name, "fine", f"{poorest}{', other axes better' * (len(own) > 1)}")
         else:
-            left = [length for length in own if not length.known]
             yield Line(name, "look", "; ".join([_in_short(left), *map(str, left)]))
 
 
 def _in_short(lengths: Sequence[NeededLength]) -> str:
     """Return how many axes lack a coefficient, and the longest recording that any of them needs."""
-    states: dict[str, list[NeededLength]] = {}
-    for x in lengths:
+    # Axes whose fit does not describe the sensor have a line of their own.
+    left, states = [x for x in lengths if not x.reason], dict[str, list[str]]()
+    for x in left or lengths:
         state = "not detected" if math.isnan(x.relative_std) else f"known to worse than {_TARGET_WORDS}"
-        states.setdefault("unknown" if x.reason else state, []).append(x)
-    if len(states) > 1:
-        # Axes whose fit does not describe the sensor have a line of their own.
-        states.pop("unknown", None)
-    names = [x[0].coefficient.axis.name if len(x) == 1 else f"{len(x)} axes" for x in states.values()]
-    head = ", ".join(f"{axes} {state}" for axes, state in zip(names, states, strict=True))
-    if "unknown" in states:
+        states.setdefault("unknown" if x.reason else state, []).append(x.coefficient.axis.name)
+    every = ((of[0] if len(of) == 1 else f"{len(of)} axes", state) for state, of in states.items())
+    head = ", ".join(f"{axes} {state}" for axes, state in every)
+    if not left:
         return head
-    left = [x for of in states.values() for x in of]
     longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = "at the limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)

@@ -25,25 +25,24 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar, Literal, NamedTuple, cast, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias, cast, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
-from allanjax.base.wording import finite_or_none, percent, significant
-from allanjax.estimate.as_json import in_both_units
-from allanjax.estimate.likely_models import Likely, exact_model, likely_models, one_by_one
+from allanjax.base.wording import percent, significant
+from allanjax.estimate.as_json import in_both_units, in_json
+from allanjax.estimate.likely_models import Likely, exact_model, likely_models, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
-from allanjax.noise.terms import DriftRamp, Markov, Sinusoid
-from allanjax.noise.terms.deterministic import Transient
+from allanjax.noise.terms import DriftRamp, Markov
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
 
@@ -52,9 +51,9 @@ Process = Literal["walk", "markov"]
 SCHEMA_VERSION = 1
 # Exponents of time in the units of N and K, of the angle, and of the bias.
 _EXPONENTS = {"white": 0.5, "walk": -0.5, "integral": 1.0, "bias": 0.0}
+_SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
 # Share of the variance above which a term is named.
 _NAMED = 0.05
-_SERIES = ("time", "error", "bound", "raw_error", "raw_prediction")
 _DRAWS = 400
 # Time at rest [s] over which the bias is estimated for a data sheet, unless the horizon is longer.
 _AT_REST = 3600.0
@@ -63,69 +62,74 @@ _MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 # Filters whose true error exceeds the smallest one by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
+_Noise: TypeAlias = tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely]]
 
 
-class Filters(NamedTuple):
+class _Filters:
     """Filters of a memory N/K and a correlation time [s], infinite for a walk, that integrate some steps.
 
     `gain` is g, `again` φ(1 − g), which is left of an estimate after a sample, `share` s_n, and `unit` the
     variance of the integral that filters of N = 1 predict.
     """
 
-    memory: Float[np.ndarray, " g"]
-    time: Float[np.ndarray, " g"]
-    rate: float
-    steps: Float[np.ndarray, " t"]
-    gain: Float[np.ndarray, " g"]
-    again: Float[np.ndarray, " g"]
-    share: Float[np.ndarray, "g t"]
-    unit: Float[np.ndarray, "g t"]
-
-    @classmethod
-    def of(cls, pairs: Float[np.ndarray, "g 2"], steps: Float[np.ndarray, " t"], rate: float) -> Filters:
+    @np.errstate(invalid="ignore")
+    def __init__(self, pairs: Float[np.ndarray, "g 2"], steps: Float[np.ndarray, " t"], rate: float) -> None:
         """Filters of these memories and correlation times [s]."""
-        memory, time = pairs.T
-        kept, x = np.exp(-1.0 / (time * rate)), 2.0 / (time * rate)
-        lost = -np.expm1(-x)
+        self.steps, self.rate = steps, rate
+        self.memory, self.time = pairs.T
+        log = -1.0 / (self.time * rate)
+        twice, kept = np.expm1(2.0 * log), np.exp(log)
         # Q/R, the variance of the bias's noise over that of a sample.
-        drive = np.where(x > 0.0, lost / np.where(x > 0.0, x, 1.0), 1.0) / (memory * rate) ** 2
-        half = (drive - lost) / 2.0
+        drive = np.where(log < 0.0, twice / (2.0 * log), 1.0) / (self.memory * rate) ** 2
+        half = (drive + twice) / 2.0
         root = np.sqrt(half**2 + drive)
         # P/R by the one of two forms that avoids cancellation.
         P = np.where(half > 0.0, half + root, drive / (root - np.minimum(half, 0.0)))
-        gain, at = P / (P + 1.0), steps.astype(int) - 1
-        # Sums over k of φ^(k−1), and of their squares; one correlation time after the other.
+        self.gain = P / (P + 1.0)
+        self.again = kept * (1.0 - self.gain)
+        # s_k/φ at the steps, and the sums of their squares; one correlation time after the other.
         unique, which = np.unique(kept, return_inverse=True)
-        sums = (np.cumsum(phi ** np.arange(at[-1] + 1)) for phi in unique)
-        both = np.array([(one[at], np.cumsum(one**2)[at]) for one in sums])[which]
-        share = kept[:, None] * both[:, 0]
+        at = steps.astype(int) - 1
+        partial = (np.cumsum(phi ** np.arange(at[-1] + 1)) for phi in unique)
+        sums, squares = np.array([(s[at], np.cumsum(s**2)[at]) for s in partial])[which].swapaxes(0, 1)
+        self.share = kept[:, None] * sums
         # The variance of b̂ after its update is PR/(P + R) = gR.
-        predicted = share**2 * gain[:, None] + drive[:, None] * both[:, 1] + steps
-        return cls(memory, time, rate, steps, gain, kept * (1.0 - gain), share, predicted / rate)
+        self.unit = (self.share**2 * self.gain[:, None] + drive[:, None] * squares + steps) / rate
 
-
-def _variance(model: Model, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral's error [rad² or (m/s)²] for a model of one term, of this duration [s]."""
-    (term,), rate, steps, share = model.terms, filters.rate, filters.steps, filters.share
-    gain, again = filters.gain[:, None], filters.again[:, None]
-    if isinstance(term, Transient):
-        raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
-    if isinstance(term, Sinusoid):
-        z = np.exp(2j * np.pi * term.frequency / rate)
-        error = (z**steps - 1.0) / (z - 1.0) - share * gain / (z - again)
-        return term.amplitude**2 / 2.0 * np.abs(error / rate) ** 2
-    if isinstance(term, DriftRamp):
-        followed = share * gain / (1.0 - again)
-        # The estimate of a drifting bias lags behind.
-        slope = steps * (steps + 1.0) / 2.0 + followed * again / (1.0 - again)
-        # About its mean over the record; a walk's filter follows that in full, except for rounding.
-        missed = np.where(np.isinf(filters.time)[:, None], 0.0, steps - followed)
-        error = slope**2 + missed**2 * (duration * rate) ** 2 / 12.0
-        return (term.coefficient / rate**2) ** 2 * error
-    block = _states(term, rate, duration)
-    if model.response is not None:
-        block = filtered_block(block, *model.response.sampled(rate).transfer(rate), "")
-    return _of_states(block, filters, duration)
+    def variance(self, model: Model, duration: float) -> Float[np.ndarray, "g t"]:
+        """True variance of the integral [rad² or (m/s)²] for a model of one term, of this duration [s]."""
+        (term,), gain, steps = model.terms, self.gain[:, None], self.steps.astype(int).tolist()
+        block = _states(term, self.rate, duration)
+        if model.response is not None:
+            block = filtered_block(block, *model.response.sampled(self.rate).transfer(self.rate), "")
+        A, H, n = block.transition, block.observation, block.size
+        space = StateSpace.of(block, self.rate, "gyro", "")
+        sums, states, followed = [space.sum_covariance(n) for n in steps], np.arange(n), gain * (H @ A)
+        observed = np.stack([transition[-1, :-1] for transition, _ in sums])
+        # The error is linear in the states and b̂ at the last sample, and in the noise after it.
+        ahead = np.broadcast_to(observed @ A, (len(gain), *observed.shape))
+        if term.deterministic:
+            # The estimate follows the states of a line, or of a ramp that is somewhere about its mean.
+            joint = A.T - self.again[:, None, None] * np.eye(n)
+            rows = ahead - self.share[:, :, None] * np.linalg.solve(joint, followed[..., None])[:, None, :, 0]
+            ramp = isinstance(term, DriftRamp)
+            P = block.start[1, 1] * np.diag([duration**2 / 12.0, 1.0]) if ramp else block.start
+            return np.einsum("gti,ij,gtj->gt", rows, P, rows, optimize=True) / self.rate**2
+        rows = np.concatenate([ahead, -self.share[:, :, None]], axis=2)
+        joint = np.zeros((len(gain), n + 1, n + 1))
+        joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, followed, self.again
+        enters = np.concatenate([np.broadcast_to(np.eye(n), (len(gain), n, n)), (gain * H)[:, None]], axis=1)
+        noise = enters @ block.noise @ enters.swapaxes(1, 2)
+        noise[:, n, n] += self.gain**2 * block.white
+        # About its mean over the record a walk has the variance of a process with a correlation time of a
+        # third of it; so has, nearly, anything slower than the record.
+        walks = np.isinf(self.time)
+        joint[:, states, states] *= np.where(walks, 1.0, math.exp(-3.0 / (duration * self.rate)))[:, None]
+        P, level = np.empty_like(joint), np.append(block.level, False)
+        for own, walk in ((walks, level), (~walks, np.zeros_like(level))):
+            P[own] = settled(joint[own], noise[own], walk)
+        later = np.einsum("ti,ij,tj->t", observed, block.noise, observed) + [Q[-1, -1] for _, Q in sums]
+        return (np.einsum("gti,gij,gtj->gt", rows, P, rows, optimize=True) + later) / self.rate**2
 
 
 @functools.lru_cache(maxsize=64)
@@ -134,77 +138,25 @@ def _states(term: NoiseTerm, rate: float, duration: float) -> Block:
     return term.sampled(rate).state_block(rate, duration)
 
 
-def _of_states(block: Block, filters: Filters, duration: float) -> Float[np.ndarray, "g t"]:
-    """Variance of the integral's error for noise of these states, from those and b̂ together."""
-    space = StateSpace.of(block, filters.rate, "gyro", "")
-    sums = [space.sum_covariance(int(n)) for n in filters.steps]
-    observed = np.stack([transition[-1, :-1] for transition, _ in sums])
-    added = np.array([noise[-1, -1] for _, noise in sums])
-    A, H, n, gain = block.transition, block.observation, block.size, filters.gain[:, None]
-    joint = np.zeros((len(gain), n + 1, n + 1))
-    joint[:, :n, :n], joint[:, n, :n], joint[:, n, n] = A, gain * (H @ A), filters.again
-    enters = np.concatenate([np.broadcast_to(np.eye(n), (len(gain), n, n)), (gain * H)[:, None]], axis=1)
-    noise = enters @ block.noise @ enters.swapaxes(1, 2)
-    noise[:, n, n] += filters.gain**2 * block.white
-    # About its mean over the record a walk has the variance of a process with a correlation time of a third
-    # of it; so has, nearly, anything slower than the record.
-    walks, states = np.isinf(filters.time), np.arange(n)
-    joint[:, states, states] *= np.where(walks, 1.0, math.exp(-3.0 / (duration * filters.rate)))[:, None]
-    P, level = np.empty_like(joint), np.append(block.level, False)
-    for own, walk in ((walks, level), (~walks, np.zeros_like(level))):
-        P[own] = settled(joint[own], noise[own], walk)
-    first = A @ P[:, :n, :n] @ A.T + block.noise
-    shared = P[:, n, :n] @ A.T @ observed.T
-    found = np.einsum("ti,gij,tj->gt", observed, first, observed, optimize=True) + added
-    share = filters.share
-    return (found - 2.0 * share * shared + share**2 * P[:, n, n, None]) / filters.rate**2
-
-
-def _equal_pairs(
-    truth: Float[np.ndarray, "draws g t"], unit: Float[np.ndarray, "g t"]
-) -> tuple[Int[np.ndarray, " draws"], Float[np.ndarray, " draws"], Float[np.ndarray, " draws"]]:
-    """The filter whose prediction is closest to its true variance, its N, and the largest ratio of the two.
-
-    At the last time they are equal; at the others the largest ratio, either way, is smallest.
-    """
-    ratio = np.log(truth / unit)
-    worst = np.abs(ratio - ratio[..., -1:]).max(axis=-1)
-    best, draws = worst.argmin(axis=-1), np.arange(len(truth))
-    return best, np.exp(ratio[draws, best, -1] / 2.0), np.exp(worst[draws, best])
-
-
-def _bounding_pair(truth: Float[np.ndarray, "g t"], unit: Float[np.ndarray, "g t"]) -> tuple[int, float]:
-    """The filter whose prediction is nowhere below its true variance and least in mean logarithm; its N."""
-    scale = (truth / unit).max(axis=1)
-    best = int(np.argmin(np.log(scale) + np.log(unit).mean(axis=1)))
-    return best, math.sqrt(float(scale[best]))
-
-
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AxisHorizon(ByValue):
-    """White noise and process of the bias for the filter of one axis, up to a horizon.
-
-    The filter has estimated the bias from the sensor at rest, and integrates the samples less that bias. Its
-    `error` is that of the angle (of the velocity); see `estimate.horizon`. It models the bias as a random
-    walk, or as a first-order Gauss–Markov process, which is a walk that returns to zero within the
-    correlation time: K is then the root of the density of the noise that drives it.
+    """White noise and process of the bias for the filter of one axis, up to a horizon; see `horizon`.
 
     Attributes:
         axis: the axis.
         horizon: time between corrections [s].
         probability: probability of the bounds.
         white, walk: the N and K whose predicted variance is the true one at the horizon, and whose largest
-            ratio to it at shorter times, from a hundredth of the horizon on, is closest to one.
-        correlation_time: correlation time of the Gauss–Markov process, from a grid of values that are a
-            factor of two apart or less; None for a walk.
+            ratio to it at shorter times, from a hundredth of the horizon on, is closest to one. K² is the
+            density of the noise that drives the bias.
+        correlation_time: correlation time of the Gauss–Markov process; None for a walk.
         mismatch: largest factor between the predicted and the true standard deviation at these times.
-        bounding_white, bounding_walk: the N and K, SI, whose prediction is at none of these times below the
-            true variance, at each with this probability; of all such pairs the one with the least mean
-            logarithm of the predicted variance.
-        bounding_time: correlation time of the bounding process [s]; infinite for a walk.
+        bounding_white, bounding_walk, bounding_time: the N and K, SI, and the time [s], infinite for a walk,
+            whose prediction is at none of these times below the true variance, at each with this probability,
+            and has the least mean logarithm.
         raw_white, raw_walk: N and K of the fitted model, SI; zero if it has none.
         time: times [s] since the last correction.
-        error: standard deviation of the error [rad or m/s] with `white` and `walk`, all terms included.
+        error: standard deviation of the angle or velocity [rad or m/s], of all terms, with that pair.
         raw_error, raw_prediction: the same with the raw N and K, as a walk, and what these predict.
         bound: the standard deviation that the bounding pair predicts.
         shares: shares of the terms in the variance of the error at the horizon, the largest first.
@@ -263,14 +215,20 @@ class AxisHorizon(ByValue):
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
         # The table has no space for an interval of N beside a correlation time.
         T_c, N_ends = (0.0, self.white.interval) if (T := self.correlation_time) is None else (T.value, ())
-        N, K, N_raw, K_raw = self.white.value, self.walk.value, self.raw_white, self.raw_walk
-        N_max, K_max, T_max = self.bounding_white, self.bounding_walk, self.bounding_time
-        error, bound, bias = self.error[-1], self.bound[-1], self.bounding_bias_std
+        last = {name: getattr(self, name)[-1] for name in _SERIES}
+        N, K, N_max, K_max = self.white.value, self.walk, self.bounding_white, self.bounding_walk
         kinds = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
         table: dict[str, tuple[Any, ...]] = {
-            "equal": (N, N_ends, K, self.walk.interval, T_c, self.bias_std, error, error),
-            "bound": (N_max, (), K_max, (), T_max, bias, bound, ()),
-            "fitted": (N_raw, (), K_raw, (), (), (), self.raw_prediction[-1], self.raw_error[-1]),
+            "equal": (N, N_ends, K.value, K.interval, T_c, self.bias_std, *[last["error"]] * 2),
+            "bound": (N_max, (), K_max, (), self.bounding_time, self.bounding_bias_std, last["bound"], ()),
+            "fitted": (
+                self.raw_white,
+                (),
+                self.raw_walk,
+                *[()] * 3,
+                last["raw_prediction"],
+                last["raw_error"],
+            ),
         }
         return [(self.axis.name, pair, *map(self._shown, kinds, row)) for pair, row in table.items()]
 
@@ -283,28 +241,21 @@ class AxisHorizon(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers of the axis as plain dictionaries, lists, numbers and strings, for JSON."""
-        time = self.correlation_time
-        return {
-            "name": self.axis.name,
-            "sensor": self.axis.sensor,
-            "white": in_both_units(self.white),
-            "walk": in_both_units(self.walk),
-            "correlation_time": None if time is None else in_both_units(time),
-            "bias_std_si": finite_or_none(self.bias_std),
+        pair = {"white": self.white, "walk": self.walk, "correlation_time": self.correlation_time}
+        bounding = {"correlation_time": self.bounding_time, "bias_std": self.bounding_bias_std}
+        numbers = {
+            "bias_std_si": self.bias_std,
             "mismatch": self.mismatch,
-            "bounding_si": {
-                "white": self.bounding_white,
-                "walk": self.bounding_walk,
-                "correlation_time": finite_or_none(self.bounding_time),
-                "bias_std": finite_or_none(self.bounding_bias_std),
-            },
+            "bounding_si": {"white": self.bounding_white, "walk": self.bounding_walk, **bounding},
             "raw_si": {"white": self.raw_white, "walk": self.raw_walk},
-            "inflation": {name: finite_or_none(factor) for name, factor in self.inflation.items()},
-            "raw_factor": finite_or_none(self.raw_factor),
-            "shares": dict(self.shares),
+            "inflation": self.inflation,
+            "raw_factor": self.raw_factor,
+            "shares": self.shares,
             "sets": self.sets,
-            "curves_si": {name: getattr(self, name).tolist() for name in _SERIES},
+            "curves_si": {name: getattr(self, name) for name in _SERIES},
         }
+        both = {name: x and in_both_units(x) for name, x in pair.items()}
+        return {"name": self.axis.name, "sensor": self.axis.sensor, **both, **in_json(numbers)}
 
     def __repr__(self) -> str:
         white, walk = self.white.in_unit().describe(), self.walk.in_unit().describe()
@@ -341,10 +292,7 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     notes: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The horizon as plain dictionaries, lists, numbers and strings, as `--json` prints it.
-
-        `allanjax schema horizon` describes each of them.
-        """
+        """The horizon as plain dictionaries, lists, numbers and strings; see `allanjax schema horizon`."""
         return {
             "schema_version": SCHEMA_VERSION,
             "recording": {"name": self.name},
@@ -367,12 +315,11 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     def _notes(self) -> list[str]:
         kinds = {"gyro": "angle", "accel": "velocity"}
         errors = " or ".join(kinds[s] for s in dict.fromkeys(r.axis.sensor for r in self.results))
-        explained = (
+        notes = [
             f"error: 1σ of the {errors} after {length(self.horizon)}. equal: N and K that predict the true "
             "error. bound: N and K that predict at least the true error, with a probability of "
             f"{percent(self.probability)}. fitted: N and K of the fit without its other terms"
-        )
-        notes = [explained]
+        ]
         for r in self.results:
             averaged = f"; averaged over {r.sets} likely sets of terms" if r.sets > 1 else ""
             notes.append(f"{r.axis.name}: true error from {r.causes()}{averaged}")
@@ -403,8 +350,8 @@ def horizon(
         seconds: time between corrections [s], at least two samples and at most half the record.
         process: how the filter models the bias: as a random walk, or ("markov") as a first-order Gauss–Markov
             process, whose correlation time is then chosen with the pair, among filters whose true error at
-            the horizon is at most a tenth above the least. (A bias that is soon forgotten may predict as
-            well, but leaves the drift in the error, which depends on how the model goes on for much longer.)
+            the horizon is at most a tenth above the least (a bias that is soon forgotten may predict as well,
+            but leaves the drift in the error).
         rate: sample rate [Hz] for a data sheet, by default 100 Hz; a fit has its own.
         axes: names of axes; by default all that are a measurement. The axes of a data sheet are its sensors.
         probability: probability of the bounds.
@@ -430,28 +377,15 @@ def horizon(
     if not 0.5 <= probability < 1.0:
         raise AllanjaxError(f"probability= (--probability) must be in [0.5, 1), not {probability}")
     question = _Question(float(seconds), process, probability, rate, record)
-    noises = _noises(fit, [axes] if isinstance(axes, str) else axes, seed)
-    found = tuple(_of_axis(question, *noise) for noise in noises)
+    found = tuple(map(question.answered, _noises(fit, [axes] if isinstance(axes, str) else axes, seed)))
     if not found:
         raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
     notes = fit.statements if isinstance(fit, DataSheet) else ()
     return Horizon(fit.name, float(seconds), process, probability, found, notes)
 
 
-class _Question(NamedTuple):
-    """The horizon [s], how a filter models the bias, and the rate [Hz] and length [s] of the record."""
-
-    seconds: float
-    process: Process
-    probability: float
-    rate: float
-    record: float
-
-
-def _noises(
-    fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int
-) -> Iterator[tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely]]]:
-    """Coefficients, model and likely sets of the axes that are asked for, or of all with a measurement."""
+def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> Iterator[_Noise]:
+    """The axes that are asked for, or all with a measurement."""
     if isinstance(fit, DataSheet):
         for s in cast(Sequence[Sensor], asked or tuple(fit.models)):
             yield Axis(s, s, SI[s]["rate"]), fit.coefficients(s), fit[s], [exact_model(fit[s])]
@@ -464,83 +398,86 @@ def _noises(
         yield r.axis, r.coefficients, r.model, sets
 
 
-def _of_axis(
-    question: _Question,
-    axis: Axis,
-    coefficients: Mapping[str, Estimate],
-    model: Model,
-    sets: Sequence[Likely],
-) -> AxisHorizon:
-    """Horizon of one axis."""
-    seconds, process, probability, rate, record = question
-    labels = ("angle_random_walk", "rate_random_walk")
-    N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
-    last = max(round(seconds * rate), 1)
-    # From a hundredth of the horizon on.
-    steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
-    filters = Filters.of(_pairs(question, N, K, model), steps, rate)
-    memory, time, unit = filters.memory, filters.time, filters.unit
-    # Sets share terms.
-    variance = functools.cache(lambda one: _variance(one, filters, record))
-    known, draws, shares = list[np.ndarray](), list[np.ndarray](), Counter[str]()
-    each = [(s, np.stack([variance(one) for one in one_by_one(s.model)])) for s in sets]
-    for s, V in each:
-        detected = len(V) - s.limited
-        known.append(np.tensordot(s.power[:, :detected], V[:detected], axes=1))
-        # Undetected terms have limits only; these are in the bound.
-        draws.append(np.tensordot(s.power, V, axes=1))
-    # The prediction must be right on average over the likely coefficients.
-    every = np.concatenate(known)
-    mean = every.mean(axis=0)
-    # The last filter is that of the raw coefficients; without N, the walk over its memory.
-    good, raw_size = np.arange(len(mean) - 1), N or K * float(memory[-1])
-    if process == "markov":
-        good = np.flatnonzero(mean[:-1, -1] <= _WORSE**2 * mean[:-1, -1].min())
-    place, white, ratio = _equal_pairs(np.concatenate([mean[None], every])[:, good], unit[good])
-    chosen = good[place]
-    for s, V in each:
-        parts = s.power.sum(axis=0) * V[:, chosen[0], -1] / len(every) / mean[chosen[0], -1]
-        shares.update(dict(zip(s.labels[: len(V) - s.limited], parts.tolist(), strict=False)))
-    bounding, bounding_N = _bounding_pair(
-        np.quantile(np.concatenate(draws)[:, :-1], probability, axis=0), unit[:-1]
-    )
-    return AxisHorizon(
-        axis=axis,
-        horizon=seconds,
-        probability=probability,
-        white=_estimate(axis, "white", white),
-        walk=_estimate(axis, "walk", white / memory[chosen]),
-        correlation_time=_estimate(axis, "time", time[chosen]) if process == "markov" else None,
-        mismatch=math.sqrt(ratio[0]),
-        bounding_white=bounding_N,
-        bounding_walk=bounding_N / float(memory[bounding]),
-        bounding_time=float(time[bounding]),
-        raw_white=N,
-        raw_walk=K,
-        time=steps / rate,
-        error=np.sqrt(mean[chosen[0]]),
-        raw_error=np.sqrt(mean[-1]),
-        raw_prediction=raw_size * np.sqrt(unit[-1]),
-        bound=bounding_N * np.sqrt(unit[bounding]),
-        shares=dict(shares.most_common()),
-        sets=len(sets),
-    )
+class _Question(NamedTuple):
+    """The horizon [s], how a filter models the bias, and the rate [Hz] and length [s] of the record."""
 
+    seconds: float
+    process: Process
+    probability: float
+    rate: float
+    record: float
 
-def _pairs(question: _Question, N: float, K: float, model: Model) -> Float[np.ndarray, "g 2"]:
-    """Memory and correlation time [s] of filters that are compared, and at last those of N and K."""
-    seconds, process, _, rate, record = question
-    shortest, own = 2.0 / rate, [term for term in model.terms if isinstance(term, Markov)]
-    count, drives, times = _MEMORIES, [K], np.array([math.inf])
-    if process == "markov":
-        count, drives = _MARKOV_MEMORIES, [K, *(float(term.amplitude) for term in own)]
-        # A process that returns sooner is white noise for a filter up to the horizon.
-        grid = np.geomspace(max(seconds / 100.0, shortest), record, _TIMES)
-        times = np.unique(np.clip([*grid, *(float(t.correlation_time) for t in own)], shortest, record))
-    memories = [*np.geomspace(shortest, record, count), *(N / q for q in drives if q > 0.0)]
-    compared = np.meshgrid(np.unique(np.clip(memories, shortest, record)), times, indexing="ij")
-    raw = np.clip(N / K if K > 0.0 else record, shortest, record)
-    return np.append(np.reshape(compared, (2, -1)).T, [[raw, math.inf]], axis=0)
+    def pairs(self, N: float, K: float, model: Model) -> Float[np.ndarray, "g 2"]:
+        """Memory and correlation time [s] of filters that are compared, and at last those of N and K."""
+        shortest, record, count = 2.0 / self.rate, self.record, _MEMORIES
+        drives, times = [K], np.array([math.inf])
+        if self.process == "markov":
+            own = [term for term in model.terms if isinstance(term, Markov)]
+            count, drives = _MARKOV_MEMORIES, [K, *(float(term.amplitude) for term in own)]
+            # A process that returns sooner is white noise for a filter up to the horizon.
+            grid = np.geomspace(max(self.seconds / 100.0, shortest), record, _TIMES)
+            times = np.unique(np.clip([*grid, *(float(t.correlation_time) for t in own)], shortest, record))
+        memories = [*np.geomspace(shortest, record, count), *(N / q for q in drives if q > 0.0)]
+        compared = np.meshgrid(np.unique(np.clip(memories, shortest, record)), times, indexing="ij")
+        raw = np.clip(N / K if K > 0.0 else record, shortest, record)
+        return np.append(np.reshape(compared, (2, -1)).T, [[raw, math.inf]], axis=0)
+
+    def answered(self, noise: _Noise) -> AxisHorizon:
+        """Horizon of one axis."""
+        axis, coefficients, model, sets = noise
+        labels = ("angle_random_walk", "rate_random_walk")
+        N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
+        last = max(round(self.seconds * self.rate), 1)
+        # From a hundredth of the horizon on.
+        steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
+        # The last filter is that of the raw coefficients; without N, the walk over its memory.
+        filters = _Filters(self.pairs(N, K, model), steps, self.rate)
+        memory, time, unit = filters.memory, filters.time, filters.unit
+        terms, power, detected = side_by_side(sets)
+        # Sets share terms.
+        variance = functools.cache(lambda one: filters.variance(one, self.record))
+        V = np.stack([variance(one) for _, one in terms])
+        draws = np.tensordot(power[:, detected], V[detected], axes=1)
+        # The prediction must be right on average over the likely coefficients.
+        mean = draws.mean(axis=0)
+        good = np.arange(len(mean) - 1)
+        if self.process == "markov":
+            good = np.flatnonzero(mean[:-1, -1] <= _WORSE**2 * mean[:-1, -1].min())
+        # Where prediction and truth are equal at the last time, their largest ratio, either way, is smallest.
+        ratio = np.log(np.concatenate([mean[None], draws])[:, good] / unit[good])
+        worst = np.abs(ratio - ratio[..., -1:]).max(axis=-1)
+        place, each = worst.argmin(axis=-1), np.arange(len(ratio))
+        white, chosen, best = np.exp(ratio[each, place, -1] / 2.0), good[place], good[place[0]]
+        shares: Any = Counter()
+        for k in np.flatnonzero(detected).tolist():
+            shares[terms[k][0]] += float(power[:, k].mean() * V[k, best, -1] / mean[best, -1])
+        # The bound is nowhere below the truth, and least in mean logarithm. It includes undetected terms,
+        # which have limits only.
+        upper = np.quantile(np.tensordot(power, V[:, :-1], axes=1), self.probability, axis=0)
+        most = (upper / unit[:-1]).max(axis=1)
+        outer = int(np.argmin(np.log(most) + np.log(unit[:-1]).mean(axis=1)))
+        N_max = math.sqrt(float(most[outer]))
+        return AxisHorizon(
+            axis=axis,
+            horizon=self.seconds,
+            probability=self.probability,
+            white=_estimate(axis, "white", white),
+            walk=_estimate(axis, "walk", white / memory[chosen]),
+            correlation_time=_estimate(axis, "time", time[chosen]) if self.process == "markov" else None,
+            mismatch=math.exp(worst[0, place[0]] / 2.0),
+            bounding_white=N_max,
+            bounding_walk=N_max / float(memory[outer]),
+            bounding_time=float(time[outer]),
+            raw_white=N,
+            raw_walk=K,
+            time=steps / self.rate,
+            error=np.sqrt(mean[best]),
+            raw_error=np.sqrt(mean[-1]),
+            raw_prediction=(N or K * float(memory[-1])) * np.sqrt(unit[-1]),
+            bound=N_max * np.sqrt(unit[outer]),
+            shares=dict(shares.most_common()),
+            sets=len(sets),
+        )
 
 
 def _unit(sensor: Sensor, name: str) -> str:

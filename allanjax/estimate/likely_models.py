@@ -6,10 +6,11 @@ not distinguish from it are fitted to the Allan variances with non-negative powe
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.result import AxisFit, Fit
@@ -24,13 +25,9 @@ _WIDEST, _TIMES = 1.5, 15
 
 
 class Likely(NamedTuple):
-    """A set of terms with unit amplitude, and draws of their powers.
+    """A set of terms with unit amplitudes, their names, and draws of their squared amplitudes [SI].
 
-    Attributes:
-        model: the terms with unit amplitudes.
-        labels: names of the terms.
-        power: draws of the squared amplitudes, SI.
-        limited: number of columns at the end for terms that are known only to be below a limit.
+    The last `limited` columns are those of terms that are known only to be below a limit.
     """
 
     model: Model
@@ -49,7 +46,23 @@ def exact_model(model: Model) -> Likely:
 def one_by_one(model: Model) -> list[Model]:
     """Models of one term each, with the response if the term passes it."""
     labels = model.term_labels
-    return [model.without([*labels[:k], *labels[k + 1 :]]) for k in range(len(labels))]
+    return [model.without([other for other in labels if other != label]) for label in labels]
+
+
+def side_by_side(
+    sets: Sequence[Likely],
+) -> tuple[list[tuple[str, Model]], Float[np.ndarray, "draws terms"], Bool[np.ndarray, " terms"]]:
+    """The terms of all sets, each with its label; draws of their powers; and which of them are detected."""
+    from scipy.linalg import block_diag
+
+    terms = [pair for s in sets for pair in zip(s.labels, one_by_one(s.model), strict=True)]
+    detected = [np.arange(len(s.labels)) < len(s.labels) - s.limited for s in sets]
+    return terms, block_diag(*(s.power for s in sets)), np.concatenate(detected)
+
+
+def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTerm]:
+    """Class of a term by its label in a model, which has a number if there are several of its kind."""
+    return classes[label if label in classes else label.rpartition("_")[0]]
 
 
 def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
@@ -58,8 +71,8 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
     if fit.selection is None or found.own_template is not None:
         return [_of_fit(found, draws, rng, with_limits=found.own_template is None)]
     selection = fit.selection[axis]
-    close = {s.terms: s for s in (selection.chosen, *selection.indistinguishable)}
-    weight = np.array([s.probability for s in close.values()])
+    close = {s.terms: s.probability for s in (selection.chosen, *selection.indistinguishable)}
+    weight = np.array(list(close.values()))
     first, *others = rng.multinomial(draws, weight / weight.sum()).tolist()
     own, column = _of_fit(found, max(first, 1), rng, with_limits=False), fit.axes.index(axis)
     rivals = zip(list(close)[1:], others, strict=True)
@@ -69,14 +82,14 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
 def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
     """The fitted model, with the terms below a limit on request."""
     (unit, labels, power, _), classes = exact_model(found.model), term_classes()
-    every = list(found.coefficients.values())
-    rows = [k for k, c in enumerate(every) if c.is_amplitude and c.term in labels]
-    fitted = np.array([every[k].value for k in rows])
+    amplitudes = {k: c for k, c in enumerate(found.coefficients.values()) if c.is_amplitude}
+    rows = [k for k, c in amplitudes.items() if c.term in labels]
+    fitted = np.array([amplitudes[k].value for k in rows])
     covariance = np.nan_to_num(4.0 * found.covariance[np.ix_(rows, rows)] / np.outer(fitted, fitted))
     below = [
         c
-        for c in every
-        if with_limits and c.is_amplitude and not c.detected and c.term in classes.keys() - labels
+        for c in amplitudes.values()
+        if with_limits and not c.detected and c.term in classes.keys() - labels
         if c.upper_limit and np.isfinite(c.upper_limit)
         if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"
     ]
@@ -95,9 +108,9 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     time, variance = curve.cluster_time[octaves], curve.deviation[octaves, column] ** 2
     shape = np.maximum(curve.edf[octaves, column], 1.0) / 2.0
     # A Markov process of any time between ten samples and the longest cluster.
-    markov = [Markov(1.0, float(T_c)) for T_c in np.geomspace(10.0 / curve.rate, time[-1], _TIMES)]
-    named = [name if name in classes else name.rpartition("_")[0] for name in terms]
-    tried = [markov if name == "markov" else [_unit(classes[name])] for name in named]
+    times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES).tolist()
+    kinds = [class_of(name, classes) for name in terms]
+    tried = [[Markov(1.0, T) for T in times] if kind is Markov else [_unit(kind)] for kind in kinds]
     unit = np.empty((max(map(len, tried)), len(tried), len(time)))
     for k, units in enumerate(tried):
         unit[:, k] = [term.sampled(curve.rate).allan_variance(time) for term in units]

@@ -11,7 +11,7 @@ import copy
 import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -25,7 +25,7 @@ from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
 from allanjax.estimate.tables import details, overview, remarks
-from allanjax.inspection.facts import Fact, warnings_of, why_no_measurement
+from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
 from allanjax.noise.estimate import Estimate, called
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, Sinusoid, basic_terms
@@ -41,15 +41,13 @@ if TYPE_CHECKING:
     from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
-#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement.
-#: 30 % in the deviation is 69 % in the variances, which are fitted; standard deviations propagate the model's
-#: error to first order only. A coefficient is determined by one or two octaves. (Static sensors with
-#: resonances, two ADIS16405 on a bench, are off by up to 45 % at a place and 20 % rms.)
+#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement, as
+#: errors are propagated to first order only, and a coefficient is determined by one or two octaves. (Two
+#: ADIS16405 on a bench, which have resonances, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-# p-value below which a model is doubtful.
-_DOUBTFUL = 1e-3
-# Curves differ for certain where the model is outside this central interval of all estimates (χ²).
-_SURE = 0.997
+# p-value below which a model is doubtful; and curves differ for certain where the model is outside this
+# central interval of all estimates (χ²).
+_DOUBTFUL, _SURE = 1e-3, 0.997
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
 # Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
@@ -58,10 +56,11 @@ _NOTABLE, _CLEAR = 0.02, 0.06
 # Words: deviations above this ratio are a factor, a scatter above this share of a deviation is reported, and
 # so is a limit of the bandwidth within this ratio of its value, and so many places, the strongest ones.
 _FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
-# One, to rounding.
-_ALMOST = 1.0 + 1e-6
-# Least share of N that counts as white noise.
-_LITTLE = 1e-6
+# One, to rounding; and the least share of N that counts as white noise.
+_ALMOST, _LITTLE = 1.0 + 1e-6, 1e-6
+_Coefficients: TypeAlias = Mapping[str, Estimate]
+_Covariance: TypeAlias = Float[np.ndarray, "params params"]
+_Places: TypeAlias = Float[np.ndarray, " m"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,25 +102,14 @@ class Misfit:
     def __str__(self) -> str:
         if self.largest == 0.0:
             return f"{self.curve} off, but nowhere by more than single estimates scatter"
-        chance = ""
-        if np.log1p(self.scatter) > _MUCH * abs(np.log1p(self.largest)):
-            chance = f" (up to {deviation(self.scatter)} may be chance)"
-        return (
-            f"{self.curve} off by {deviation(self.largest)} at {plain(self.at, 3)} {self.unit}{chance}, "
-            f"{deviation(self.rms)} rms"
-        )
+        certain = np.log1p(self.scatter) <= _MUCH * abs(np.log1p(self.largest))
+        chance = "" if certain else f" (up to {deviation(self.scatter)} may be chance)"
+        place = f"{plain(self.at, 3)} {self.unit}{chance}"
+        return f"{self.curve} off by {deviation(self.largest)} at {place}, {deviation(self.rms)} rms"
 
 
-def misfit_of(
-    place: Float[np.ndarray, " m"],
-    ratio: Float[np.ndarray, " m"],
-    edf: Float[np.ndarray, " m"],
-    unit: Literal["s", "Hz"],
-) -> Misfit:
-    """Misfit of estimated deviations, given measured/model, and the degrees of freedom of their squares.
-
-    The places are cluster times [s] or frequencies [Hz], increasing.
-    """
+def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "Hz"]) -> Misfit:
+    """Misfit of deviations at increasing places, by measured/model and the squares' degrees of freedom."""
     log = np.log(np.maximum(ratio, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
     ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
@@ -148,21 +136,13 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
 
     The discrepancy alone would be too small, as the fit bends towards data that it cannot follow.
     """
-    rms = np.array([0.0 if misfit is None else misfit.rms for misfit in misfits])
-    # The error of powers is twice that of deviations.
-    return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), 2.0 * rms))
+    # In powers it is twice that of deviations.
+    least = [0.0 if misfit is None else 2.0 * misfit.rms for misfit in misfits]
+    return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), least))
 
 
-def spectral_misfit(
-    frequency: Float[np.ndarray, " m"],
-    level: Float[np.ndarray, " m"],
-    mean: Float[np.ndarray, " m"],
-    dof: Float[np.ndarray, " m"],
-) -> Misfit:
-    """Misfit of a root PSD: levels, averaged over thirds of octaves, to their means under the model.
-
-    Each level is of a bin about its frequency [Hz]; those without degrees of freedom do not count.
-    """
+def spectral_misfit(frequency: _Places, level: _Places, mean: _Places, dof: _Places) -> Misfit:
+    """Misfit of a root PSD: levels at frequencies [Hz], averaged over thirds of octaves, to their means."""
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
     part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
@@ -182,27 +162,16 @@ def deviation(relative: float) -> str:
 class AxisEstimates:
     """Base of the fit and of the posterior of one axis: estimates by name, as a table, and as text.
 
-    Attributes:
-        axis: the axis.
-        coefficients: each by its label, detected or not.
+    `COLUMNS` are those of the table, and `ERROR` is raised for an unknown coefficient.
     """
 
-    #: Columns of the table, each in the usual unit.
     COLUMNS: ClassVar[tuple[str, ...]] = ()
-    #: Error for an unknown coefficient.
     ERROR: ClassVar[type[AllanjaxError]] = AllanjaxError
 
     axis: Axis
-
-    if TYPE_CHECKING:  # A property here would be taken as the default of a dataclass field.
-
-        @property
-        def coefficients(self) -> Mapping[str, Estimate]: ...
-
-    @TextProperty
-    def verdict(self) -> str:
-        """Whether the estimates can be trusted, in one line."""
-        raise NotImplementedError
+    coefficients: _Coefficients
+    #: Whether the estimates can be trusted, in one line.
+    verdict: Any
 
     def __getitem__(self, name: str) -> Estimate:
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW" (`called`)."""
@@ -228,37 +197,7 @@ class AxisEstimates:
         return f"<{type(self).__name__} {self.axis.name}: {shown};\n {self.verdict}>"
 
 
-def _causes(result: AxisFit, template: Model) -> list[str]:
-    """What an axis's own model corrects the plain terms for, in words."""
-    response, causes = result.model.response, []
-    if response is not None:
-        bandwidth = result[f"{response.name()}_bandwidth"]
-        sign, limit = bandwidth.limit
-        if np.isfinite(bandwidth.std) or bandwidth.held:
-            causes = [f"a {plain(response.half_power, 3)} Hz bandwidth"]
-        elif limit and 1.0 / _NEAR < limit / response.half_power < _NEAR:
-            causes = [f"a bandwidth {'below' if sign == '<' else 'above'} {plain(limit, 3)} Hz"]
-        else:
-            # A limit far from the value says nothing.
-            causes = ["a filter of undetermined bandwidth"]
-    for kind, name in ((Resonance, "resonance"), (Sinusoid, "spectral line")):
-        terms: list[Any] = [term for term in result.model.terms if isinstance(term, kind)]
-        if terms:
-            strongest = sorted(terms, key=lambda term: -term.amplitude)[:_NAMED]
-            places = _listed([plain(f, 3) for f in sorted(term.frequency for term in strongest)])
-            more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
-            causes.append(f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}")
-    several = sum(isinstance(term, Markov) for term in template.terms) > 1
-    return causes or ["Markov processes of several correlation times" if several else "a Markov process"]
-
-
-def _listed(words: Sequence[str]) -> str:
-    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
-
-
-def fitted_model(
-    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
-) -> Model:
+def fitted_model(template: Model, coefficients: _Coefficients, inactive: Sequence[str] = ()) -> Model:
     """The template with these values, without the terms that are inactive or whose amplitude is zero."""
     values = {label: c.value for label, c in coefficients.items() if np.isfinite(c.value)}
     amplitudes = [p for p in template.parameters if p.parameter.is_amplitude]
@@ -266,32 +205,51 @@ def fitted_model(
     return template.with_values(**values).without([*absent, *inactive])
 
 
-def extended_model(
-    template: Model, coefficients: Mapping[str, Estimate], inactive: Sequence[str] = ()
-) -> Model:
+def extended_model(template: Model, coefficients: _Coefficients, inactive: Sequence[str] = ()) -> Model:
     """The model of an extension; its white noise excludes the part of wide resonances and short processes."""
     N, left = coefficients["angle_random_walk"], template.values["angle_random_walk"] or 0.0
     # The term stays if it is detected.
-    value = max(float(left), _LITTLE * N.value)
-    own = {**coefficients, "angle_random_walk": dataclasses.replace(N, value=value)}
-    return fitted_model(template, own, inactive)
+    own = dataclasses.replace(N, value=max(float(left), _LITTLE * N.value))
+    return fitted_model(template, {**coefficients, N.label: own}, inactive)
+
+
+def _causes(result: AxisFit, template: Model) -> Iterator[str]:
+    """What an axis's own model corrects the plain terms for, in words."""
+    if (response := result.model.response) is not None:
+        bandwidth, value = result[f"{response.name()}_bandwidth"], response.half_power
+        sign, limit = bandwidth.limit
+        if np.isfinite(bandwidth.std) or bandwidth.held:
+            yield f"a {plain(value, 3)} Hz bandwidth"
+        elif limit and 1.0 / _NEAR < limit / value < _NEAR:
+            yield f"a bandwidth {'below' if sign == '<' else 'above'} {plain(limit, 3)} Hz"
+        else:
+            # A limit far from the value says nothing.
+            yield "a filter of undetermined bandwidth"
+    for kind, name in ((Resonance, "resonance"), (Sinusoid, "spectral line")):
+        terms: list[Any] = [term for term in result.model.terms if isinstance(term, kind)]
+        if terms:
+            strongest = sorted(terms, key=lambda term: -term.amplitude)[:_NAMED]
+            places = listed([plain(f, 3) for f in sorted(term.frequency for term in strongest)])
+            more = f" ({len(terms)} in all)" if len(terms) > _NAMED else ""
+            yield f"{'a ' + name if len(terms) == 1 else name + 's'} at {places} Hz{more}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class AxisFit(ByValue, AxisEstimates):
     """The fit of one axis.
 
+    Without a result, `coefficients`, `covariance`, `model` and what follows from these raise FitError.
+
     Attributes:
         axis: the axis.
-        converged: whether there is a result; otherwise `reason` gives the reason.
+        converged, reason: whether there is a result, and the reason if there is none.
         chi2, dof, p_value: χ² of the spectrum's levels about the model (for "exact", about the maximum of
             Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; it
             has no p-value, as it does not follow a χ² law at long cluster times.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
             Standard deviations and intervals include it.
-        misfit: how far the fitted curve is off and where; None if the model fits or there is no result.
-            If it is excessive, no coefficient is a measurement of the sensor (`measured`).
+        misfit: how far the fitted curve is off and where; None if the model fits.
         allan_misfit: for a fit of the spectrum, the same for its Allan deviations, if they are off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics that were fitted; neither saved nor compared.
@@ -302,8 +260,7 @@ class AxisFit(ByValue, AxisEstimates):
             where that of the other axes does not fit this one. N is then the density at low frequencies,
             including resonances with Q < 4 and processes of less than 20 samples.
         plain: the fit without these.
-        widening: factor by which standard deviations exceed those of a complete record, see
-            `completion.widening`; `sample` applies it, too.
+        widening: ratio of standard deviations to those of a complete record (`completion.widening`).
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = (
@@ -319,10 +276,8 @@ class AxisFit(ByValue, AxisEstimates):
     dof: int = 0
     p_value: float = np.nan
     discrepancy: float = np.nan
-    _coefficients: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
-    _covariance: Float[np.ndarray, "params params"] = dataclasses.field(
-        default_factory=lambda: np.zeros((0, 0))
-    )
+    _coefficients: _Coefficients = dataclasses.field(default_factory=dict)
+    _covariance: _Covariance = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     _model: Model = dataclasses.field(default_factory=lambda: Model(()))
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
@@ -340,13 +295,38 @@ class AxisFit(ByValue, AxisEstimates):
     def __post_init__(self) -> None:
         if not self.converged:
             # The numbers are meaningless, and no file contains them.
-            nothing = AxisFit(self.axis, True, "")
+            nothing = vars(AxisFit(self.axis, True, ""))
             for name in ("chi2", "p_value", "discrepancy", "_coefficients", "_covariance", "_model"):
-                object.__setattr__(self, name, getattr(nothing, name))
+                object.__setattr__(self, name, nothing[name])
 
-    def _checked(self) -> None:
+    def _known(self) -> AxisFit:
         if not self.converged:
             raise FitError(f"{self.axis.name}: no result, {self.reason}")
+        return self
+
+    @property
+    def coefficients(self) -> _Coefficients:  # type: ignore[override]  # others have it as a field
+        """The coefficients by label, detected or not."""
+        return self._known()._coefficients
+
+    @property
+    def covariance(self) -> _Covariance:
+        """Covariance (SI) of the coefficients in their order; zero for what was not estimated."""
+        return self._known()._covariance
+
+    @property
+    def model(self) -> Model:
+        """The fitted model."""
+        return self._known()._model
+
+    @property
+    def term_labels(self) -> tuple[str, ...]:
+        """Labels of the terms of `model` in the template, where one of two equal terms keeps its number."""
+        amplitudes = (c for c in self.coefficients.values() if c.is_amplitude)
+        there = [c.term for c in amplitudes if np.isfinite(c.value) and c.value]
+        # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
+        white = AngleRandomWalk.name()
+        return tuple(label for label in there if label != white or white in self.model.term_labels)
 
     @property
     def measured(self) -> bool:
@@ -384,26 +364,28 @@ class AxisFit(ByValue, AxisEstimates):
         nothing = np.full_like(self.covariance, np.nan)
         return dataclasses.replace(self, _coefficients=coefficients, _covariance=nothing, **why)
 
+    def with_estimates(self, found: _Coefficients, **more: Any) -> AxisFit:
+        """A copy with these estimates, and a covariance rescaled to their standard deviations."""
+        pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
+        by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
+        covariance = self._covariance * np.outer(by, by)
+        return dataclasses.replace(self, _coefficients=found, _covariance=covariance, **more)
+
     def widened(self, factor: float) -> AxisFit:
         """A copy whose standard deviations are larger by a factor, with intervals and limits to match."""
         return self._scaled(lambda c: factor, factor)
 
     def _scaled(self, factor: Callable[[Estimate], float], widening: float = 1.0) -> AxisFit:
-        by = np.array([factor(c) for c in self._coefficients.values()])
-        found = zip(self._coefficients.items(), by.tolist(), strict=True)
-        return dataclasses.replace(
-            self,
-            _coefficients={label: c.widened(x) for (label, c), x in found},
-            _covariance=self._covariance * np.outer(by, by),
-            plain=None if self.plain is None else self.plain._scaled(factor, widening),
+        return self.with_estimates(
+            {label: c.widened(factor(c)) for label, c in self._coefficients.items()},
+            plain=self.plain and self.plain._scaled(factor, widening),
             widening=self.widening * widening,
         )
 
     def allowing(self, share: float, foreign: float) -> AxisFit:
-        """A copy with intervals widened for errors of the record.
+        """A copy with intervals widened for a relative error of every amplitude, and `foreign` white noise.
 
-        `share` is the relative error of the Allan deviation, and thus of every amplitude; `foreign` a density
-        of white noise [rad/√s or m/s/√s] that may be in N but not from the sensor.
+        That is its density [rad/√s or m/s/√s]; it may be in N but not from the sensor.
         """
 
         def factor(c: Estimate) -> float:
@@ -414,33 +396,6 @@ class AxisFit(ByValue, AxisEstimates):
             return float(np.sqrt(1.0 + ((share * c.value) ** 2 + more**2) / c.std**2))
 
         return self if share == foreign == 0.0 else self._scaled(factor)
-
-    def with_estimates(self, found: Mapping[str, Estimate]) -> AxisFit:
-        """A copy with these estimates, and a covariance rescaled to their standard deviations."""
-        pairs = [(c.std, self._coefficients[label].std) for label, c in found.items()]
-        by = np.array([new / old if old > 0.0 and np.isfinite(new) else 1.0 for new, old in pairs])
-        return dataclasses.replace(self, _coefficients=found, _covariance=self._covariance * by[:, None] * by)
-
-    @property
-    def coefficients(self) -> Mapping[str, Estimate]:
-        """The coefficients by label, detected or not. Raises FitError if the fit did not converge."""
-        self._checked()
-        return self._coefficients
-
-    @property
-    def covariance(self) -> Float[np.ndarray, "params params"]:
-        """Covariance (SI) of the coefficients in their order; zero for what was not estimated.
-
-        Raises FitError if the fit did not converge.
-        """
-        self._checked()
-        return self._covariance
-
-    @property
-    def model(self) -> Model:
-        """The fitted model. Raises FitError if the fit did not converge."""
-        self._checked()
-        return self._model
 
     @property
     def further(self) -> tuple[str, ...]:
@@ -460,7 +415,9 @@ class AxisFit(ByValue, AxisEstimates):
         """
         if self.own_template is None or not self.converged:
             return ""
-        text = f"corrected for {_listed(_causes(self, self.own_template))}"
+        several = sum(isinstance(term, Markov) for term in self.own_template.terms) > 1
+        process = "Markov processes of several correlation times" if several else "a Markov process"
+        text = f"corrected for {listed(list(_causes(self, self.own_template)) or [process])}"
         if self.plain is None or not self.plain.converged:
             return text
         old, new = (fit["angle_random_walk"].in_unit() for fit in (self.plain, self))
@@ -468,38 +425,14 @@ class AxisFit(ByValue, AxisEstimates):
             return text
         return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
-    @property
-    def term_labels(self) -> tuple[str, ...]:
-        """Labels of the terms of `model` in the template, where one of two equal terms keeps its number.
-
-        Raises FitError if the fit did not converge.
-        """
-        amplitudes = (c for c in self.coefficients.values() if c.is_amplitude)
-        there = [c.term for c in amplitudes if np.isfinite(c.value) and c.value]
-        # N is the sum of all terms that are white at low frequencies; none need be white noise itself.
-        white = AngleRandomWalk.name()
-        return tuple(label for label in there if label != white or white in self.model.term_labels)
-
-    def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
-        """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
-        if self._fit is None:
-            raise FitError(
-                f"{self.axis.name}: a figure needs the curve of a fit; use a result taken from one"
-            )
-        return self._fit.plot(self.axis.name, path, ax=ax)
-
-    def __repr__(self) -> str:
-        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict}>"
-
     @TextProperty
     def level(self) -> str:
         """Mean and rms of the samples, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if unknown."""
         if not np.isfinite(self.mean):
             return ""
         unit, scale = rate_unit_of(self.axis.unit, self.axis.sensor)
-        return (
-            f"mean {significant(self.mean / scale, 4)} {unit}, rms {significant(self.rms / scale, 2)} {unit}"
-        )
+        mean, rms = significant(self.mean / scale, 4), significant(self.rms / scale, 2)
+        return f"mean {mean} {unit}, rms {rms} {unit}"
 
     @TextProperty
     def verdict(self) -> str:
@@ -515,11 +448,22 @@ class AxisFit(ByValue, AxisEstimates):
             return f"fits: {text}"
         return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))
 
+    def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
+        """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
+        if self._fit is None:
+            raise FitError(
+                f"{self.axis.name}: a figure needs the curve of a fit; use a result taken from one"
+            )
+        return self._fit.plot(self.axis.name, path, ax=ax)
+
     def details(self) -> str:
         """All coefficients with their 95 % intervals and limits, and χ², as text."""
         return details("", [self])
 
     __str__ = details
+
+    def __repr__(self) -> str:
+        return super().__repr__() if self.measured else f"<AxisFit {self.axis.name}: {self.verdict}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -552,51 +496,33 @@ class Fit(ByValue, PerAxis[AxisFit]):
     facts: tuple[Fact, ...] = ()
     parts: tuple[tuple[float, float], ...] = ()
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about the coefficients, the gravest first."""
-        told = warnings_of(self.facts)
-        names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
-        if not names:
-            return told
-        return (
-            *told,
-            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure, and run "
-            "`allanjax critique FILE` for the cause; --start and --stop select the part at rest, --terms "
-            "selects other terms",
-        )
-
-    @property
-    def longest_part(self) -> tuple[float, float] | None:
-        """The longest part of the recording that was used, in s from its first sample; None: all of it."""
-        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
-
     stretch = renamed("longest_part")
-
-    @property
-    def not_measured(self) -> dict[str, str]:
-        """Why the coefficients of an axis are not a measurement of the sensor, by the axis's name."""
-        return {r.axis.name: r.verdict for r in self.results if r.converged and not r.measured}
 
     def __post_init__(self) -> None:
         for result in self.results:
             object.__setattr__(result, "_fit", self)
 
-    def as_for(self, axis: str) -> Fit:
-        """The fit for one axis: with the axis's own model and objective if it has them."""
-        own, results = self[axis].own_template, tuple(map(copy.copy, self.results))
-        if own is None:
-            return self
-        return dataclasses.replace(self, template=own, objective="whittle", results=results)
+    def __getitem__(self, axis: str) -> AxisFit:
+        """The fit of one axis, e.g. `fit["gyro_x"]`."""
+        if reason := next((dead.reason for dead in self.dead if dead.axis.name == axis), None):
+            raise FitError(f"{axis}: no result, {reason}")
+        return super().__getitem__(axis)
 
-    def without_extensions(self) -> Fit:
-        """The fit in which axes with a model of their own have the fit of the plain terms."""
-        kept = ("mean", "rms", "not_measured")
-        results = tuple(
-            dataclasses.replace(r.plain or r, **{name: getattr(r, name) for name in kept})
-            for r in self.results
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about the coefficients, the gravest first."""
+        names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
+        far_off = (
+            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure, and run "
+            "`allanjax critique FILE` for the cause; --start and --stop select the part at rest, --terms "
+            "selects other terms"
         )
-        return dataclasses.replace(self, results=results)
+        return (*warnings_of(self.facts), *([far_off] if names else []))
+
+    @property
+    def longest_part(self) -> tuple[float, float] | None:
+        """The longest part of the recording that was used, in s from its first sample; None: all of it."""
+        return max(self.parts, key=lambda part: part[1] - part[0], default=None)
 
     @property
     def chosen(self) -> bool:
@@ -614,16 +540,30 @@ class Fit(ByValue, PerAxis[AxisFit]):
         failed = {result.axis.name: result.reason for result in self.results if not result.converged}
         return failed | {dead.axis.name: dead.reason for dead in self.dead}
 
-    def __getitem__(self, axis: str) -> AxisFit:
-        """The fit of one axis, e.g. `fit["gyro_x"]`."""
-        if reason := next((dead.reason for dead in self.dead if dead.axis.name == axis), None):
-            raise FitError(f"{axis}: no result, {reason}")
-        return super().__getitem__(axis)
+    @property
+    def not_measured(self) -> dict[str, str]:
+        """Why the coefficients of an axis are not a measurement of the sensor, by the axis's name."""
+        return {r.axis.name: r.verdict for r in self.results if r.converged and not r.measured}
 
     @property
-    def coefficients(self) -> dict[str, Mapping[str, Estimate]]:
+    def coefficients(self) -> dict[str, _Coefficients]:
         """Coefficients by axis and label. Raises FitError if an axis did not converge."""
         return {result.axis.name: result.coefficients for result in self.results}
+
+    def as_for(self, axis: str) -> Fit:
+        """The fit for one axis: with the axis's own model and objective if it has them."""
+        if (own := self[axis].own_template) is None:
+            return self
+        results = tuple(map(copy.copy, self.results))
+        return dataclasses.replace(self, template=own, objective="whittle", results=results)
+
+    def without_extensions(self) -> Fit:
+        """The fit in which axes with a model of their own have the fit of the plain terms."""
+        results = tuple(
+            dataclasses.replace(r.plain or r, mean=r.mean, rms=r.rms, not_measured=r.not_measured)
+            for r in self.results
+        )
+        return dataclasses.replace(self, results=results)
 
     def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
         """Allan deviation [rad/s or m/s²] of the fitted model at cluster times [s]."""

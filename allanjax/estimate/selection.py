@@ -1,8 +1,7 @@
 """The choice of noise terms: every subset of the candidates, ranked by its evidence, and their average.
 
-Where the data cannot distinguish a random walk from flicker noise, the coefficient of either may be zero, but
-the drift is known: all probable sets agree on it. For the average, sets are drawn by their probabilities, and
-the logarithms of their powers from the normal law at the maximum of their likelihood.
+For the average, sets are drawn by their probabilities, and the logarithms of their powers from the normal law
+at the maximum of their likelihood: where the data cannot distinguish two terms, the drift may be known.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
@@ -21,7 +20,7 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
 from allanjax.base.threads import for_each
-from allanjax.base.wording import duration, plain
+from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
 from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
 from allanjax.estimate.spectral.components import columns_of
@@ -43,24 +42,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # Number of draws of sets and powers, and the shortest cluster of the drift, in samples.
-_DRAWS = 2000
-_SHORTEST = 10
+_DRAWS, _SHORTEST = 2000, 10
 # Number of decades of the cluster time, from 1 s on, at which the drift is printed.
 _DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
-# Probability below which subsets are not drawn.
+# Probability, relative to the best set's, below which sets are not drawn.
 _IMPROBABLE = 1e-4
 _QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
-# Bayes factor of the best set against another below which they cannot be distinguished (Kass & Raftery 1995:
-# 20 is "strong").
-_ODDS = 20.0
-# A fit takes the simplest of the sets against which the best one has a Bayes factor below this.
-_PARSIMONY = 5.0
-# Posterior probability of a chosen term, summed over its sets, above which it is detected.
-_CERTAIN = 0.95
-# Probability below which a further term is not reported as undecided: any term may be there undetected.
-_WORTH_SAYING = 0.1
+# Bayes factors of the best set below which another cannot be distinguished (Kass & Raftery 1995: 20 is
+# "strong"), and below which a fit takes the other if it is simpler.
+_ODDS, _PARSIMONY = 20.0, 5.0
+# Posterior probability of a chosen term, summed over its sets, above which it is detected; and the least one
+# of a further term that is reported as undecided: any term may be there undetected.
+_CERTAIN, _WORTH_SAYING = 0.95, 0.1
 # Number of times that the evidence is recomputed with the model error of the best set.
 _ROUNDS = 2
 # Sets more nats than this behind the best one are not tried with a second free time.
@@ -86,10 +81,8 @@ class Averaged(ByValue):
 
     def at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Deviation and the ends of its interval at a cluster time [s]; nan where there is none."""
-        if not self.cluster_time[0] <= time <= self.cluster_time[-1]:
-            return np.full(3, np.nan)
         curves, log_time = np.log([self.deviation, *self.interval.T]), np.log(self.cluster_time)
-        return np.exp([np.interp(np.log(time), log_time, y) for y in curves])
+        return np.exp([np.interp(np.log(time), log_time, y, np.nan, np.nan) for y in curves])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,12 +108,15 @@ class TermSet:
         return " + ".join(self.terms)
 
     def __repr__(self) -> str:
-        return f"<TermSet {self}: {plain(100.0 * self.probability, 3)} %, {self.parameters} parameters>"
+        return f"<TermSet {self}: {percent(self.probability, 3)}, {self.parameters} parameters>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AxisSelection(ByValue):
     """Ranking of the sets of noise terms for one axis.
+
+    Sets with a free time compete with the chosen one only if that has one, too: a short time is like white
+    noise, and a long one like a random walk.
 
     Attributes:
         axis: the axis.
@@ -150,29 +146,22 @@ class AxisSelection(ByValue):
 
     @property
     def chosen(self) -> TermSet:
-        """The set with the fewest parameters among those at most five times less probable than the best.
-
-        Of two explanations that are hard to distinguish, it is the simpler one.
-        """
+        """The set with the fewest parameters among those at most five times less probable than the best."""
         return min(self._within(_PARSIMONY), key=lambda s: (s.parameters, -s.log_evidence))
 
     @property
     def _compared(self) -> list[TermSet]:
-        """The sets that compete with the chosen one; those with a free time if it has one."""
+        """The sets that compete with the chosen one."""
         free = self.chosen.parameters > len(self.chosen.terms)
         return [s for s in self.ranking if free or s.parameters == len(s.terms)]
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets.
-
-        Sets with a free time count only if the chosen one has one, too: a short time is like white noise.
-        """
-        found: dict[str, tuple[float, float]] = {}
-        for label, (low, high) in (item for s in self._compared for item in s.intervals.items()):
-            one, other = found.get(label, (low, high))
-            found[label] = min(low, one), max(high, other)
-        return found
+        """95 % interval [SI] of each amplitude that covers those of all indistinguishable sets."""
+        found: dict[str, list[float]] = {}
+        for label, ends in (item for s in self._compared for item in s.intervals.items()):
+            found.setdefault(label, []).extend(ends)
+        return {label: (min(ends), max(ends)) for label, ends in found.items()}
 
     @property
     def inclusion(self) -> dict[str, float]:
@@ -183,7 +172,6 @@ class AxisSelection(ByValue):
     def doubtful(self) -> dict[str, tuple[str, ...]]:
         """The chosen terms whose posterior probability is below 95 %, and the terms that may replace each.
 
-        Sets with a free time compete only if the chosen one has one, too: a long time is like a random walk.
         The rivals are terms that the sets indistinguishable from the best one need, the most probable first;
         none if the term may just as well be missing.
         """
@@ -193,7 +181,7 @@ class AxisSelection(ByValue):
         for term in self.chosen.terms:
             without = [s for s in compared if term not in s.terms]
             if sum(s.probability for s in without) > (1.0 - _CERTAIN) * total:
-                likely = [frozenset(s.terms) for s in without if frozenset(s.terms) in close]
+                likely = (s for s in (frozenset(of.terms) for of in without) if s in close)
                 needed = (t for s in likely for t in sorted(s) if s - {t} not in close)
                 found[term] = tuple(t for t in dict.fromkeys(needed) if t not in self.chosen.terms)
         return found
@@ -206,55 +194,42 @@ class AxisSelection(ByValue):
         """
         found, chosen = [], self.chosen
         for other in self.indistinguishable:
-            more, less = (
-                [t for t in a.terms if t not in b.terms] for a, b in ((other, chosen), (chosen, other))
-            )
-            extra, missing = ([title_of(t, self.axis.sensor) for t in terms] for terms in (more, less))
+            extra = [t for t in other.terms if t not in chosen.terms]
+            missing = [t for t in chosen.terms if t not in other.terms]
+            titles = [title_of(t, self.axis.sensor) for t in missing + extra]
+            one, two = (chosen, other) if extra else (other, chosen)
             if len(missing) == len(extra) == 1:
-                question = f"{missing[0]} or {extra[0]}", "{} and {}"
-            elif len(missing) + len(extra) == 1 and other.probability > _WORTH_SAYING:
-                question = (missing or extra)[0], "{} without it, {} with it"
-            else:
-                continue
-            one, two = (other, chosen) if not extra else (chosen, other)
-            found.append((*question, one.probability, two.probability))
+                found.append((" or ".join(titles), "{} and {}", one.probability, two.probability))
+            elif len(titles) == 1 and other.probability > _WORTH_SAYING:
+                found.append((titles[0], "{} without it, {} with it", one.probability, two.probability))
         return tuple(found[:3])
 
     def ambiguities(self) -> tuple[str, ...]:
         """What the data leave undecided, in words, the most probable first."""
-        return tuple(
-            _in_words(question, words, [one], [two]) for question, words, one, two in self.undecided()
-        )
+        return tuple(_in_words(text, words, [one], [two]) for text, words, one, two in self.undecided())
 
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
 
-        close = len(self.indistinguishable)
-        return pd.DataFrame(
-            {
-                "axis": self.axis.name,
-                "rank": rank,
-                "terms": str(s),
-                "probability": s.probability,
-                "log_evidence": s.log_evidence - self.best.log_evidence,
-                "indistinguishable": rank <= close,
-            }
+        name, best, close = self.axis.name, self.best.log_evidence, len(self.indistinguishable)
+        rows = [
+            (name, rank, str(s), s.probability, s.log_evidence - best, rank <= close)
             for rank, s in enumerate(self.ranking, 1)
-        )
+        ]
+        columns = ["axis", "rank", "terms", "probability", "log_evidence", "indistinguishable"]
+        return pd.DataFrame(rows, columns=columns)
 
     def __repr__(self) -> str:
-        chosen, best = (f"{s} ({plain(100.0 * s.probability, 3)} %)" for s in (self.chosen, self.best))
+        chosen, best = (f"{s} ({percent(s.probability, 3)})" for s in (self.chosen, self.best))
         close = f"{len(self.indistinguishable)} of {len(self.ranking)} sets cannot be distinguished"
         return f"<AxisSelection {self.axis.name}: chosen {chosen}, best {best};\n {close}>"
 
 
-def _in_words(question: str, words: str, one: Sequence[float], other: Sequence[float]) -> str:
+def _in_words(question: str, words: str, *probabilities: Sequence[float]) -> str:
     """An undecided question with ranges of the probabilities of the best sets, e.g. "19–30 %"."""
-    ranges = []
-    for p in (one, other):
-        ends = dict.fromkeys(plain(100.0 * x, 2) for x in (min(p), max(p)))
-        ranges.append(f"{'–'.join(ends)} %")
+    ends = (dict.fromkeys(plain(100.0 * x, 2) for x in (min(p), max(p))) for p in probabilities)
+    ranges = (f"{'–'.join(of)} %" for of in ends)
     return f"{question} (probabilities of the best sets: {words.format(*ranges)})"
 
 
@@ -291,9 +266,9 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         """Notes on what the data leave undecided: one per question, with its axes and probabilities."""
         notes = []
         for (question, words), of in self.undecided().items():
-            names, one, other = zip(*of, strict=True)
-            on = ", ".join(names)
-            notes.append(f"undecided: {_in_words(f'{question} on {on}', words, one, other)}")
+            names, *probabilities = zip(*of, strict=True)
+            on = f"{question} on {', '.join(names)}"
+            notes.append(f"undecided: {_in_words(on, words, *probabilities)}")
         return tuple(notes)
 
     def _title(self) -> str:
@@ -342,19 +317,13 @@ def select_terms(
 ) -> TermSelection:
     """Rank every set of noise terms by its evidence, for every axis of a recording.
 
-    The evidence (marginal likelihood) is Whittle's likelihood integrated over the coefficients by Laplace's
-    method, with the boundary at zero by quadrature (see `evidence`). Unlike BIC it needs no effective number
-    of samples per coefficient (about ten for a rate random walk, all for an angle random walk); unlike
-    held-out likelihood it uses the few low frequencies of a drift in full. All sets have the same prior
-    probability.
+    The evidence (see `evidence`) is Whittle's likelihood integrated over the coefficients; all sets have the
+    same prior probability. Where none fits the spectrum (p < 10⁻⁶), all are given the relative error that
+    makes the best one fit, which lowers all Bayes factors; sets with a free time, which would absorb the
+    misfit, are then left out. If the candidates have two Markov processes (`"N + B + K + markov + markov"`),
+    both together are compared, too, beside the sets that come near the best with one of them.
 
-    Where no set fits the spectrum (p < 10⁻⁶), all are given the relative error that makes the best one fit,
-    which lowers all Bayes factors; sets with a free time are then left out, as they would absorb the misfit.
-
-    If the candidates have two Markov processes (`"N + B + K + markov + markov"`), both together are compared,
-    too, beside the sets that come near the best with one of them. `averaged` of each result has coefficients
-    and drift averaged over all sets by their probabilities. The segments of a recording with gaps are
-    combined. Disturbed parts that `inspect` detects are left out, as by `fit`.
+    The segments of a recording with gaps are combined. Disturbed parts are left out, as by `fit`.
 
     Args:
         recording: a result of `read`, or anything else that `fit` takes.
@@ -403,40 +372,39 @@ def rank_terms(
 
     The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
     """
-    candidates, values = _Candidates.of(model, bins), [np.asarray(x) for x in statistics]
-
-    def of_axis(k: int) -> AxisSelection:
-        own = SpectralStatistics(*(x[k] for x in values))
-        return _Spectrum(candidates, own, bins.size.astype(float)).selection(axes[k])
-
-    return TermSelection(name, tuple(for_each(of_axis, range(len(axes)))))
+    values = [np.asarray(x) for x in statistics]
+    own = [SpectralStatistics(*(x[k] for x in values)) for k in range(len(axes))]
+    candidates = _Candidates.of(model, bins, statistics)
+    results = for_each(lambda k: candidates._replace(statistics=own[k]).ranked_for(axes[k]), range(len(axes)))
+    return TermSelection(name, tuple(results))
 
 
 class _Candidates(NamedTuple):
-    """Candidate terms of a model with their expectations in the bins of a spectrum.
+    """Candidate terms, and the spectrum of an axis by which sets of them are ranked.
 
-    The columns are those of the `plain` terms without a free shape, then of each free one at `grid` times:
-    the index of their `owner`, their `levels` [rate²], and their Allan `variances` at octaves of the cluster
-    `time` [s], of unit amplitude. `sets` are all with at most one free time; these have a place for as many
-    as there are. `ramp` is the index of the ramp, None without one.
+    A set has a place for each of the `plain` terms without a free shape, and for each term with a free time;
+    `owner` is the term of each place. The columns, of unit amplitude, are of the plain terms, and of the
+    term with a free time at the times of a grid: `levels` [rate²] in the bins, and Allan `variances` at
+    octaves of the cluster `time` [s]. `ramp` is the index of the ramp, if there is one; `size` the number of
+    coefficients in each bin, multiplied by the share of their weight that it keeps.
     """
 
     model: Model
     bins: Bins
     ramp: int | None
     plain: int
-    grid: int
-    owner: Int[np.ndarray, " columns"]
+    owner: Int[np.ndarray, " places"]
     levels: Float[np.ndarray, "columns m"]
     time: Float[np.ndarray, " t"]
     variances: Float[np.ndarray, "columns t"]
-    sets: TermSets
+    size: Float[np.ndarray, " m"]
+    statistics: SpectralStatistics
 
     @classmethod
-    def of(cls, model: Model, bins: Bins) -> _Candidates:
+    def of(cls, model: Model, bins: Bins, statistics: SpectralStatistics) -> _Candidates:
         """Candidates as sampled. Raises AllanjaxError as `_sorted_terms` does."""
         fixed, shaped, ramps = _sorted_terms(model)
-        units, plain, times = [model.terms[k] for k in fixed], len(fixed), np.zeros(0)
+        units = [model.terms[k] for k in fixed]
         for term in (model.terms[k] for k in shaped[:1]):
             times = correlation_times(bins.n / bins.rate, bins.rate)
             name = next(p.name for p in term.parameters()[1:] if term.is_free(p))
@@ -444,41 +412,144 @@ class _Candidates(NamedTuple):
         octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
         time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
         variances = np.array([term.with_unit_amplitude().allan_variance(time) for term in units])
-        sets = term_sets(plain, len(times), bool(ramps))
-        every = np.arange(len(units))
-        if len(shaped) > 1:
-            # A second one is of the same kind.
-            every = np.append(every, every[plain:])
-            none = np.zeros(len(sets.ramp), int)
-            sets = TermSets(np.c_[sets.columns, none + len(units)], np.c_[sets.used, none > 0], sets.ramp)
-        owner = np.array([*fixed, *np.repeat(shaped, len(times))], int)
-        levels, ramp = columns_of(units, bins).mean(axis=1)[every], ramps[0] if ramps else None
-        return cls(model, bins, ramp, plain, len(times), owner, levels, time, variances[every], sets)
+        ramp, owner, size = ramps[0] if ramps else None, np.array(fixed + shaped), bins.size.astype(float)
+        levels = columns_of(units, bins).mean(axis=1)
+        return cls(model, bins, ramp, len(fixed), owner, levels, time, variances, size, statistics)
+
+    @property
+    def sets(self) -> TermSets:
+        """All sets with at most one free time."""
+        sets = term_sets(self.plain, len(self.levels) - self.plain, self.ramp is not None)
+        # Of the place for a second time none makes use.
+        more = ((0, 0), (0, len(self.owner) - sets.columns.shape[1]))
+        return TermSets(np.pad(sets.columns, more), np.pad(sets.used, more), sets.ramp)
 
     def with_two_times(self, found: Evidence) -> TermSets:
         """All pairs of times with what those sets with one have besides that are not far behind the best."""
         one = found.used[:, self.plain]
         near = one & (found.log_evidence > found.log_evidence[one].max() - _FAR)
         besides = np.unique(np.c_[found.used[near, : self.plain], found.ramp[near]], axis=0)
-        pairs = np.array(list(itertools.combinations(range(self.grid), 2)))
+        pairs = np.array(list(itertools.combinations(range(self.plain, len(self.levels)), 2)))
         rows, each = np.repeat(besides, len(pairs), axis=0), np.tile(pairs, (len(besides), 1))
-        columns = np.c_[np.tile(np.arange(self.plain), (len(rows), 1)), self.plain + each + [0, self.grid]]
+        columns = np.c_[np.tile(np.arange(self.plain), (len(rows), 1)), each]
         return TermSets(columns, np.c_[rows[:, :-1], np.ones((len(rows), 2), bool)], rows[:, -1])
 
-    def terms_of(self, found: Evidence) -> Bool[np.ndarray, "sets terms"]:
-        """Which terms each set has."""
+    def ranked_for(self, axis: Axis) -> AxisSelection:
+        """Ranking of the sets, and their average."""
+        weighed, found, error = self, self.evidence(self.sets), 0.0
+        if len(self.owner) > self.plain + 1:
+            pairs = self.evidence(self.with_two_times(found))
+            found = Evidence(*map(np.concatenate, zip(found, pairs, strict=True)))
+        if self.error_of(found) > 0.0:
+            # Without other terms, those with a free time are kept.
+            if self.plain:
+                found = found.of(~found.used[:, self.plain :].any(axis=1))
+            for _ in range(_ROUNDS):
+                error = max(error, self.error_of(found))
+                share = share_with_error(self.size, self.bins.per_octave() * error**2)
+                statistics = SpectralStatistics(*(share * x for x in self.statistics))
+                weighed = self._replace(statistics=statistics, size=share * self.size)
+                found = weighed.evidence(TermSets(*found[:3]))
         has = np.zeros((len(found.ramp), len(self.model)), bool)
-        np.put_along_axis(has, self.owner[found.columns], found.used, axis=1)
+        has[:, self.owner] = found.used
         if self.ramp is not None:
             has[:, self.ramp] = found.ramp
-        return has
+        sets, which = np.unique(has, axis=0, return_inverse=True)
+        which = which.ravel()
+        # The evidence of a set with free times is the mean over the grid of times.
+        each = found.log_evidence - np.log(np.bincount(which))[which]
+        total = np.array([np.logaddexp.reduce(each[which == k]) for k in range(len(sets))])
+        probability, labels, ranking = np.exp(total - np.logaddexp.reduce(total)), self.model.term_labels, []
+        free = np.bincount([p.term for p in self.model.parameters if p.free], minlength=len(labels))
+        for k in np.argsort(-total, kind="stable").tolist():
+            behind, rows = float(total[k] - total.max()), np.flatnonzero(which == k)
+            best = found.of(rows[[np.argmax(each[rows])]])
+            known = weighed.intervals(best) if behind > -np.log(_ODDS) else {}
+            names = tuple(itertools.compress(labels, sets[k]))
+            ranking.append(TermSet(names, int(free @ sets[k]), behind, float(probability[k]), known))
+        averaged = weighed.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
+        return AxisSelection(axis, tuple(ranking), error / 2.0, averaged)
+
+    def evidence(self, sets: TermSets) -> Evidence:
+        return evidence(sets, self.levels, self.statistics, self.size)
+
+    def ramps(self, found: Evidence) -> Ramps:
+        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
+
+    def mean(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
+        """Expected levels of sets at the maxima of their likelihoods."""
+        return np.maximum((found.power[:, None] @ self.levels[found.columns])[:, 0], 1e-300)
+
+    def error_of(self, found: Evidence) -> float:
+        """Relative error that makes the best set fit; 0 if it does."""
+        best = found.of([np.argmax(found.log_evidence)])
+        level, mean = self.statistics.squares / self.size, self.mean(best)
+        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
+        ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
+        if chi_squared(ratio, dof) <= beyond_doubt(degrees):
+            return 0.0
+        return error_of_powers(ratio, dof, self.bins.per_octave(), degrees)
+
+    def covariance(self, found: Evidence) -> Float[np.ndarray, "sets places places"]:
+        """Covariance of the logarithms of the powers of sets."""
+        F = information(self.levels[found.columns], self.mean(found), self.size / 2.0)
+        F *= found.power[:, :, None] * found.power[:, None]
+        # A power that few coefficients determine is as likely half as large as twice as large.
+        return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
+
+    def intervals(self, best: Evidence) -> dict[str, tuple[float, float]]:
+        """95 % interval of each amplitude of a set but the ramp's, by its label."""
+        labels = {p.term: p.label for p in self.model.parameters if p.parameter.is_amplitude}
+        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
+        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
+        every = zip(self.owner.tolist(), *ends.tolist(), strict=True)
+        return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
+
+    def averaged(self, axis: Axis, found: Evidence, probability: Float[np.ndarray, " sets"]) -> Averaged:
+        """Average over the sets, drawn by their probabilities."""
+        rng = np.random.default_rng(0)
+        likely = probability > _IMPROBABLE * probability.max()
+        found, weight = found.of(likely), probability[likely] / probability[likely].sum()
+        drawn = np.repeat(np.arange(len(weight)), rng.multinomial(_DRAWS, weight))
+        root = np.linalg.cholesky(self.covariance(found))[drawn]
+        log = root @ rng.standard_normal((_DRAWS, len(self.owner), 1))
+        power, squares = found.power[drawn] * np.exp(log[..., 0]), np.zeros((_DRAWS, len(self.model)))
+        squares[:, self.owner] = power
+        variance = np.einsum("dp,dpt->dt", power, self.variances[found.columns[drawn]])
+        if self.ramp is not None:
+            slope, precision = (x[drawn] for x in self.ramps(found).slope(self.mean(found)))
+            slope += rng.standard_normal(_DRAWS) / np.sqrt(precision)
+            squares[:, self.ramp] = np.where(found.ramp[drawn], slope**2, 0.0)
+            # A ramp of R per second has σ² = R²T²/2 (4.56).
+            variance += np.outer(squares[:, self.ramp], self.time**2 / 2.0)
+        middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
+        amplitudes = (p for p in self.model.parameters if p.parameter.is_amplitude)
+        coefficients = {p.label: _of_draws(axis, p, np.sqrt(squares[:, p.term])) for p in amplitudes}
+        return Averaged(coefficients, self.time, middle, np.stack(ends, axis=1))
+
+
+def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
+    """An averaged amplitude."""
+    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
+    return Estimate(
+        label=p.label,
+        term=p.term_label,
+        parameter=p.parameter,
+        axis=axis,
+        value=median,
+        std=float(draws.std()),
+        interval=(low_95, high_95),
+        interval_68=(low_68, high_68),
+        upper_limit=limit,
+        detected=low_95 > 0.0,
+        source="averaged",
+    )
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
     """Indices of the random terms without a free shape, of those with a free time, and of the ramp.
 
-    Raises:
-        AllanjaxError: candidates that cannot be compared.
+    Raises AllanjaxError for candidates that cannot be compared.
     """
     fixed, shaped, ramps = list[int](), list[int](), list[int]()
     for k, term in enumerate(model.terms):
@@ -503,121 +574,3 @@ def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
             "a free time (or two of one kind); hold other times, e.g. Markov().hold(correlation_time=100.0)"
         )
     return fixed, shaped, ramps
-
-
-class _Spectrum(NamedTuple):
-    """Spectrum of one axis, by which the candidates are ranked: sums over bins, and their coefficients."""
-
-    of: _Candidates
-    statistics: SpectralStatistics
-    size: Float[np.ndarray, " m"]
-
-    def selection(self, axis: Axis) -> AxisSelection:
-        """Ranking of the sets, and their average."""
-        spectrum, found, error = self, self.evidence(self.of.sets), 0.0
-        if found.columns.shape[1] > self.of.plain + 1:
-            pairs = self.evidence(self.of.with_two_times(found))
-            found = Evidence(*map(np.concatenate, zip(found, pairs, strict=True)))
-        if self.error_of(found) > 0.0:
-            # Without other terms, those with a free time are kept.
-            if self.of.plain:
-                found = found.of(~found.used[:, self.of.plain :].any(axis=1))
-            for _ in range(_ROUNDS):
-                error = max(error, self.error_of(found))
-                share = share_with_error(self.size, self.of.bins.per_octave() * error**2)
-                weighted = SpectralStatistics(*(share * x for x in self.statistics))
-                spectrum = self._replace(statistics=weighted, size=share * self.size)
-                found = spectrum.evidence(TermSets(*found[:3]))
-        sets, which = np.unique(self.of.terms_of(found), axis=0, return_inverse=True)
-        which = which.ravel()
-        # The evidence of a set with free times is the mean over the grid of times.
-        each = found.log_evidence - np.log(np.bincount(which))[which]
-        total = np.array([np.logaddexp.reduce(each[which == k]) for k in range(len(sets))])
-        probability, ranking = np.exp(total - np.logaddexp.reduce(total)), []
-        labels, parameters = self.of.model.term_labels, self.of.model.parameters
-        free = np.array([sum(p.free for p in parameters if p.term == k) for k in range(len(labels))])
-        for k in np.argsort(-total, kind="stable"):
-            behind, rows = float(total[k] - total.max()), np.flatnonzero(which == k)
-            best = found.of(rows[[np.argmax(each[rows])]])
-            known = spectrum.intervals(best) if behind > -np.log(_ODDS) else {}
-            names, count = tuple(itertools.compress(labels, sets[k])), int(free @ sets[k])
-            ranking.append(TermSet(names, count, behind, float(probability[k]), known))
-        also = spectrum.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
-        return AxisSelection(axis, tuple(ranking), error / 2.0, also)
-
-    def evidence(self, sets: TermSets) -> Evidence:
-        """Evidence of some sets."""
-        return evidence(sets, self.of.levels, self.statistics, self.size)
-
-    def ramps(self, found: Evidence) -> Ramps:
-        """Ramps of these sets."""
-        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
-
-    def mean(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
-        """Expected levels of sets at the maxima of their likelihoods."""
-        return np.maximum((found.power[:, None] @ self.of.levels[found.columns])[:, 0], 1e-300)
-
-    def error_of(self, found: Evidence) -> float:
-        """Relative error that makes the best set fit; 0 if it does."""
-        best = found.of([np.argmax(found.log_evidence)])
-        level, mean = self.statistics.squares / self.size, self.mean(best)
-        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
-        ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
-        if chi_squared(ratio, dof) <= beyond_doubt(degrees):
-            return 0.0
-        return error_of_powers(ratio, dof, self.of.bins.per_octave(), degrees)
-
-    def covariance(self, found: Evidence) -> Float[np.ndarray, "sets places places"]:
-        """Covariance of the logarithms of the powers of sets."""
-        F = information(self.of.levels[found.columns], self.mean(found), self.size / 2.0)
-        F *= found.power[:, :, None] * found.power[:, None]
-        # A power that few coefficients determine is as likely half as large as twice as large.
-        return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
-
-    def intervals(self, best: Evidence) -> dict[str, tuple[float, float]]:
-        """95 % interval of each amplitude of a set but the ramp's, by its label."""
-        labels = {p.term: p.label for p in self.of.model.parameters if p.parameter.is_amplitude}
-        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
-        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
-        every = zip(self.of.owner[best.columns[0]].tolist(), *ends.tolist(), strict=True)
-        return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
-
-    def averaged(self, axis: Axis, found: Evidence, probability: Float[np.ndarray, " sets"]) -> Averaged:
-        """Average over the sets, drawn by their probabilities."""
-        rng, of, time = np.random.default_rng(0), self.of, self.of.time
-        likely = probability > _IMPROBABLE * probability.max()
-        found, weight = found.of(likely), probability[likely] / probability[likely].sum()
-        drawn = np.repeat(np.arange(len(weight)), rng.multinomial(_DRAWS, weight))
-        root, columns = np.linalg.cholesky(self.covariance(found)), found.columns[drawn]
-        log = root[drawn] @ rng.standard_normal((_DRAWS, columns.shape[1], 1))
-        power, squares = found.power[drawn] * np.exp(log[..., 0]), np.zeros((_DRAWS, len(of.model)))
-        np.put_along_axis(squares, of.owner[columns], power, axis=1)
-        variance = np.einsum("dp,dpt->dt", power, of.variances[columns])
-        if of.ramp is not None:
-            slope, precision = (x[drawn] for x in self.ramps(found).slope(self.mean(found)))
-            slope += rng.standard_normal(_DRAWS) / np.sqrt(precision)
-            squares[:, of.ramp] = np.where(found.ramp[drawn], slope**2, 0.0)
-            # A ramp of R per second has σ² = R²T²/2 (4.56).
-            variance += np.outer(squares[:, of.ramp], time**2 / 2.0)
-        middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
-        amplitudes = (p for p in of.model.parameters if p.parameter.is_amplitude)
-        coefficients = {p.label: _of_draws(axis, p, np.sqrt(squares[:, p.term])) for p in amplitudes}
-        return Averaged(coefficients, time, middle, np.stack(ends, axis=1))
-
-
-def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
-    """An averaged amplitude."""
-    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
-    return Estimate(
-        label=p.label,
-        term=p.term_label,
-        parameter=p.parameter,
-        axis=axis,
-        value=median,
-        std=float(draws.std()),
-        interval=(low_95, high_95),
-        interval_68=(low_68, high_68),
-        upper_limit=limit,
-        detected=low_95 > 0.0,
-        source="averaged",
-    )

@@ -33,46 +33,41 @@ def overview(fit: Fit) -> list[list[Column]]:
         rows = sorted(rows + [(dead.axis, None) for dead in fit.dead], key=lambda row: row[0].name)
     tables: list[list[Column]] = []
     for sensor in SENSORS:
-        axes = [axis for axis, _ in rows if axis.sensor == sensor]
-        results = [result for axis, result in rows if axis.sensor == sensor]
-        if axes:
+        if own := [row for row in rows if row[0].sensor == sensor]:
+            axes, results = zip(*own, strict=True)
             unit, scale = rate_unit_of(axes[0].unit, sensor)
-            columns = _coefficient_columns(results)
             means = [math.nan if r is None else float(r.mean / scale) for r in results]
             tables += tables_of(
                 [Column("axis", [axis.name for axis in axes])],
-                [c for label, c in columns.items() if label in MAIN],
-                [c for label, c in columns.items() if label not in MAIN],
+                *_coefficient_columns(results),
                 [column("mean", unit, means, 4), Column("verdict", list(map(_verdict, results)))],
             )
     return tables
 
 
-def _coefficient_columns(results: Sequence[AxisFit | None]) -> dict[str, Column]:
-    """Columns of the main coefficients, and of others that some axis has, by their labels."""
+def _coefficient_columns(results: Sequence[AxisFit | None]) -> tuple[list[Column], list[Column]]:
+    """Columns of the main coefficients, and of others that some axis has."""
     found: list[dict[str, Estimate]] = []
     for r in results:
-        further = () if r is None else r.further
-        plain_terms = () if r is None else (c for c in r.coefficients.values() if c.term not in further)
+        plain_terms = () if r is None else (c for c in r.coefficients.values() if c.term not in r.further)
         found.append({c.label: c.in_unit() for c in plain_terms})
-    columns = {}
+    main, others = list[Column](), list[Column]()
     labels = dict.fromkeys(label for of in found for label in of)
     for label in sorted(labels, key=lambda name: [*SYMBOLS, name].index(name)):
         known = [of[label] for of in found if label in of]
         if label in MAIN or any(c.held or (c.detected and c.measured) for c in known):
             numbers = [of[label].number if label in of else None for of in found]
-            columns[label] = column(SYMBOLS.get(label, known[0].title), known[0].unit, numbers)
-    return columns
+            name = SYMBOLS.get(label, known[0].title)
+            (main if label in MAIN else others).append(column(name, known[0].unit, numbers))
+    return main, others
 
 
 def _verdict(result: AxisFit | None) -> str:
     """The verdict in one or two words, with p where the model fits."""
     if result is None:
         return "no result"
-    if not result.measured:
-        return "not a measurement"
-    if result.incomplete:
-        return "does not fit"
+    if not result.measured or result.incomplete:
+        return "does not fit" if result.measured else "not a measurement"
     word = "doubtful" if result.doubtful else "fits"
     return f"{word}, p = {significant(result.p_value, 2)}" if math.isfinite(result.p_value) else word
 
@@ -88,10 +83,11 @@ def remarks(fit: Fit) -> Iterator[str]:
     undecided = {} if fit.selection is None else fit.selection.undecided()
     longer = fit.selection.ambiguities() if undecided else ()
     yield from (f"note: {note}" for note in fit.notes if note not in longer)
-    if undecided:
-        axes = [[name for name, *_ in of] for of in undecided.values()]
-        words = (", ".join(names) if len(names) < 3 else f"{len(names)} axes" for names in axes)
-        questions = (f"{question} ({of})" for (question, _), of in zip(undecided, words, strict=True))
+    questions = []
+    for (question, _), of in undecided.items():
+        names = [name for name, *_ in of]
+        questions.append(f"{question} ({', '.join(names) if len(names) < 3 else f'{len(names)} axes'})")
+    if questions:
         yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -68,12 +68,6 @@ class Fact(ByValue):
     def to_dict(self) -> dict[str, Any]:
         """Return the fact in types of JSON."""
         return dataclasses.asdict(self) | {"axes": list(self.axes), "spans": [list(x) for x in self.spans]}
-
-    @classmethod
-    def from_dict(cls, of: Mapping[str, Any]) -> Fact:
-        """Return the fact that `to_dict` wrote."""
-        spans = tuple((first, last) for first, last in of["spans"])
-        return cls(**{**of, "axes": tuple(of["axes"]), "spans": spans})
 
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:
