@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
+from allanjax.base.threads import for_each
 from allanjax.base.wording import plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
@@ -182,7 +183,7 @@ def inspect(
         The parts to use, and facts. This takes a second or two for 10⁶ samples of six axes.
     """
     # Samples that were filled in are not outliers of the sensor.
-    spikes = [_spikes(x, lost) for x, lost in zip(recording.values.T, _drawn(recording).T, strict=True)]
+    spikes = for_each(lambda pair: _spikes(*pair), zip(recording.values.T, _drawn(recording).T, strict=True))
     return look(
         Windows.of(_bridged(recording.values, spikes)),
         recording.axes,

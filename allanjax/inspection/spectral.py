@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.fft import irfft, rfft
 
 from allanjax.base.chi_squared import quantile
+from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
 from allanjax.inspection.windows import runs
@@ -74,14 +75,16 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
         return None
     window = np.hanning(size + 1)[:-1]
     count = 2 * len(values) // size - 1
-    level = np.zeros((size // 2 + 1, values.shape[1]))
-    for k, x in enumerate(values.T):
+
+    def level(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
         segments = np.lib.stride_tricks.sliding_window_view(x, size)[:: size // 2]
         c = rfft((segments - segments.mean(axis=1, keepdims=True)) * window)
         parts = c.view(float).reshape(count, -1, 2)
-        level[:, k] = np.einsum("smi,smi->m", parts, parts) / count
+        return np.einsum("smi,smi->m", parts, parts) / count
+
     # Segments that overlap by a half are worth 18/19 as many independent ones.
-    return Spectrum(np.fft.rfftfreq(size, 1.0 / rate), level, 18.0 / 19.0 * count)
+    levels = np.stack(for_each(level, values.T), axis=1)
+    return Spectrum(np.fft.rfftfreq(size, 1.0 / rate), levels, 18.0 / 19.0 * count)
 
 
 def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:

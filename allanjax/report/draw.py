@@ -159,19 +159,22 @@ def new_figure(size: tuple[float, float], path: str | os.PathLike[str] | None, s
     last one, for `plt.savefig` and the like.
     """
     import matplotlib
-    import matplotlib.pyplot as plt
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     backend = matplotlib.get_backend().lower()
+    if "inline" not in backend and (not single or (path is not None and not matplotlib.is_interactive())):
+        # Without pyplot, which takes long to load.
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=size)
+        FigureCanvasAgg(figure)
+        return figure
+    import matplotlib.pyplot as plt
+
     if "inline" in backend:
         # A notebook shows the figure returned, once pyplot has made one; left open, it would show it twice.
         figure = plt.figure(figsize=size)
         plt.close(figure)
-        return figure
-    if not single or (path is not None and not plt.isinteractive()):
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
         return figure
     former = list(_waiting)
     _waiting.clear()
