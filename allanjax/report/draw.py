@@ -326,12 +326,13 @@ def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Artist:
 
 def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") -> None:
     """Give a panel its name, labels, logarithmic axes (of "xy"), faint grid and ticks that point inwards."""
+    panel.set_axisbelow(True)
+    panel.tick_params(which="both", direction="in")
     for letter, axis in (("x", panel.xaxis), ("y", panel.yaxis)):
         if letter in log:
             _set_log(panel, letter, axis)
-    panel.grid(True, which="major", color=ink(0.88), linewidth=0.6)
-    panel.set_axisbelow(True)
-    panel.tick_params(which="both", direction="in")
+        else:
+            axis.grid(True, **_GRID, color=ink(0.88))
     for text, write in ((x, panel.set_xlabel), (y, panel.set_ylabel)):
         if text:
             write(text)
@@ -339,15 +340,16 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
         panel.set_title(name, loc="left", fontweight="bold")
 
 
+_GRID: dict[str, Any] = {"linewidth": 0.6, "snap": True}
 # Powers of ten that a scale may have, and the marks between them.
 _TEN = 10.0 ** np.arange(-40.0, 41.0)
 _BETWEEN = np.ravel([2.0 * _TEN, 5.0 * _TEN])
 
 
 def _set_log(panel: Axes, letter: str, axis: Any) -> None:
-    """Give a panel a logarithmic scale, with marks at 2 and 5 times powers of ten.
+    """Give a panel a logarithmic scale, with marks at 1, 2 and 5 times powers of ten.
 
-    The marks are one line, and numbers are plain text: ticks and formulas would take most of the time.
+    Numbers are plain text, as formulas would take most of the time.
     """
     from matplotlib.ticker import NullLocator
 
@@ -355,11 +357,28 @@ def _set_log(panel: Axes, letter: str, axis: Any) -> None:
     setattr(panel, f"fmt_{letter}data", "{:.4g}".format)
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(_power_of_ten)
-    at, edge = _BETWEEN, np.zeros(len(_BETWEEN))
-    data, marker = ((at, edge), 2) if letter == "x" else ((edge, at), 1)
-    look: dict[str, Any] = {"marker": marker, "markersize": 2.0, "markeredgewidth": 0.6, "linestyle": "none"}
+    _rule(panel, letter, _TEN)
+    _mark(panel, letter, _BETWEEN, 2.0, 0.6)
+
+
+def _rule(panel: Axes, letter: str, at: Float[np.ndarray, " marks"]) -> None:
+    """Draw grid lines and marks in place of those of ticks, which only write numbers from now on.
+
+    Each tick is three lines and two texts, which would take most of the time.
+    """
+    panel.tick_params(axis=letter, which="both", direction="in", left=False, bottom=False)
+    _mark(panel, letter, at, 3.5, 0.8)
+    ends = np.tile([0.0, 1.0, np.nan], len(at)), np.repeat(at, 3)
+    look = {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 0.4, "label": "_grid"}
+    panel.add_artist(line_entry(*(ends[::-1] if letter == "x" else ends), color=ink(0.88), **look, **_GRID))
+
+
+def _mark(panel: Axes, letter: str, at: Float[np.ndarray, " marks"], size: float, width: float) -> None:
+    """Draw marks that point inwards, all of them as one line."""
+    data, marker = ((at, 0.0 * at), 2) if letter == "x" else ((0.0 * at, at), 1)
+    look: dict[str, Any] = {"marker": marker, "markersize": size, "markeredgewidth": width}
     look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
-    panel.add_artist(line_entry(*data, color=ink(), label="_marks", **look))
+    panel.add_artist(line_entry(*data, color=ink(), linestyle="none", label="_marks", **look))
 
 
 def _power_of_ten(value: float, _: int | None) -> str:
@@ -640,11 +659,13 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
     linear = max(high, -low) <= _LINEAR * reach
     # The ends of the linear part, where their labels are clear of the others.
     inner = [end for end, of in ((-reach, low), (reach, high)) if of / end >= (2.0 if linear else 3.0)]
+    marks = [low, *inner, 0.0, high]
     for strip, r in zip(strips, residuals, strict=True):
         if not linear:
             strip.set_yscale("symlog", linthresh=reach)
         strip.set_ylim(1.1 * low, 1.1 * high)
-        strip.set_yticks([low, *inner, 0.0, high])
+        strip.set_yticks(marks if strip is strips[0] else [])
+        _rule(strip, "y", np.array(marks))
         strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
         strip.yaxis.set_minor_locator(NullLocator())
         if r is None:
@@ -666,6 +687,8 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
 
     Panels without points set their own.
     """
+    from matplotlib.ticker import NullLocator
+
     if not any(panel.points for panel in row):
         for axes in panels:
             dress(axes)
@@ -674,13 +697,17 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
         np.concatenate(of) for of in zip(*((p.x, p.y) for panel in row for p in panel.points), strict=True)
     )
     positive = y[y > 0.0]
-    for axes in (*panels, *strips):
-        dress(axes, log="xy" if axes in panels else "x")
-        axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
-        axes.tick_params(which="both", labelleft=axes in (*panels[:1], *strips[:1]))
     for panel in panels:
+        dress(panel, log="xy")
         panel.set_ylim(positive.min(initial=1e6) / 3.0, positive.max(initial=1e-6) * 2.0)
-        panel.tick_params(labelbottom=not strips)
+        if panel is not panels[0]:
+            panel.yaxis.set_major_locator(NullLocator())
+        if strips:
+            panel.xaxis.set_major_locator(NullLocator())
+    for strip in strips:
+        _set_log(strip, "x", strip.xaxis)
+    for axes in (*panels, *strips):
+        axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
 
 
 def _draw_key(panel: Axes, apart: float, entries: Sequence[KeyEntry]) -> None:
