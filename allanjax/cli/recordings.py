@@ -95,8 +95,6 @@ def characterize(
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
     """
-    from allanjax.estimate.as_json import SCHEMA_VERSION
-    from allanjax.report.files import with_check, write_results
 
     def work(file: Input, directory: Path | None) -> Outcome:
         check = spectrum = None
@@ -104,6 +102,8 @@ def characterize(
             fit = _accumulate_and_fit(file, options)
         else:
             check, spectrum, fit = read_and_fit(file, options)
+        from allanjax.report.files import with_check, write_results
+
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
@@ -115,6 +115,8 @@ def characterize(
         return Outcome(text, with_check(fit, check), paths, missing)
 
     def document(fits: list[dict[str, Any]], _: int) -> dict[str, Any]:
+        from allanjax.estimate.as_json import SCHEMA_VERSION
+
         return {"schema_version": SCHEMA_VERSION, "fits": fits}
 
     work_through(files, out, as_json, work, document)
@@ -122,16 +124,19 @@ def characterize(
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectrum, Fit]":
     """Check, spectrum and fit of a file's recording; check and spectrum are made during the fit."""
-    from allanjax.estimate.check import check_of
-    from allanjax.spectrum.psd import power_spectrum
+    import allanjax.inspection  # noqa: F401
 
     with ThreadPoolExecutor(1) as pool:
-        # It is slow to load, and needed for the figures.
-        pool.submit(import_module, "matplotlib.figure")
+        # What takes long to load, for the fit and for the figures, is loaded during the inspection.
+        for module in ("allanjax.estimate.fit", "matplotlib.figure"):
+            pool.submit(import_module, module)
         with stage(f"{file.label}: reading"):
             recording = file.read(options.reading)
         with fitting(file, recording):
             inspection = options.inspect(recording)
+            from allanjax.estimate.check import check_of
+            from allanjax.spectrum.psd import power_spectrum
+
             spectrum = pool.submit(power_spectrum, inspection.quiet(recording))
             check = pool.submit(check_of, recording, inspection)
             fit = options.fit(recording, inspection)

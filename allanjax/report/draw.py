@@ -328,9 +328,10 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
     """Give a panel its name, labels, logarithmic axes (of "xy"), faint grid and ticks that point inwards."""
     panel.set_axisbelow(True)
     panel.tick_params(which="both", direction="in")
-    for letter, axis in (("x", panel.xaxis), ("y", panel.yaxis)):
-        if letter in log:
-            _set_log(panel, letter, axis)
+    scales: tuple[Any, ...] = (panel.xaxis, panel.yaxis)
+    for axis in scales:
+        if axis.axis_name in log:
+            _set_log(panel, axis)
         else:
             axis.grid(True, **_GRID, color=ink(0.88))
     for text, write in ((x, panel.set_xlabel), (y, panel.set_ylabel)):
@@ -346,39 +347,46 @@ _TEN = 10.0 ** np.arange(-40.0, 41.0)
 _BETWEEN = np.ravel([2.0 * _TEN, 5.0 * _TEN])
 
 
-def _set_log(panel: Axes, letter: str, axis: Any) -> None:
+def _set_log(panel: Axes, axis: Any) -> None:
     """Give a panel a logarithmic scale, with marks at 1, 2 and 5 times powers of ten.
 
     Numbers are plain text, as formulas would take most of the time.
     """
     from matplotlib.ticker import NullLocator
 
-    panel.set(**{f"{letter}scale": "log"})
-    setattr(panel, f"fmt_{letter}data", "{:.4g}".format)
+    panel.set(**{f"{axis.axis_name}scale": "log"})
+    setattr(panel, f"fmt_{axis.axis_name}data", "{:.4g}".format)
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(_power_of_ten)
-    _rule(panel, letter, _TEN)
-    _mark(panel, letter, _BETWEEN, 2.0, 0.6)
+    _rule(panel, axis, _TEN)
+    _mark(panel, axis, _BETWEEN, 2.0, 0.6)
 
 
-def _rule(panel: Axes, letter: str, at: Float[np.ndarray, " marks"]) -> None:
+def _rule(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"]) -> None:
     """Draw grid lines and marks in place of those of ticks, which only write numbers from now on.
 
     Each tick is three lines and two texts, which would take most of the time.
     """
-    panel.tick_params(axis=letter, which="both", direction="in", left=False, bottom=False)
-    _mark(panel, letter, at, 3.5, 0.8)
-    ends = np.tile([0.0, 1.0, np.nan], len(at)), np.repeat(at, 3)
-    look = {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 0.4, "label": "_grid"}
-    panel.add_artist(line_entry(*(ends[::-1] if letter == "x" else ends), color=ink(0.88), **look, **_GRID))
+    is_x = axis.axis_name == "x"
+    axis.set_tick_params(which="both", direction="in", **{"bottom" if is_x else "left": False})
+    _mark(panel, axis, at, 3.5, 0.8)
+    along, across = np.repeat(at, 3), np.tile([0.0, 1.0, np.nan], len(at))
+    look: dict[str, Any] = {"color": ink(0.88), "zorder": 0.4, "label": "_grid", **_GRID}
+    _add_line(panel, axis, along, across, **look)
 
 
-def _mark(panel: Axes, letter: str, at: Float[np.ndarray, " marks"], size: float, width: float) -> None:
+def _mark(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"], size: float, width: float) -> None:
     """Draw marks that point inwards, all of them as one line."""
-    data, marker = ((at, 0.0 * at), 2) if letter == "x" else ((0.0 * at, at), 1)
-    look: dict[str, Any] = {"marker": marker, "markersize": size, "markeredgewidth": width}
-    look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
-    panel.add_artist(line_entry(*data, color=ink(), linestyle="none", label="_marks", **look))
+    look: dict[str, Any] = {"marker": 2 if axis.axis_name == "x" else 1, "linestyle": "none", "zorder": 2.01}
+    look |= {"markersize": size, "markeredgewidth": width}
+    _add_line(panel, axis, at, 0.0 * at, color=ink(), label="_marks", **look)
+
+
+def _add_line(panel: Axes, axis: Any, along: Any, across: Any, **look: Any) -> None:
+    """Draw a line through places along an axis, in its unit, and across it, in heights of the panel."""
+    data = (along, across) if axis.axis_name == "x" else (across, along)
+    transform = getattr(panel, f"get_{axis.axis_name}axis_transform")()
+    panel.add_artist(line_entry(*data, transform=transform, **look))
 
 
 def _power_of_ten(value: float, _: int | None) -> str:
@@ -665,7 +673,7 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
             strip.set_yscale("symlog", linthresh=reach)
         strip.set_ylim(1.1 * low, 1.1 * high)
         strip.set_yticks(marks if strip is strips[0] else [])
-        _rule(strip, "y", np.array(marks))
+        _rule(strip, strip.yaxis, np.array(marks))
         strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
         strip.yaxis.set_minor_locator(NullLocator())
         if r is None:
@@ -705,7 +713,7 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
         if strips:
             panel.xaxis.set_major_locator(NullLocator())
     for strip in strips:
-        _set_log(strip, "x", strip.xaxis)
+        _set_log(strip, strip.xaxis)
     for axes in (*panels, *strips):
         axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
 
