@@ -17,6 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from allanjax.base.cache import compiled_once
 from allanjax.base.errors import AllanjaxError
 
 #: Kinds of variances.
@@ -179,7 +180,7 @@ _BLOCK = 32
 # Least number of phases that memory is reserved for, so that shorter records share one program.
 _LEAST = 1 << 20
 # Cluster sizes are padded to a multiple of this number.
-_SIZES = 64
+_SIZES = 128
 # Running sums are products with triangular matrices of this size, which XLA vectorises.
 _ROW = 16
 
@@ -221,10 +222,9 @@ def allan_variance_estimates(
 
     def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
         axis, share = task
-        found = _square_sums(
-            phases[axis], every, len(sizes), n, share, shares, kind=kind, overlapping=overlapping
-        )
-        return np.asarray(found)
+        arguments = phases[axis], every, len(sizes), n, share, shares
+        with compiled_once((_square_sums, phases.shape[1], len(every), kind, overlapping)):
+            return np.asarray(_square_sums(*arguments, kind=kind, overlapping=overlapping))
 
     with ThreadPoolExecutor(shares) as pool:
         list(pool.map(lambda k: _integrate(table[:, k], phases[k], data_type), range(axes)))
