@@ -1,20 +1,22 @@
-"""Units of samples and of noise coefficients.
+"""Units of samples and of noise coefficients, on pint.
 
-An angle is a base dimension, so that a gyro's unit cannot be taken for an accelerometer's, and `g` is the
-standard acceleration of gravity, not the gram.
+The registry is our own: an angle is a base dimension, so that a gyro's unit cannot be taken for an
+accelerometer's, and `g` is the standard acceleration of gravity, not the gram.
 """
 
-import ast
 import functools
 import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from allanjax.base.errors import UnitError
+
+if TYPE_CHECKING:
+    import pint
 
 #: Kinds of sensors.
 Sensor = Literal["gyro", "accel"]
@@ -38,32 +40,33 @@ SAMPLE_UNITS: dict[Sensor, dict[Quantity, tuple[str, ...]]] = {
     },
 }
 
-# Prefixes by name and by symbol.
-_PREFIXES = {"": 1.0, "milli": 1e-3, "m": 1e-3, "micro": 1e-6, "u": 1e-6, "nano": 1e-9, "n": 1e-9}
-_PREFIXES |= {"centi": 1e-2, "c": 1e-2, "kilo": 1e3, "k": 1e3}
-# Names of each unit, and what it is: a base dimension, or a product of units defined before.
+# Definitions of the units in pint's language.
 _DEFINITIONS = """
-radian rad = [angle]
-degree deg = 0.017453292519943295 * radian
-arcminute arcmin = degree / 60
-arcsecond arcsec = degree / 3600
-revolution rev = 6.283185307179586 * radian
-meter m metre = [length]
-foot ft feet = 0.3048 * meter
-second s sec = [time]
-minute min = 60 * second
-hour h hr = 3600 * second
-day d = 86400 * second
-count LSB lsb digit = [count]
-hertz Hz = 1 / second
-degree_per_second dps = degree / second
-degree_per_hour dph = degree / hour
-revolution_per_minute rpm = revolution / minute
-standard_gravity g = 9.80665 * meter / second ** 2
-dimensionless = 1
+milli- = 1e-3 = m-
+micro- = 1e-6 = u-
+nano- = 1e-9 = n-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+radian = [angle] = rad = radians
+degree = 0.017453292519943295 * radian = deg = degrees
+arcminute = degree / 60 = arcmin = arcminutes
+arcsecond = degree / 3600 = arcsec = arcseconds
+revolution = 6.283185307179586 * radian = rev = revolutions
+meter = [length] = m = metre = meters = metres
+foot = 0.3048 * meter = ft = feet
+second = [time] = s = sec = seconds
+minute = 60 * second = min = minutes
+hour = 3600 * second = h = hr = hours
+day = 86400 * second = d = days
+count = [count] = LSB = counts = lsb = digit = digits
+hertz = 1 / second = Hz
+degree_per_second = degree / second = dps
+degree_per_hour = degree / hour = dph
+revolution_per_minute = revolution / minute = rpm
+standard_gravity = 9.80665 * meter / second ** 2 = g
 ppm = 1e-6
 percent = 1e-2
-gal Gal = 0.01 * meter / second ** 2
+gal = 0.01 * meter / second ** 2 = Gal
 """
 
 #: Examples in messages for the size of a count.
@@ -127,7 +130,7 @@ _SYMBOLS = str.maketrans(
 )
 # A unit per (unknown) unit of another channel, e.g. `deg/s/[temperature]`.
 _PER_CHANNEL = re.compile(r"(.+)/(\[.+\])")
-# `rads` and `degs` are plurals of an angle; people may mean rad/s and deg/s.
+# pint reads `rads` and `degs` as plurals of an angle; people may mean rad/s and deg/s.
 _AMBIGUOUS_PLURAL = re.compile(r"\b[a-z]?(rad|deg|g|h|hr|ft|arcsec|arcmin)s\b")
 
 
@@ -288,8 +291,8 @@ def density_power(unit: str) -> float:
         UnitError: the unit is unknown.
     """
     _known(unit, None)
-    hertz = dict.fromkeys(("hertz", "Hz"), _Unit(1.0, {"[hertz]": 1.0}))
-    return max(-_product(_expression(unit), _units() | hertz).dimension.get("[hertz]", 0.0), 0.0)
+    exponents = cast(Mapping[str, float], _registry().Quantity(_expression(unit)).units._units)
+    return max(-sum(power for name, power in exponents.items() if name.endswith("hertz")), 0.0)
 
 
 def _known(text: str, sensor: Sensor | None) -> _Unit:
@@ -311,69 +314,39 @@ def _known(text: str, sensor: Sensor | None) -> _Unit:
 @functools.cache
 def _parse(text: str) -> _Unit | None:
     """Unit named by `text`, or None if it is unknown."""
+    import pint
+
     if per_channel := _PER_CHANNEL.fullmatch(text):
         own = _parse(per_channel[1])
         return own and _Unit(own.scale, {**own.dimension, f"channel {per_channel[2]}": -1.0})
     expression = _expression(text)
     if not _is_product(expression) or _AMBIGUOUS_PLURAL.search(expression):
         return None
+    registry = _registry()
     try:
-        factor, powers = _product(expression, _units())
-    except (SyntaxError, ValueError, ArithmeticError, RecursionError):
+        size: Any = registry.Quantity(expression).to_root_units()
+        factor = float(size.magnitude)
+    except (pint.PintError, ValueError, ArithmeticError):
         return None
     if not 0.0 < factor < np.inf:
         return None
+    powers = cast(Mapping[str, float], size.dimensionality)
     dimension = {name: round(power, 9) for name, power in powers.items()}
     return _Unit(factor, {name: power for name, power in dimension.items() if power})
 
 
 @functools.cache
-def _units() -> dict[str, _Unit]:
-    """Units by name, without prefixes and plurals."""
-    units: dict[str, _Unit] = {}
-    for line in _DEFINITIONS.strip().splitlines():
-        names, _, what = line.partition(" = ")
-        unit = _Unit(1.0, {what: 1.0}) if what.startswith("[") else _product(what, units)
-        units |= dict.fromkeys(names.split(), unit)
-    return units
+def _registry() -> "pint.UnitRegistry":
+    """Return a registry of pint with only the units defined here."""
+    import pint
 
-
-def _product(expression: str, units: Mapping[str, _Unit]) -> _Unit:
-    """Value of a product of powers of units and numbers; an error of Python if it is none."""
-
-    def value(node: ast.expr) -> _Unit:
-        match node:
-            case ast.Constant(number):
-                return _Unit(float(str(number)), {})
-            case ast.Name(name):
-                return _named(name, units)
-            case ast.UnaryOp(ast.USub(), operand):
-                return _Unit(-value(operand).scale, {})
-            case ast.BinOp(left, ast.Pow(), right):
-                (size, dimension), power = value(left), value(right).scale
-                return _Unit(size**power, {base: power * p for base, p in dimension.items()})
-            case ast.BinOp(left, operation, right):
-                one, other = value(left), value(right)
-                sign = -1.0 if isinstance(operation, ast.Div) else 1.0
-                bases = [*one.dimension, *other.dimension]
-                powers = {b: one.dimension.get(b, 0.0) + sign * other.dimension.get(b, 0.0) for b in bases}
-                return _Unit(one.scale / other.scale if sign < 0.0 else one.scale * other.scale, powers)
-        raise ValueError(expression)
-
-    return value(ast.parse(expression, mode="eval").body)
-
-
-def _named(name: str, units: Mapping[str, _Unit]) -> _Unit:
-    """Unit of this name, which may have a prefix and, after two letters or more, a plural's s."""
-    for plural, prefix in itertools.product(("", "s"), _PREFIXES):
-        stem = name.removeprefix(prefix).removesuffix(plural)
-        if name == prefix + stem + plural and stem in units and not (plural and len(stem) == 1):
-            return _Unit(_PREFIXES[prefix] * units[stem].scale, units[stem].dimension)
-    raise ValueError(name)
+    registry: pint.UnitRegistry = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
 
 
 def _expression(text: str) -> str:
-    """Unit as an expression of Python: powers by `**`, products by `*`, usual spellings replaced."""
+    """Unit as an expression for pint: powers by `**`, products by `*`, usual spellings replaced."""
     text = text.strip().translate(_SYMBOLS).replace("**", "^")
     text = re.sub(r"[⁰¹²³⁴⁵⁶⁷⁸⁹⁻]+", lambda run: "^" + run[0].translate(_SUPERSCRIPTS), text)
     text = re.sub(r"(?:√|\bsqrt|\b(?:rt|root)-?)\s*(?:\(\s*(\w+)\s*\)|(\w+))", r"(\1\2^0.5)", text)
@@ -381,14 +354,14 @@ def _expression(text: str) -> str:
     text = re.sub(r"\b[gG]['’]s\b", "g", text)
     text = re.sub(r"\s*([/*^()])\s*", r"\1", text)
     text = re.sub(rf"({_NUMBER})(?=[A-Za-z])(?![eE][+-]?\d)", r"\1*", text)
-    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])|(?<=[\w)])\s+(?=[\w(])|(?<=\))(?=\w)", "*", text)
+    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])|(?<=[\w)])\s+(?=[\w(])", "*", text)
     text = re.sub(r"([A-Za-z])(?<!\d[eE])\^?(-?\d+(?:\.\d+)?)", r"\1^\2", text)
     text = re.sub(r"[A-Za-z]+", lambda word: _ANY_CASE.get(word[0].lower(), word[0]), text)
     return text.replace("^", "**")
 
 
 def _is_product(expression: str) -> bool:
-    """Return whether the expression is a product of powers; Python's parser accepts more."""
+    """Return whether the expression is a product of powers; pint's parser accepts more, or crashes."""
     number = r"-?\d{1,3}(?:\.\d+)?"
     factor = rf"(?:[A-Za-z]+|{_NUMBER})\^?"
     product = rf"{factor}(?:[*/]{factor})*"

@@ -44,7 +44,7 @@ from allanjax.cli.app import app
 from typer.testing import CliRunner
 for command in ["", *(command.name for command in app.registered_commands)]:
     assert f"{command} [OPTIONS]" in CliRunner().invoke(app, [*command.split(), "--help"]).output
-    assert not loaded("jax matplotlib numpy pandas scipy"), command
+    assert not loaded("jax matplotlib numpy pandas pint scipy"), command
 [getattr(aj, name) for name in aj.__all__]
 slow = "matplotlib pandas scipy.signal scipy.stats"
 assert not loaded(slow), loaded(slow)
