@@ -40,7 +40,6 @@ from jaxtyping import Array, ArrayLike, Float, Int
 
 from allanjax.base.arrays import namespace
 from allanjax.noise.process import Process
-from allanjax.noise.terms import AngleRandomWalk
 
 # Quadrature nodes between two neighbouring kinks; 8 sum polynomials up to degree 15 exactly.
 _ORDER = 8
@@ -249,7 +248,6 @@ _FINEST_MODIFIED = 64
 
 def equivalent_degrees_of_freedom(
     n: int,
-    rate: float,
     sizes: Int[np.ndarray, " m"],
     kind: str = "allan",
     overlapping: bool = True,
@@ -259,7 +257,6 @@ def equivalent_degrees_of_freedom(
 
     Args:
         n: number of rate samples.
-        rate: sample rate [Hz].
         sizes: cluster sizes in samples.
         kind: "allan", "modified" or "hadamard".
         overlapping: False for clusters that do not overlap.
@@ -269,44 +266,34 @@ def equivalent_degrees_of_freedom(
     The lag sum is that of this module's covariance. For a modified variance with more than 64 samples per
     cluster, the record is thinned to 64 (exact for self-similar noise, close for others).
     """
+    if kind == "modified":
+        return np.array([_modified_edf(n, m) for m in sizes.tolist()])
     if strides is None:
         strides = np.ones_like(sizes) if overlapping else sizes
     reach = len(_FILTERS[kind])
     M = (n - (reach - 1) * sizes) // strides + 1
     kinks = np.array([*range(reach), *(multiple * reach for multiple in _TAIL)])
-    lags = _sum_over_lags(kinks * (sizes // strides)[:, None], np.maximum(M, 1))
-    of_size = zip(sizes.tolist(), strides.tolist(), M.tolist(), *lags, strict=True)
-    return np.array([_edf(n, rate, kind, *size) for size in of_size])
+    u, w = _sum_over_lags(kinks * (sizes // strides)[:, None], np.maximum(M, 1))
+    total = _differenced(u * strides[:, None], sizes[:, None], kind)
+    return M**2 * total[:, 0] ** 2 / (w * (M[:, None] - u) * total**2).sum(axis=1)
 
 
-def _edf(
-    n: int,
-    rate: float,
-    kind: str,
-    m: int,
-    stride: int,
-    M: int,
-    u: Float[np.ndarray, " lags"],
-    w: Float[np.ndarray, " lags"],
-) -> float:
-    """Equivalent degrees of freedom of the estimate at one cluster size m, from lags in strides."""
+def _differenced(
+    lag: Float[np.ndarray, "*lags"], m: Int[np.ndarray, "*lags"] | int, kind: str
+) -> Float[np.ndarray, "*lags"]:
+    """Covariance of two differences at a lag, up to a factor, under white rate noise: G(s) ∝ −|s|."""
     alpha = _FILTERS[kind]
-    reach = len(alpha)
-    if kind == "modified":
-        thin = max(1.0, m / _FINEST_MODIFIED)
-        n, rate, m = round(n / thin), rate / thin, round(m / thin)
-        M = n + 2 - 3 * m
-        u = np.arange(min(M, 4 * m)).astype(float)
-        w = np.where(u > 0, 2.0, 1.0)
-        inner = np.arange(-m + 1.0, m)
-        share = (m - np.abs(inner)) / m**2
-    else:
-        u = u * stride
-        inner, share = np.zeros(1), np.ones(1)
+    steps = range(1 - len(alpha), len(alpha))
+    return sum((-alpha[abs(d)] * np.abs(lag + d * m) for d in steps), np.zeros(lag.shape))
 
-    lag = u[:, None] + inner
-    steps = np.arange(-reach + 1, reach)
-    G = np.asarray(AngleRandomWalk(1.0).phase_covariance(np.abs(lag[..., None] + steps * m) / rate))
-    total = (G @ np.asarray([alpha[abs(d)] for d in steps])) @ share
-    scatter = (w * (M - u / stride) * total**2).sum()
+
+def _modified_edf(n: int, m: int) -> float:
+    """Equivalent degrees of freedom of the modified variance at one cluster size m."""
+    thin = max(1.0, m / _FINEST_MODIFIED)
+    n, m = round(n / thin), round(m / thin)
+    M = n + 2 - 3 * m
+    u = np.arange(min(M, 4 * m)).astype(float)
+    inner = np.arange(-m + 1.0, m)
+    total = _differenced(u[:, None] + inner, m, "modified") @ ((m - np.abs(inner)) / m**2)
+    scatter = (np.where(u > 0, 2.0, 1.0) * (M - u) * total**2).sum()
     return float(M**2 * total[0] ** 2 / scatter)

@@ -88,7 +88,7 @@ class AllanDeviation(ByValue, OfAxes):
         if pyramid.n < 2:
             raise AllanjaxError(too_few(pyramid.n, "allan"))
         sizes, variance = pyramid.cluster_size, pyramid.variance()
-        edf = equivalent_degrees_of_freedom(pyramid.n, rate, sizes, strides=pyramid_strides(sizes))
+        edf = equivalent_degrees_of_freedom(pyramid.n, sizes, strides=pyramid_strides(sizes))
         return cls(
             cluster_time=sizes / rate,
             cluster_size=sizes,
@@ -129,9 +129,7 @@ class AllanDeviation(ByValue, OfAxes):
                 count = (n - 2 * self.cluster_size) // self.strides + 1
             there = count > 0
             count, sizes, strides = count[there], self.cluster_size[there], self.strides[there]
-            edf = equivalent_degrees_of_freedom(
-                n, self.rate, sizes, self.kind, self.overlapping, strides=strides
-            )
+            edf = equivalent_degrees_of_freedom(n, sizes, self.kind, self.overlapping, strides)
             total[there] += count
             scatter[there] += count**2 / edf
         # The last one has all cluster times.
@@ -266,7 +264,7 @@ def allan_deviation(
     # longer.
     if not np.isfinite(variance).all():
         check_finite(values)
-    edf = equivalent_degrees_of_freedom(n, rate, sizes, kind, overlapping)
+    edf = equivalent_degrees_of_freedom(n, sizes, kind, overlapping)
     found = AllanDeviation(
         cluster_time=sizes / rate,
         cluster_size=sizes,

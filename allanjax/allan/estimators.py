@@ -17,6 +17,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from allanjax.base.cache import compiled_once
 from allanjax.base.errors import AllanjaxError
 
 #: Kinds of variances.
@@ -176,12 +177,10 @@ DataType = Literal["rate", "phase"]
 _CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 32
-# Samples from which on the cores share a record.
-_LONG = 1 << 17
-# Values of all axes that one call integrates, at most, and that it integrates at a time.
-_PIECE, _STEP = 1 << 19, 8192
+# Least number of phases that memory is reserved for, so that shorter records share one program.
+_LEAST = 1 << 20
 # Cluster sizes are padded to a multiple of this number.
-_SIZES = 64
+_SIZES = 128
 # Running sums are products with triangular matrices of this size, which XLA vectorises.
 _ROW = 16
 
@@ -197,7 +196,7 @@ def allan_variance_estimates(
 ) -> Float[np.ndarray, "m axes"]:
     """Variances at the given cluster sizes, in the square of the rate's unit.
 
-    Compiled once for each octave of lengths.
+    Compiled once for each octave of lengths above 10⁶ samples.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -212,169 +211,48 @@ def allan_variance_estimates(
         rate: sample rate [Hz]; used with phases only.
         kind, overlapping, data_type: as in `allan_deviation`.
 
-    Long records are shared out among the cores and read in place, all axes at once; besides them only their
-    phases take memory.
+    Blocks of the record are shared out among the cores. Besides the samples, their phases take memory.
     """
-    n = len(values) - (data_type == "phase")
+    table = np.asarray(values)
+    n, axes = len(table) - (data_type == "phase"), table.shape[1]
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
-    options = {"kind": kind, "overlapping": overlapping}
-    if n < _LONG or jax.default_backend() != "cpu":
-        # To the next power of two.
-        padded = np.pad(values, ((0, (1 << (len(values) - 1).bit_length()) - len(values)), (0, 0)))
-        sums = np.asarray(_sums_of_axes(padded, every, len(sizes), n, data_type=data_type, **options))
-    else:
-        sums = _sums_of_long_record(values, every, len(sizes), n, data_type, options)
-    sums = sums[: len(sizes)] * (rate**2 if data_type == "phase" else 1.0)
+    shares = min(os.cpu_count() or 1, 1 + n // (_BLOCK * _CHUNK))
+    # Memory that is never written costs nothing.
+    phases = aligned(axes, max(1 << n.bit_length(), _LEAST) + _CHUNK)
+
+    def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
+        axis, share = task
+        arguments = phases[axis], every, len(sizes), n, share, shares
+        with compiled_once((_square_sums, phases.shape[1], len(every), kind, overlapping)):
+            return np.asarray(_square_sums(*arguments, kind=kind, overlapping=overlapping))
+
+    with ThreadPoolExecutor(shares) as pool:
+        list(pool.map(lambda k: _integrate(table[:, k], phases[k], data_type), range(axes)))
+        parts = list(pool.map(sums_of, product(range(axes), range(shares))))
+    sums = np.reshape(parts, (axes, shares, -1)).sum(axis=1).T[: len(sizes)]
+    sums = sums * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
-@partial(jax.jit, static_argnames=("kind", "overlapping", "data_type"))
-def _sums_of_axes(
-    values: Float[ArrayLike, "padded axes"],
-    sizes: Int[ArrayLike, " m"],
-    used: int | Int[Array, ""],
-    n: int | Int[Array, ""],
-    *,
-    data_type: DataType,
-    **options: Any,
-) -> Float[Array, "m axes"]:
-    """Sums of squared differences of every axis at the used sizes, the first ones, in one program."""
-    x = jnp.asarray(values, dtype=float)
-    axes = x.shape[1]
-    if data_type == "phase":
-        slope, begun = (x[n] - x[0]) / n, x[0]
-    else:
-        slope, begun = x.sum(axis=0) / n, jnp.zeros(axes)
-    x = jnp.pad(x, ((0, -len(x) % _step(*x.shape)), (0, 0)))
-    phases = _phases(x.reshape(-1), 0, 0, slope, begun, data_type=data_type)
-    phases = jnp.pad(phases, ((0, 0), (int(data_type == "rate"), _CHUNK)))
-    return lax.map(lambda row: _square_sums(row, sizes, used, n, 0, 1, **options), phases).T
+def _integrate(
+    x: Float[np.ndarray, " samples"], phases: Float[np.ndarray, " capacity"], data_type: DataType
+) -> None:
+    """Write the phases of an axis, with meaningless values after them.
 
-
-def _sums_of_long_record(
-    table: Float[np.ndarray, "samples axes"],
-    sizes: Int[np.ndarray, " m"],
-    used: int,
-    n: int,
-    data_type: DataType,
-    options: Any,
-) -> Float[np.ndarray, "m axes"]:
-    """Sums of squared differences of every axis at the used sizes, blocks shared out among all cores."""
-    cores = os.cpu_count() or 1
-    with ThreadPoolExecutor(cores) as pool:
-        phases = _long_phases(table, n, data_type, pool)
-
-        def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
-            axis, share = task
-            return np.asarray(_square_sums(phases[axis], sizes, used, n, share, cores, **options))
-
-        sums = list(pool.map(sums_of, product(range(len(phases)), range(cores))))
-    return np.reshape(sums, (len(phases), cores, -1)).sum(axis=1).T
-
-
-def _long_phases(
-    table: Float[np.ndarray, "samples axes"], n: int, data_type: DataType, pool: ThreadPoolExecutor
-) -> Float[np.ndarray, "axes capacity"]:
-    """Phases of every axis from `_phases`, with meaningless values after them up to a power of two.
-
-    Memory that is never written costs nothing, and one program serves all lengths of an octave.
+    A straight line is subtracted, about the one through the ends: it changes no variance, and the differences
+    keep more digits without it.
     """
-    axes = table.shape[1]
-    capacity = 1 << n.bit_length()
-    rows = max(min(capacity // 8, _PIECE >> (axes - 1).bit_length()), _CHUNK)
-    starts = range(0, len(table), rows)
-    phases = aligned(axes, capacity + _CHUNK)
-    first = int(data_type == "rate")
-    if first:
-        slope, begun = _means(table, n, starts, pool)
-        phases[:, 0] = 0.0
-    else:
-        ends = np.asarray(table[[0, n]], dtype=float)
-        slope, begun = (ends[1] - ends[0]) / n, np.broadcast_to(ends[0], (len(starts), axes))
-
-    def integrate(k: int) -> None:
-        start, end = starts[k], min(starts[k] + rows, len(table))
-        piece = flat_rows(table, start, rows, 0.0)
-        found = np.asarray(_phases(*piece, start, slope, begun[k], data_type=data_type))
-        phases[:, first + start : first + end] = found[:, : end - start]
-
-    list(pool.map(integrate, range(len(starts))))
-    return phases
-
-
-def _means(
-    table: Float[np.ndarray, "samples axes"], n: int, starts: range, pool: ThreadPoolExecutor
-) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, "pieces axes"]]:
-    """Means of every axis, and its phases without them before each piece."""
-    # The mean is a small correction to a number near it, so that a bias costs no digits.
-    centre = table[:: n // 1024].mean(axis=0, dtype=float)
-
-    def total(start: int) -> Float[np.ndarray, " axes"]:
-        return np.asarray(_total(*flat_rows(table, start, starts.step, centre), centre))
-
-    totals = np.stack(list(pool.map(total, starts)))
-    mean = centre + totals.sum(axis=0) / n
-    # The correction as rounded, or pieces would not join. Samples may be infinite; all phases are NaN then.
+    x = x.astype(float)
+    # Samples may be infinite; all phases are NaN then.
     with np.errstate(invalid="ignore"):
-        steps = totals - starts.step * (mean - centre)
-        return mean, np.cumsum(steps, axis=0) - steps
-
-
-@jax.jit
-def _total(
-    flat: Float[Array, " values"], offset: int | Int[Array, ""], centre: Float[Array, " axes"]
-) -> Float[Array, " axes"]:
-    """Sums over rows (see `flat_rows`) of every axis's samples, each less a number of its axis."""
-    size = _CHUNK * len(centre)
-    centres = jnp.tile(centre, _CHUNK)
-
-    def add(k: Array, total: Array) -> Array:
-        return total + (lax.dynamic_slice(flat, (offset + k * size,), (size,)) - centres)
-
-    return lax.fori_loop(0, len(flat) // size, add, jnp.zeros(size)).reshape(_CHUNK, -1).sum(axis=0)
-
-
-def _chunk(capacity: int, most: int = _CHUNK) -> int:
-    """Samples or differences taken at a time in a record padded to this capacity."""
-    return max(min(most, 1 << capacity.bit_length() - 1), _ROW**2)
-
-
-def _step(rows: int, axes: int) -> int:
-    """Number of rows that are integrated at a time."""
-    return _chunk(rows, _STEP >> (axes - 1).bit_length())
-
-
-@partial(jax.jit, static_argnames="data_type")
-def _phases(
-    flat: Float[Array, " values"],
-    offset: int | Int[Array, ""],
-    start: int | Int[Array, ""],
-    slope: Float[Array, " axes"],
-    begun: Float[Array, " axes"],
-    *,
-    data_type: DataType,
-) -> Float[Array, "axes rows"]:
-    """Phases after every row (see `flat_rows`), the first of which is row `start` of the record.
-
-    A straight line is subtracted, best one through the record's ends: it changes no variance, and the
-    differences keep more digits without it. It is `slope` times the sample's number; `begun` is the phase
-    without it after the row before (of rates) or the first one of the record (of phases).
-    """
-    axes = len(slope)
-    chunk = _step(len(flat) // axes, axes)
-    rows = len(flat) // axes // chunk * chunk
-    if data_type == "phase":
-        x = lax.dynamic_slice(flat, (offset,), (rows * axes,)).reshape(rows, axes)
-        return (x - begun - (start + jnp.arange(rows))[:, None] * slope).T
-
-    def add(k: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        total, phases = state
-        x = lax.dynamic_slice(flat, (offset + k * chunk * axes,), (chunk * axes,)).reshape(chunk, axes).T
-        sums = total[:, None] + _running_sums(x - slope[:, None])
-        return sums[:, -1], lax.dynamic_update_slice(phases, sums, (0, k * chunk))
-
-    return lax.fori_loop(0, rows // chunk, add, (begun, jnp.zeros((axes, rows))))[1]
+        if data_type == "phase":
+            slope = (x[-1] - x[0]) / (len(x) - 1)
+            np.subtract(x - x[0], slope * np.arange(len(x)), out=phases[: len(x)])
+        else:
+            x -= x.mean()
+            phases[0] = 0.0
+            np.cumsum(x, out=phases[1 : len(x) + 1])
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))
@@ -393,7 +271,7 @@ def _square_sums(
 
     For the modified variance, of every `shares`-th size: its running sums go through the entire record.
     """
-    x, weights, chunk = phases, WEIGHTS[kind], _chunk(len(phases) - 1 - _CHUNK)
+    x, weights, chunk = phases, WEIGHTS[kind], _CHUNK
     lane = jnp.arange(chunk)
     sizes = jnp.asarray(sizes, dtype=int)
 
@@ -440,7 +318,7 @@ def _square_sum_of_sums(
     m: Int[Array, ""],
 ) -> Float[Array, ""]:
     """Sum of squared means of m consecutive second differences, given the third differences."""
-    chunk = _chunk(len(x) - 1 - _CHUNK)
+    chunk = _CHUNK
     lane = jnp.arange(chunk)
 
     # The first sum of m second differences comes from the phases, the others by their increments: sums of

@@ -1,18 +1,22 @@
 """NumPy or JAX as needed, so that mere evaluation compiles nothing; and random seeds derived from data."""
 
+import sys
 from types import ModuleType
 from typing import Any
 from zlib import crc32
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 
 def namespace(*values: Any) -> ModuleType:
     """`jax.numpy` if a value is or contains a JAX array, traced or not; otherwise `numpy`."""
-    return jnp if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(values)) else np
+    # JAX takes long to load, and without it there are no arrays of it.
+    if "jax" not in sys.modules:
+        return np
+    import jax
+
+    return jax.numpy if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(values)) else np
 
 
 def special_functions(xp: ModuleType) -> ModuleType:

@@ -35,11 +35,16 @@ def enable_compilation_cache(directory: str | os.PathLike[str] | None = None) ->
             advice = "so that every run compiles anew; set ALLANJAX_CACHE to another directory or to off"
             warnings.warn(f"{path}: {problem}, {advice}", AllanjaxWarning, stacklevel=2)
         return None
-    import jax
-
-    jax.config.update("jax_compilation_cache_dir", str(path))
     # Small programs, too: reading them is faster than compiling them.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    settings = {"jax_compilation_cache_dir": str(path), "jax_persistent_cache_min_compile_time_secs": 0.0}
+    if "jax" in sys.modules:
+        import jax
+
+        for name, value in settings.items():
+            jax.config.update(name, value)
+    else:
+        # JAX, which takes long to load, reads them when it is.
+        os.environ.update({name.upper(): str(value) for name, value in settings.items()})
     return path
 
 

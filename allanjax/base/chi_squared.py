@@ -6,11 +6,17 @@ but takes half a second to load.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Float
 
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.base.errors import AllanjaxError
+
+if TYPE_CHECKING:
+    # They load JAX.
+    from jaxtyping import Array, ArrayLike
 
 # Normal score of p = 10⁻⁶: a larger misfit is not due to chance.
 _BEYOND_DOUBT = 4.75

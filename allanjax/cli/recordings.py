@@ -1,7 +1,8 @@
 """The commands `allanjax check`, `characterize` and `critique`, for one or more recordings."""
 
 import dataclasses
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
     from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
-    from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
 
 
@@ -95,20 +95,19 @@ def characterize(
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
     """
-    from allanjax.estimate.as_json import SCHEMA_VERSION
-    from allanjax.report.files import with_check, write_results
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        check, spectrum = None, None
+        check = spectrum = None
         if stream:
             fit = _accumulate_and_fit(file, options)
         else:
             check, spectrum, fit = read_and_fit(file, options)
+        from allanjax.report.files import with_check, write_results
+
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
-                drawn = None if spectrum is None else spectrum.result()
-                paths = write_results(fit, drawn, directory, file.name, check, figure_format)
+                paths = write_results(fit, spectrum, directory, file.name, check, figure_format)
         first = [] if check is None else [f"check: {check.summary()}"]
         text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
@@ -116,22 +115,32 @@ def characterize(
         return Outcome(text, with_check(fit, check), paths, missing)
 
     def document(fits: list[dict[str, Any]], _: int) -> dict[str, Any]:
+        from allanjax.estimate.as_json import SCHEMA_VERSION
+
         return {"schema_version": SCHEMA_VERSION, "fits": fits}
 
     work_through(files, out, as_json, work, document)
 
 
-def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, Future[PowerSpectrum], Fit]":
-    """Check, spectrum and fit of a file's recording; the spectrum is estimated during the fit."""
-    from allanjax.estimate.check import check_of
+def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectrum, Fit]":
+    """Check, spectrum and fit of a file's recording; check and spectrum are made during the fit."""
+    import allanjax.inspection  # noqa: F401
 
-    with stage(f"{file.label}: reading"):
-        recording = file.read(options.reading)
-    with fitting(file, recording), ThreadPoolExecutor(1) as pool:
-        inspection = options.inspect(recording)
-        spectrum = pool.submit(_spectrum, inspection.quiet(recording))
-        fit = options.fit(recording, inspection)
-        return check_of(recording, inspection), spectrum, fit
+    with ThreadPoolExecutor(1) as pool:
+        # What takes long to load, for the fit and for the figures, is loaded during the inspection.
+        for module in ("allanjax.estimate.fit", "matplotlib.figure"):
+            pool.submit(import_module, module)
+        with stage(f"{file.label}: reading"):
+            recording = file.read(options.reading)
+        with fitting(file, recording):
+            inspection = options.inspect(recording)
+            from allanjax.estimate.check import check_of
+            from allanjax.spectrum.psd import power_spectrum
+
+            spectrum = pool.submit(power_spectrum, inspection.quiet(recording))
+            check = pool.submit(check_of, recording, inspection)
+            fit = options.fit(recording, inspection)
+            return check.result(), spectrum.result(), fit
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
@@ -156,14 +165,6 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
         return options.fit_accumulated(accumulator, inspection)
-
-
-def _spectrum(recording: "Recording") -> "PowerSpectrum":
-    import matplotlib.pyplot  # noqa: F401 - slow to load, and needed for the figures
-
-    from allanjax.spectrum.psd import power_spectrum
-
-    return power_spectrum(recording)
 
 
 @command(

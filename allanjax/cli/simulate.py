@@ -124,7 +124,7 @@ def demo(
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
         check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
         with stage("writing results"):
-            paths = write_results(fit, spectrum.result(), out, file.stem, check)
+            paths = write_results(fit, spectrum, out, file.stem, check)
     table, inside, count = _compare(fit, models)
     print(table)
     print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")

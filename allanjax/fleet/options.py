@@ -58,6 +58,14 @@ class FitOptions:
 
     def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
         """Inspection of a recording or of accumulated samples, as used by its fit."""
+        from allanjax.record.recording import Recording
+
+        if self.model is None and isinstance(of, Recording):
+            # Without the modules of fits, which may still be loading.
+            from allanjax.inspection import inspect
+
+            moves = bool(self.regressors)
+            return inspect(of, as_is=self.as_is, vibrating=self.vibrating, may_move=moves)
         from allanjax.estimate.fit import inspected
         from allanjax.fleet.stream import AllanAccumulator
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.renamed import renamed
+from allanjax.base.threads import for_each
 from allanjax.base.wording import plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
@@ -181,11 +182,10 @@ def inspect(
     Returns:
         The parts to use, and facts. This takes a second or two for 10⁶ samples of six axes.
     """
-    values = recording.values.T
     # Samples that were filled in are not outliers of the sensor.
-    spikes = [_spikes(x, lost) for x, lost in zip(values, _drawn(recording).T, strict=True)]
+    spikes = for_each(lambda pair: _spikes(*pair), zip(recording.values.T, _drawn(recording).T, strict=True))
     return look(
-        Windows.of(_bridged(values, spikes)),
+        Windows.of(_bridged(recording.values, spikes)),
         recording.axes,
         recording.rate,
         name=recording.name,
@@ -285,15 +285,15 @@ def _of_samples(
 ) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
     """Facts from the samples themselves; the step, and the rms of added white noise, of each axis."""
     rows = slice(*((0, recording.n) if longest is None else (round(t * recording.rate) for t in longest)))
-    drawn = _drawn(recording)
-    own = [x[rows][~missing[rows]] for x, missing in zip(recording.values.T, drawn.T, strict=True)]
+    values, drawn = recording.values[rows].T, _drawn(recording)[rows].T
+    own = [x[~missing] if missing.any() else x for x, missing in zip(values, drawn, strict=True)]
     facts, steps = resolved(part, recording.axes, own)
     held = {name for fact in facts if fact.kind == "repeated samples" or fact.grave for name in fact.axes}
     for k, (axis, x) in enumerate(zip(recording.axes, own, strict=True)):
         facts += saturated([axis], Ends.of(x[:, None]), steps[k : k + 1])
-    whole = _bridged(recording.values.T, spikes)
+    whole = _bridged(recording.values, spikes)
     # A burst has power at all frequencies, some of which would look like lines.
-    calm = _bridged(whole.T, _at(lost, recording).T)
+    calm = _bridged(whole, list(_at(lost, recording).T))
     facts += spectral_facts(calm[rows], recording.rate, recording.axes, held)
     facts += [*sampling_facts(recording), *temperature_facts(recording)]
     # What is no measurement, as interpolated samples, has no outliers of its own.
@@ -309,10 +309,12 @@ def _of_samples(
 
 
 def _bridged(
-    columns: Iterable[Float[np.ndarray, " n"]], where: Iterable[Bool[np.ndarray, " n"]]
+    values: Float[np.ndarray, "n axes"], where: Sequence[Bool[np.ndarray, " n"]]
 ) -> Float[np.ndarray, "n axes"]:
     """Return the samples of all axes with those at `where` interpolated."""
-    return np.column_stack([bridged(x, at) for x, at in zip(columns, where, strict=True)])
+    if not any(at.any() for at in where):
+        return values
+    return np.array([bridged(x, at) for x, at in zip(values.T, where, strict=True)]).T
 
 
 def _at(places: Places, recording: Recording) -> Bool[np.ndarray, "n axes"]:
@@ -341,9 +343,13 @@ def _within(
     parts: Sequence[tuple[float, float]], at: Bool[np.ndarray, " n"], rate: float
 ) -> Bool[np.ndarray, " n"]:
     """Return which of these samples are in the parts; all of them if there are no parts."""
-    time = np.arange(len(at)) / rate
-    inside = [(time >= first) & (time < last) for first, last in parts]
-    return at & np.any(inside, axis=0) if parts else at
+    if not parts:
+        return at
+    places = np.flatnonzero(at)
+    inside = [(places / rate >= first) & (places / rate < last) for first, last in parts]
+    within = np.zeros_like(at)
+    within[places[np.any(inside, axis=0)]] = True
+    return within
 
 
 def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray, " n"]) -> Iterator[Fact]:
@@ -442,9 +448,9 @@ def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], flo
     Distances are zero if many samples equal that mean: the output is rounded, and its steps are not outliers.
     """
     left = np.zeros(len(x))
-    left[1:-1] = abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+    np.abs(x[1:-1] - 0.5 * (x[:-2] + x[2:]), out=left[1:-1])
     # The median itself would be coarse where the output is rounded.
     inner = np.partition(left, most := int(_INNER * len(x)))[:most]
-    scale = float(np.sqrt(np.mean(inner**2))) / _INNER_RMS
-    rounded = np.mean(left[1:-1] == 0.0) > _EQUAL
+    scale = float(np.sqrt(inner @ inner / max(most, 1))) / _INNER_RMS
+    rounded = np.count_nonzero(left[1:-1] == 0.0) > _EQUAL * (len(x) - 2)
     return (np.zeros(len(x)) if rounded or not scale > 0.0 else left / scale), scale

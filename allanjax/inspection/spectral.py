@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
@@ -11,6 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.fft import irfft, rfft
 
 from allanjax.base.chi_squared import quantile
+from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
 from allanjax.inspection.windows import runs
@@ -74,14 +74,17 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
     if size < _SHORTEST:
         return None
     window = np.hanning(size + 1)[:-1]
-    segments = np.lib.stride_tricks.sliding_window_view(values, size, axis=0)[:: size // 2]
-    level = np.zeros((values.shape[1], size // 2 + 1))
-    for segment in segments:
-        c = rfft((segment - segment.mean(axis=1, keepdims=True)) * window)
-        level += c.real**2 + c.imag**2
+    count = 2 * len(values) // size - 1
+
+    def level(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+        segments = np.lib.stride_tricks.sliding_window_view(x, size)[:: size // 2]
+        c = rfft((segments - segments.mean(axis=1, keepdims=True)) * window)
+        parts = c.view(float).reshape(count, -1, 2)
+        return np.einsum("smi,smi->m", parts, parts) / count
+
     # Segments that overlap by a half are worth 18/19 as many independent ones.
-    count = len(segments)
-    return Spectrum(np.fft.rfftfreq(size, 1.0 / rate), level.T / count, 18.0 / 19.0 * count)
+    levels = np.stack(for_each(level, values.T), axis=1)
+    return Spectrum(np.fft.rfftfreq(size, 1.0 / rate), levels, 18.0 / 19.0 * count)
 
 
 def _lines(spectrum: Spectrum, axes: Sequence[Axis]) -> Iterator[Fact]:
@@ -178,10 +181,12 @@ def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
     Bins too close to an end have the median of the other side.
     """
     logs = np.log(np.maximum(level, 1e-300))
-    width, ends = _FAR - _NEAR, np.full(_FAR, np.nan)
-    padded = np.concatenate([ends, logs, ends])
-    with np.errstate(invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        medians = np.nanmedian(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
-        left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
-        return np.exp(np.nanmean([left, right], axis=0))
+    width = _FAR - _NEAR
+    # What is missing at the ends comes last when sorted.
+    padded = np.pad(logs, _FAR, constant_values=np.inf)
+    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
+    count, rows = np.isfinite(ordered).sum(axis=-1), np.arange(len(ordered))
+    medians = (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2.0
+    left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
+    left, right = np.where(np.isfinite(left), left, right), np.where(np.isfinite(right), right, left)
+    return np.exp((left + right) / 2.0)

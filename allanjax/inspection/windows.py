@@ -319,9 +319,10 @@ def noise_scores(
     few = 2 * windows.pairs < np.median(windows.pairs, axis=1, keepdims=True)
     squares = np.where((left_out | few)[..., None], np.nan, mean_squares(windows))
     for root, pairs in zip(np.cbrt(squares + floor), windows.pairs, strict=True):
-        if not np.isfinite(root[:, 0]).any():
+        known = np.isfinite(root[:, 0])
+        if not known.any():
             continue
-        middle = np.nanmedian(root, axis=0)
+        middle = np.median(root[known], axis=0)
         relative = root / np.where(middle > 0.0, middle, np.inf)
         total = np.cumsum(np.where(np.isfinite(relative), relative, 1.0), axis=0)
         total = np.concatenate([np.zeros((1, total.shape[1])), total])

@@ -323,7 +323,8 @@ def build(
     rate = check_rate(rate, source)
     labels = [column.label for column in columns]
     lost = np.isnan(values) if fill else np.zeros(values.shape, bool)
-    values = np.column_stack([bridged(*column) for column in zip(values.T, lost.T, strict=True)])
+    if fill:
+        values = np.array([bridged(*column) for column in zip(values.T, lost.T, strict=True)]).T
     every = axes
     values, axes, dead, left_out = _living(values, axes, values[:1].ravel(), labels, source)
     kept, scales = [axis in axes for axis in every], scales_of(axes, rate)

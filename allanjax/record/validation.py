@@ -86,7 +86,7 @@ def check_values(
             the message names the column, the first place and the remedy.
     """
     check_length(len(values), source)
-    living = np.array([bool(usable(x).any() and (x != x[0]).any()) for x in values.T], bool)
+    living = np.array([bool(x.min() != x.max() and usable(x).any()) for x in values.T], bool)
     for label, column, lives in zip(labels, values.T, living, strict=True):
         if lives or not living.any():
             check_finite(column, label, source)
@@ -102,8 +102,8 @@ def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
 
 def check_finite(column: Float[np.ndarray, " samples"], label: str, source: Source) -> None:
     """Raise `RecordingError` if a value of the column is unusable; see `check_values`."""
-    bad = np.flatnonzero(~usable(column))
-    if bad.size:
+    if not abs(column).max() <= LARGEST:
+        bad = np.flatnonzero(~usable(column))
         value = column[bad[0]]
         raise bad_cells(label, bad.size, int(bad[0]), source, None if np.isnan(value) else str(value))
 

@@ -15,7 +15,6 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.navigation.rates import SampleRates
 from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms.deterministic import Transient
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
+
+    from allanjax.navigation.rates import SampleRates
 
 #: What can be drawn as an Allan deviation.
 Drawable: TypeAlias = Fit | AllanDeviation | Recording | DataSheet

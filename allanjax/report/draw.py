@@ -159,19 +159,22 @@ def new_figure(size: tuple[float, float], path: str | os.PathLike[str] | None, s
     last one, for `plt.savefig` and the like.
     """
     import matplotlib
-    import matplotlib.pyplot as plt
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     backend = matplotlib.get_backend().lower()
+    if "inline" not in backend and (not single or (path is not None and not matplotlib.is_interactive())):
+        # Without pyplot, which takes long to load.
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=size)
+        FigureCanvasAgg(figure)
+        return figure
+    import matplotlib.pyplot as plt
+
     if "inline" in backend:
         # A notebook shows the figure returned, once pyplot has made one; left open, it would show it twice.
         figure = plt.figure(figsize=size)
         plt.close(figure)
-        return figure
-    if not single or (path is not None and not plt.isinteractive()):
-        figure = Figure(figsize=size)
-        FigureCanvasAgg(figure)
         return figure
     former = list(_waiting)
     _waiting.clear()
@@ -323,12 +326,14 @@ def band_entry(label: str, colour: Any, alpha: float = 1.0) -> Artist:
 
 def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") -> None:
     """Give a panel its name, labels, logarithmic axes (of "xy"), faint grid and ticks that point inwards."""
-    for letter, axis in (("x", panel.xaxis), ("y", panel.yaxis)):
-        if letter in log:
-            _set_log(panel, letter, axis)
-    panel.grid(True, which="major", color=ink(0.88), linewidth=0.6)
     panel.set_axisbelow(True)
     panel.tick_params(which="both", direction="in")
+    scales: tuple[Any, ...] = (panel.xaxis, panel.yaxis)
+    for axis in scales:
+        if axis.axis_name in log:
+            _set_log(panel, axis)
+        else:
+            axis.grid(True, **_GRID, color=ink(0.88))
     for text, write in ((x, panel.set_xlabel), (y, panel.set_ylabel)):
         if text:
             write(text)
@@ -336,27 +341,52 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
         panel.set_title(name, loc="left", fontweight="bold")
 
 
+_GRID: dict[str, Any] = {"linewidth": 0.6, "snap": True}
 # Powers of ten that a scale may have, and the marks between them.
 _TEN = 10.0 ** np.arange(-40.0, 41.0)
 _BETWEEN = np.ravel([2.0 * _TEN, 5.0 * _TEN])
 
 
-def _set_log(panel: Axes, letter: str, axis: Any) -> None:
-    """Give a panel a logarithmic scale, with marks at 2 and 5 times powers of ten.
+def _set_log(panel: Axes, axis: Any) -> None:
+    """Give a panel a logarithmic scale, with marks at 1, 2 and 5 times powers of ten.
 
-    The marks are one line, and numbers are plain text: ticks and formulas would take most of the time.
+    Numbers are plain text, as formulas would take most of the time.
     """
     from matplotlib.ticker import NullLocator
 
-    panel.set(**{f"{letter}scale": "log"})
-    setattr(panel, f"fmt_{letter}data", "{:.4g}".format)
+    panel.set(**{f"{axis.axis_name}scale": "log"})
+    setattr(panel, f"fmt_{axis.axis_name}data", "{:.4g}".format)
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(_power_of_ten)
-    at, edge = _BETWEEN, np.zeros(len(_BETWEEN))
-    data, marker = ((at, edge), 2) if letter == "x" else ((edge, at), 1)
-    look: dict[str, Any] = {"marker": marker, "markersize": 2.0, "markeredgewidth": 0.6, "linestyle": "none"}
-    look |= {"transform": getattr(panel, f"get_{letter}axis_transform")(), "zorder": 2.01}
-    panel.add_artist(line_entry(*data, color=ink(), label="_marks", **look))
+    _rule(panel, axis, _TEN)
+    _mark(panel, axis, _BETWEEN, 2.0, 0.6)
+
+
+def _rule(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"]) -> None:
+    """Draw grid lines and marks in place of those of ticks, which only write numbers from now on.
+
+    Each tick is three lines and two texts, which would take most of the time.
+    """
+    is_x = axis.axis_name == "x"
+    axis.set_tick_params(which="both", direction="in", **{"bottom" if is_x else "left": False})
+    _mark(panel, axis, at, 3.5, 0.8)
+    along, across = np.repeat(at, 3), np.tile([0.0, 1.0, np.nan], len(at))
+    look: dict[str, Any] = {"color": ink(0.88), "zorder": 0.4, "label": "_grid", **_GRID}
+    _add_line(panel, axis, along, across, **look)
+
+
+def _mark(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"], size: float, width: float) -> None:
+    """Draw marks that point inwards, all of them as one line."""
+    look: dict[str, Any] = {"marker": 2 if axis.axis_name == "x" else 1, "linestyle": "none", "zorder": 2.01}
+    look |= {"markersize": size, "markeredgewidth": width}
+    _add_line(panel, axis, at, 0.0 * at, color=ink(), label="_marks", **look)
+
+
+def _add_line(panel: Axes, axis: Any, along: Any, across: Any, **look: Any) -> None:
+    """Draw a line through places along an axis, in its unit, and across it, in heights of the panel."""
+    data = (along, across) if axis.axis_name == "x" else (across, along)
+    transform = getattr(panel, f"get_{axis.axis_name}axis_transform")()
+    panel.add_artist(line_entry(*data, transform=transform, **look))
 
 
 def _power_of_ten(value: float, _: int | None) -> str:
@@ -637,11 +667,13 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
     linear = max(high, -low) <= _LINEAR * reach
     # The ends of the linear part, where their labels are clear of the others.
     inner = [end for end, of in ((-reach, low), (reach, high)) if of / end >= (2.0 if linear else 3.0)]
+    marks = [low, *inner, 0.0, high]
     for strip, r in zip(strips, residuals, strict=True):
         if not linear:
             strip.set_yscale("symlog", linthresh=reach)
         strip.set_ylim(1.1 * low, 1.1 * high)
-        strip.set_yticks([low, *inner, 0.0, high])
+        strip.set_yticks(marks if strip is strips[0] else [])
+        _rule(strip, strip.yaxis, np.array(marks))
         strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
         strip.yaxis.set_minor_locator(NullLocator())
         if r is None:
@@ -663,6 +695,8 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
 
     Panels without points set their own.
     """
+    from matplotlib.ticker import NullLocator
+
     if not any(panel.points for panel in row):
         for axes in panels:
             dress(axes)
@@ -671,13 +705,17 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
         np.concatenate(of) for of in zip(*((p.x, p.y) for panel in row for p in panel.points), strict=True)
     )
     positive = y[y > 0.0]
-    for axes in (*panels, *strips):
-        dress(axes, log="xy" if axes in panels else "x")
-        axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
-        axes.tick_params(which="both", labelleft=axes in (*panels[:1], *strips[:1]))
     for panel in panels:
+        dress(panel, log="xy")
         panel.set_ylim(positive.min(initial=1e6) / 3.0, positive.max(initial=1e-6) * 2.0)
-        panel.tick_params(labelbottom=not strips)
+        if panel is not panels[0]:
+            panel.yaxis.set_major_locator(NullLocator())
+        if strips:
+            panel.xaxis.set_major_locator(NullLocator())
+    for strip in strips:
+        _set_log(strip, strip.xaxis)
+    for axes in (*panels, *strips):
+        axes.set_xlim(x.min() / 1.4, x.max() * 1.4)
 
 
 def _draw_key(panel: Axes, apart: float, entries: Sequence[KeyEntry]) -> None:

@@ -1,9 +1,11 @@
 """Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
 
+import csv
 import json
+import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +64,8 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
         if result.converged:
             parts["model"] = fit.model_deviation(name, curve.cluster_time)
         columns |= {f"{name} {kind} [{unit}]": part / scale for kind, part in parts.items()}
-    table = np.stack(list(columns.values()), axis=1)
-    _write_csv(path, list(columns), np.where(np.isfinite(table), table, np.nan))
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    _write_csv(path, list(columns), [dict(zip(columns, row, strict=True)) for row in rows])
 
 
 def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
@@ -71,15 +73,14 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
 
     A coefficient that is not a measurement (see `AxisFit.measured`) has a reason but no error or interval.
     """
-    rows: list[dict[Any, Any]] = []
+    rows: list[dict[str, Any]] = []
     for result in fit.results:
         if not result.converged:
             rows.append({"axis": result.axis.name, "reason": result.reason})
             continue
-        table = result.to_dataframe().replace([np.inf, -np.inf], np.nan)
-        for row, c in zip(table.to_dict("records"), result.coefficients.values(), strict=True):
+        for c in result.coefficients.values():
             flags = {name: str(getattr(c, name)).lower() for name in ("detected", "held", "measured")}
-            rows.append({**row, **flags, "reason": "" if c.measured else result.verdict})
+            rows.append({**c.row(), **flags, "reason": "" if c.measured else result.verdict})
     rows += [{"axis": dead.axis.name, "reason": dead.reason} for dead in fit.dead]
     _write_csv(path, _COEFFICIENT_COLUMNS, rows)
 
@@ -120,10 +121,16 @@ def write_results(
     return tuple(paths)
 
 
-def _write_csv(path: str | os.PathLike[str], header: Sequence[str], rows: Any) -> None:
-    import pandas as pd
-
-    pd.DataFrame(rows, columns=list(header)).to_csv(path, index=False, lineterminator="\r\n")
+def _write_csv(
+    path: str | os.PathLike[str], header: Sequence[str], rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write columns of rows; a number that is missing or not finite is an empty cell."""
+    with open(path, "w", encoding="utf-8", errors="backslashreplace", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(header)
+        for row in rows:
+            cells = map(row.get, header)
+            table.writerow(None if isinstance(x, float) and not math.isfinite(x) else x for x in cells)
 
 
 _MATRICES = ("A", "H", "Q", "R", "P0")

@@ -22,8 +22,6 @@ from allanjax.report import draw
 from allanjax.report.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
-from allanjax.wavelets.decomposition import WaveletDecomposition
-from allanjax.wavelets.variance import WaveletVariance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +30,8 @@ if TYPE_CHECKING:
     from allanjax.noise.model import Model
     from allanjax.noise.process import Process
     from allanjax.noise.terms import NoiseTerm
+    from allanjax.wavelets.decomposition import WaveletDecomposition
+    from allanjax.wavelets.variance import WaveletVariance
 
 # Residuals are averaged to as many points as an Allan curve that is fitted has.
 _RESIDUALS_PER_OCTAVE = 4

@@ -55,7 +55,8 @@ def cosine_transform(x: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n-1 ..
     """Cosine coefficients c_1 … c_{n−1} of samples, along the first axis."""
     from scipy.fft import dct
 
-    return dct(x, type=2, norm="ortho", axis=0, workers=-1)[1:]
+    # Each transform is contiguous in memory.
+    return dct(x.T, type=2, norm="ortho", workers=-1).T[1:]
 
 
 def fast_length(n: int) -> int:
@@ -176,8 +177,9 @@ class Bins(ByValue):
         self, c: Float[np.ndarray, "n-1 axes"], ramp: Float[np.ndarray, " n-1"]
     ) -> SpectralStatistics:
         """Statistics [axes, m] from the coefficients of the axes and those of a ramp."""
-        squares, cross, gram = (self.sums(x) for x in (c**2, c * ramp[:, None], ramp**2))
-        return SpectralStatistics(squares.T, cross.T, np.broadcast_to(gram, squares.T.shape))
+        # Axis by axis, since large arrays take time to allocate.
+        squares, cross = np.array([(self.sums(x * x), self.sums(x * ramp)) for x in c.T]).swapaxes(0, 1)
+        return SpectralStatistics(squares, cross, np.broadcast_to(self.sums(ramp * ramp), squares.shape))
 
     def per_octave(self) -> Float[np.ndarray, " m"]:
         """Number of bins in the octave around each bin."""

@@ -100,9 +100,18 @@ def open_parquet(path: Path, source: Source) -> Table:
     def rows(chunk: int) -> Iterator[Columns]:
         with damage_reported(source, "Parquet", "write it again"), pq.ParquetFile(path) as file:
             for batch in file.iter_batches(min(chunk, max(n, 1))):
-                yield tuple(column.to_numpy(zero_copy_only=False) for column in batch.columns)
+                yield tuple(map(_column, batch.columns))
 
     return Table(rows, labels, source, n)
+
+
+def _column(column: Any) -> np.ndarray:
+    """Return a column of a Parquet file; pyarrow's own conversion loads pandas, which takes long."""
+    import pyarrow
+
+    if column.null_count or not pyarrow.types.is_floating(column.type):
+        return np.asarray(column.to_numpy(zero_copy_only=False))
+    return np.from_dlpack(column)
 
 
 def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:

@@ -319,7 +319,8 @@ def _read(
     if rows != slice(0, samples):
         notes.append(f"samples {rows.start:,} to {rows.stop - 1:,} of {samples:,} read")
     gaps = options.allows_gaps
-    values = np.column_stack([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes])
+    # Each axis is contiguous in memory, since most of the work is axis by axis.
+    values = np.array([as_float(columns[c.index][rows], c.label, source, gaps) for c in layout.axes]).T
     auxiliary = {}
     for column in layout.auxiliary:
         numbers, note = _auxiliary(column, columns[column.index][rows], source)

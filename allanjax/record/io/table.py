@@ -164,7 +164,7 @@ def check_claim(claimed: int, path: Path, source: Source) -> None:
 def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Return numbers as float64; a damaged one may be a nan whose conversion would warn."""
     with np.errstate(invalid="ignore"):
-        return values.astype(float)
+        return values.astype(float, copy=False)
 
 
 def as_float(
