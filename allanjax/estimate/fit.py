@@ -264,7 +264,8 @@ def _extended(
         found = extended(recording.values[:, k], recording.rate, result, curve, k) if incomplete else None
         return found or (result, own)
 
-    fits, rankings = zip(*for_each(of, range(len(results))), strict=True)
+    # Threads would wait for each other: searches are many short calls.
+    fits, rankings = zip(*map(of, range(len(results))), strict=True)
     return fits, dataclasses.replace(selection, results=rankings)
 
 

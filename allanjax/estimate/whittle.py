@@ -209,8 +209,8 @@ def _starts(
     noise, bins, dof = arrangement.model, arrangement.bins, 2.0 * arrangement.levels.shape
     candidates = shape_candidates(noise, float(bins.n / bins.rate), bins.rate, peaks)
     blocks = np.array_split(candidates, -(-len(candidates) // _BLOCK))
-    shape = (len(noise), len(level))
-    unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *shape)) for x in blocks])
+    each = (len(noise), len(level))
+    unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *each)) for x in blocks])
     power, shape = find_starts(noise, candidates, unit, level[None], dof, active[None])
     return list(zip(power[0], shape[0], strict=True))
 

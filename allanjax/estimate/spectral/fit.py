@@ -37,10 +37,9 @@ _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), m
 _NOTHING = 1e-290
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
-# Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
-# log-likelihood below which two solutions are the same; and gain of the next step [nats] at which a fit ends,
-# also of one with a filter or resonances, which converges slowly.
-_FEW, _AS_LIKELY, _TOLERANCE, _COARSE = 0.05, 0.02, 1e-11, 1e-7
+# Levels with fewer degrees of freedom say nothing about how well a model fits; and difference of minus twice
+# the log-likelihood below which two solutions are the same.
+_FEW, _AS_LIKELY = 0.05, 0.02
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
@@ -372,8 +371,7 @@ def _maximum(
         end = np.log(top - p.parameter.lower) - INSIDE + u
         joint.lower[k] = max(joint.lower[k], start[k] - reach)
         joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
-    tolerance = _COARSE if of.kind != kinds.NONE or of.oscillators else _TOLERANCE
-    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, tolerance)
+    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise)
     theta, k = found.theta, np.maximum(levels.shape * share, 1e-300)
     ratio = np.maximum(levels.level, 1e-300) / found.mean
     # Gamma laws, normalized, so that solutions with different errors of the model can be compared.

@@ -37,10 +37,10 @@ from allanjax.noise.response import Response
 # Damping of the first step, relative to the information; shares of the predicted gain above which it falls,
 # below which it rises, and below which a step is taken back besides; by what factors it changes; and one at
 # which the iteration ends in any case.
-_DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1/6, 1/0.15, 1e8
+_DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
 # Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
 # steps, and the longest one of a parameter, in ln.
-_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-11, 200, 2.0
+_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-7, 200, 2.0
 # Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
 # smallest expected level, in units of the largest scale of a power.
 _CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
@@ -217,22 +217,20 @@ def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: L
     Then those of the sum of all components by bandwidth and quality factor of the response, and half the jump
     of the first.
     """
-    count, owner, m = len(of.components), of.owner, levels.angle.shape[1]
-    unit, by_shape, passing = np.empty((count, m)), np.empty((len(owner), m)), np.zeros((2, m))
-    passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
-
-    def seen(values: Any, components: Any) -> Any:
-        if of.kind != kinds.NONE:
-            values = values * np.where(of.inside[components, None, None], passed, 1.0)
-        return 0.5 * (values[:, 0] + values[:, 1])
-
+    count, m = len(of.components), levels.angle.shape[1]
+    rows = np.empty((count + len(of.owner), 2, m))
     for places, own, value, slope in of.squares(theta, levels, True):
-        unit[places] = seen(value, places)
-        passing += np.tensordot(theta[places] * of.inside[places], value, 1)
+        rows[places] = value
         if slope is not None:
-            shapes = own.ravel() - count
-            by_shape[shapes] = seen(slope.reshape(-1, 2, m), owner[shapes])
-    return unit, by_shape, np.mean(moved * passing, axis=1)
+            rows[own.ravel()] = slope.reshape(-1, 2, m)
+    by_response = np.zeros((3, m))
+    if of.kind != kinds.NONE:
+        passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
+        passing = np.tensordot(theta[:count] * of.inside, rows[:count], 1)
+        by_response = np.mean(moved * passing, axis=1)
+        rows[np.append(of.inside, of.inside[of.owner])] *= passed
+    mean = 0.5 * (rows[:, 0] + rows[:, 1])
+    return mean[:count], mean[count:], by_response
 
 
 class Maximum(NamedTuple):
