@@ -272,7 +272,7 @@ def maximize(
     """Maximum of the likelihood from a start.
 
     The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
-    ends where the next step would gain less than the tolerance [nats], even without damping.
+    ends with a step that gains less than the tolerance [nats] and would do so without damping.
     """
     of, count = joint.composition, len(joint.composition.components)
 
@@ -291,13 +291,11 @@ def maximize(
             steps += 1
             trial, predicted = _next(best, joint, levels, damping)
             converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
-            if not converged:
-                new = place(trial, best.scale)
-                gain = best.loss - new.loss
-                # Of a small step the gain is lost in rounding.
-                share = 1.0 if 0.0 <= predicted < _SMALL else gain / abs(predicted)
-                damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
-                best = new if share > _BAD else best
+            new = place(trial, best.scale)
+            # Of a small step the gain is lost in rounding.
+            share = 1.0 if 0.0 <= predicted < _SMALL else (best.loss - new.loss) / abs(predicted)
+            damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
+            best = new if share > _BAD else best
         slope, _, interior = _slopes(best, joint, levels)
         slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
     information = (slope * levels.shape) @ slope.T + np.diag(prior)

@@ -44,7 +44,7 @@ _ERROR = 0.005
 # Number of factors of e beyond which the errors of a response count in a search: a judgement.
 _DEEP = 3.0
 #: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
-ROUGH, FINE = 3e-3, 1e-7
+ROUGH, FINE = 1e-2, 1e-7
 #: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
 FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
