@@ -40,7 +40,7 @@ from allanjax.noise.response import Response
 _DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
 # Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
 # steps, and the longest one of a parameter, in ln.
-_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-7, 200, 2.0
+_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-9, 200, 2.0
 # Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
 # smallest expected level, in units of the largest scale of a power.
 _CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
