@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float
 # Damping of the first step, its least and largest values, its factor after each step that gains or loses; and
 # the longest step in ln.
 _DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.1, (0.01, 1e6), 0.25, 10.0, 2.0
-# Steps after which models that are far behind the best one are left as they are.
-_PATIENCE = 10
+# How many times what its next step should gain a model may still gain.
+_GAINS = 10.0
 # Fewest degrees of freedom of a level from which a ramp was removed.
 _FEWEST = 1e-3
 
@@ -82,7 +82,7 @@ def power_fits(
         used: which terms are part of a model; all by default.
         steps: largest number of steps.
         ramps: which models have a ramp besides; none by default.
-        far: models that remain farther behind the best one than this [nats] are not fitted to the end.
+        far: models that will remain farther behind the best one than this [nats] are not fitted to the end.
         tolerance: the fit of a model ends if the next step would gain less than this [nats].
     """
     rough = rough[..., None, :]
@@ -92,7 +92,7 @@ def power_fits(
     power, loss, going = np.where(used, start, 0.0), np.full(len(unit), np.inf), np.arange(len(unit))
     trial, damping, gradient = power.copy(), np.full(len(unit), _DAMPING), np.zeros(power.shape)
     curvature = np.zeros((*power.shape, power.shape[1]))
-    for step in range(steps):
+    for _ in range(steps):
         own = ramps and ramps._replace(present=ramps.present[going])
         data = level if level.ndim == 1 else level[going]
         value, *slopes = _likelihood(data, shape, trial[going], unit[going], own)
@@ -106,7 +106,7 @@ def power_fits(
         bent = curvature[going] * reach[:, :, None] * reach[:, None]
         move, gain = _move(uphill * reach, bent, damping[going])
         trial[going] = np.maximum((p + s) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - s, 0.0)
-        going = going[(gain > tolerance) & ((step < _PATIENCE) | (loss[going] < loss.min() + far))]
+        going = going[(gain > tolerance) & (loss[going] - _GAINS * gain < loss.min() + far)]
         if not len(going):
             break
     return power, loss

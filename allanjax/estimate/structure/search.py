@@ -65,7 +65,7 @@ _BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8,
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
-# behind the best one [nats] a proposal is not followed to its best powers.
+# behind the best one [nats] a proposal may end to be followed.
 _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
