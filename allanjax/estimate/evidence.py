@@ -31,7 +31,7 @@ _STEPS = 60
 # Points of the integral over one amplitude: within 10⁻⁷ nats.
 _QUADRATURE = 48
 # Sets fitted together, which bounds the memory, and how far behind the best of them a fit is not finished.
-_BLOCK, _FAR = 128, 50.0
+_BLOCK, _FAR = 128, 200.0
 
 
 class TermSets(NamedTuple):

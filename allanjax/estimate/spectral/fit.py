@@ -20,7 +20,15 @@ from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_s
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
-from allanjax.estimate.spectral.model import Component, Composition, Joint, Maximum, maximize, response_of
+from allanjax.estimate.spectral.model import (
+    TOLERANCE,
+    Component,
+    Composition,
+    Joint,
+    Maximum,
+    maximize,
+    response_of,
+)
 from allanjax.estimate.spectral.others import Others
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
@@ -37,9 +45,9 @@ _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), m
 _NOTHING = 1e-290
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
-# Levels with fewer degrees of freedom say nothing about how well a model fits; and difference of minus twice
-# the log-likelihood below which two solutions are the same.
-_FEW, _AS_LIKELY = 0.05, 0.02
+# Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
+# log-likelihood below which two solutions are the same; and tolerance [nats] of fits before the last one.
+_FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
@@ -330,23 +338,29 @@ def fit_levels(
     dof, per_octave = 2.0 * arrangement.levels.shape, arrangement.bins.per_octave()
     degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
 
-    def fitted(power: Any, shape: Any, share: Any = 1.0) -> LevelFit:
-        solution, maximum = _maximum(arrangement, active, np.asarray(power), np.asarray(shape), noise, share)
+    def fitted(power: Any, shape: Any, share: Any, tolerance: float = _ROUGH) -> LevelFit:
+        start = np.asarray(power), np.asarray(shape)
+        solution, maximum = _maximum(arrangement, active, *start, noise, share, tolerance)
         enough = bool(solution.converged and solution.chi2 < beyond_doubt(degrees))
-        return LevelFit(solution, maximum, enough, dof)
+        return LevelFit(solution, maximum, enough, share * dof)
 
-    fit, error, share = fitted(power, shape), 0.0, np.ones(len(dof))
+    own, error, share = np.ones(len(dof)), 0.0, np.ones(len(dof))
+    fit = fitted(power, shape, own)
     if not fit.sufficient and np.isfinite(fit.solution.cost):
-        share = share_with_error(dof, model_error(arrangement.composition, fit.maximum, arrangement.bins))
+        own = share = share_with_error(
+            dof, model_error(arrangement.composition, fit.maximum, arrangement.bins)
+        )
         fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
     for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not fit.sufficient else 0):
         wanted = error_of_powers(arrangement.levels.level / fit.maximum.mean, dof, per_octave, degrees)
         if abs(wanted - error) <= _SETTLED * wanted:
             break
         error = wanted
-        fit = fitted(*fit.solution[:2], share * share_with_error(share * dof, per_octave * error**2))
-    final: Any = np.asarray(error)
-    return fit._replace(solution=fit.solution._replace(power_error=final), degrees=share * dof)
+        share = own * share_with_error(own * dof, per_octave * error**2)
+        fit = fitted(*fit.solution[:2], share)
+    fit, final = fitted(*fit.solution[:2], share, TOLERANCE), np.asarray(error)
+    solution: Any = fit.solution._replace(power_error=final)
+    return fit._replace(solution=solution, degrees=own * dof)
 
 
 def _maximum(
@@ -356,6 +370,7 @@ def _maximum(
     shape: Float[np.ndarray, " shapes"],
     noise: Float[np.ndarray, " m"],
     share: Any,
+    tolerance: float,
 ) -> tuple[Solution, Maximum]:
     """Maximum of the likelihood of levels that keep this share of their weight."""
     from scipy.special import gammaln
@@ -371,7 +386,7 @@ def _maximum(
         end = np.log(top - p.parameter.lower) - INSIDE + u
         joint.lower[k] = max(joint.lower[k], start[k] - reach)
         joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
-    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise)
+    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, tolerance)
     theta, k = found.theta, np.maximum(levels.shape * share, 1e-300)
     ratio = np.maximum(levels.level, 1e-300) / found.mean
     # Gamma laws, normalized, so that solutions with different errors of the model can be compared.

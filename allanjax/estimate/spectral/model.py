@@ -38,9 +38,11 @@ from allanjax.noise.response import Response
 # below which it rises, and below which a step is taken back besides; by what factors it changes; and one at
 # which the iteration ends in any case.
 _DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
-# Expected gains of a step [nats]: of one that is taken in any case, and of one at which a fit ends; most
-# steps, and the longest one of a parameter, in ln.
-_SMALL, _TOLERANCE, _STEPS, _LONGEST = 1e-8, 1e-9, 200, 2.0
+#: Expected gain of a step [nats] at which the fit of a model ends.
+TOLERANCE = 1e-9
+# Expected gain [nats] of a step that is taken in any case; most steps; and the longest one of a parameter, in
+# ln.
+_SMALL, _STEPS, _LONGEST = 1e-8, 200, 2.0
 # Excess of a level over its expectation below which a series is used, and the least ratio of the two; and the
 # smallest expected level, in units of the largest scale of a power.
 _CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
@@ -267,7 +269,7 @@ def maximize(
     joint: Joint,
     levels: Levels,
     noise: Float[np.ndarray, " m"],
-    tolerance: float = _TOLERANCE,
+    tolerance: float = TOLERANCE,
 ) -> Maximum:
     """Maximum of the likelihood from a start.
 
