@@ -177,8 +177,11 @@ DataType = Literal["rate", "phase"]
 _CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 32
-# Least number of phases that memory is reserved for, so that shorter records share one program.
-_LEAST = 1 << 20
+# Numbers of phases that memory is reserved for at least, so that records of many lengths share a program: of
+# short records, of which there may be thousands, and of others.
+_LEAST = 1 << 16, 1 << 20
+# Axes that are worked through at a time, which bounds the memory.
+_TOGETHER = 16
 # Cluster sizes are padded to a multiple of this number.
 _SIZES = 128
 # Running sums are products with triangular matrices of this size, which XLA vectorises.
@@ -196,7 +199,7 @@ def allan_variance_estimates(
 ) -> Float[np.ndarray, "m axes"]:
     """Variances at the given cluster sizes, in the square of the rate's unit.
 
-    Compiled once for each octave of lengths above 10⁶ samples.
+    Compiled once for all lengths below 65,536 samples, below 10⁶, and for each octave above.
 
     With x_k the phase after k samples and t0 the sample interval, averages over all starts k (every m-th, if
     not overlapping) of
@@ -216,20 +219,23 @@ def allan_variance_estimates(
     table = np.asarray(values)
     n, axes = len(table) - (data_type == "phase"), table.shape[1]
     every = np.pad(sizes, (0, -len(sizes) % _SIZES))
-    shares = min(os.cpu_count() or 1, 1 + n // (_BLOCK * _CHUNK))
+    cores = os.cpu_count() or 1
+    shares = range(min(cores, 1 + n // (_BLOCK * _CHUNK)))
+    capacity = _LEAST[0] if n < _LEAST[0] else max(1 << n.bit_length(), _LEAST[1])
     # Memory that is never written costs nothing.
-    phases = aligned(axes, max(1 << n.bit_length(), _LEAST) + _CHUNK)
+    phases, parts = aligned(min(axes, _TOGETHER), capacity + _CHUNK), list[np.ndarray]()
 
     def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
-        axis, share = task
-        arguments = phases[axis], every, len(sizes), n, share, shares
+        arguments = phases[task[0]], every, len(sizes), n, task[1], len(shares)
         with compiled_once((_square_sums, phases.shape[1], len(every), kind, overlapping)):
             return np.asarray(_square_sums(*arguments, kind=kind, overlapping=overlapping))
 
-    with ThreadPoolExecutor(shares) as pool:
-        list(pool.map(lambda k: _integrate(table[:, k], phases[k], data_type), range(axes)))
-        parts = list(pool.map(sums_of, product(range(axes), range(shares))))
-    sums = np.reshape(parts, (axes, shares, -1)).sum(axis=1).T[: len(sizes)]
+    with ThreadPoolExecutor(cores) as pool:
+        for first in range(0, axes, _TOGETHER):
+            rows = np.ascontiguousarray(table[:, first : first + _TOGETHER].T)
+            list(pool.map(lambda x, into: _integrate(x, into, data_type), rows, phases))
+            parts += pool.map(sums_of, product(range(len(rows)), shares))
+    sums = np.reshape(parts, (axes, len(shares), -1)).sum(axis=1).T[: len(sizes)]
     sums = sums * (rate**2 if data_type == "phase" else 1.0)
     scale = 6.0 if kind == "hadamard" else 2.0
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
