@@ -23,6 +23,7 @@ from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
 from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
+from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
 from allanjax.estimate.spectral.powers import Ramps, information
@@ -530,20 +531,8 @@ class _Candidates(NamedTuple):
 
 def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
     """An averaged amplitude."""
-    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
-    return Estimate(
-        label=p.label,
-        term=p.term_label,
-        parameter=p.parameter,
-        axis=axis,
-        value=median,
-        std=float(draws.std()),
-        interval=(low_95, high_95),
-        interval_68=(low_68, high_68),
-        upper_limit=limit,
-        detected=low_95 > 0.0,
-        source="averaged",
-    )
+    median, *ends = np.quantile(draws, _QUANTILES).tolist()
+    return estimate_of(p, axis, median, float(draws.std()), ends, ends[0] > 0.0, "averaged")
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
