@@ -58,10 +58,7 @@ _Shapes: TypeAlias = Float[Array, " shapes"]
 class Tangent(abc.ABC):
     """Model of estimates around the solutions of several axes, linear in the shapes; of one axis for all.
 
-    Attributes:
-        means: expectations of the estimates for each term of unit amplitude.
-        by_shape: their derivatives by the shapes.
-        owner: the term of each shape.
+    `means` are expectations for each term of unit amplitude, `owner` is the term of each shape.
     """
 
     means: Float[np.ndarray, "axes terms m"]
@@ -104,14 +101,18 @@ class AllanTangent(Tangent):
     def variances(self, power: _Power) -> _Curves:
         return np.einsum("aii->ai", self.covariance(power))
 
-    def weighed(self, power: _Power, error: _PerAxis, X: _Columns) -> _Columns:
+    def relative(self, power: _Power, error: _PerAxis) -> Float[np.ndarray, "axes m m"]:
+        """Covariance of the ratios to the expectations, with the ridge and a relative error of the model."""
         relative, mean = self.covariance(power), self.mean(power)
         relative /= mean[:, :, None]
         relative /= mean[:, None]
         np.einsum("aii->ai", relative)[...] *= 1.0 + self.ridge
         if np.any(error):
             relative += error[:, None, None] ** 2 * self.octaves
-        return np.linalg.solve(relative, X)
+        return relative
+
+    def weighed(self, power: _Power, error: _PerAxis, X: _Columns) -> _Columns:
+        return np.linalg.solve(self.relative(power, error), X)
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -155,11 +156,10 @@ class AllanDesign(eqx.Module):
 
     Attributes:
         shapes: free parameters that are not amplitudes, and the place of each one's term among `moving`.
-        geometry, octaves, ridge: quadrature of the covariance; what two estimates share of a relative error
-            of the model; relative addition to the variances.
-        terms: number of terms.
-        fixed, products, kernels: expectations of the estimates for each term of unit amplitude, their
-            covariance as a bilinear form in the powers, and kernels; zero for terms with free shapes.
+        octaves, ridge: what two estimates share of a relative error of the model, and relative addition to
+            the variances.
+        fixed, products, kernels: expectations of the `terms` of unit amplitude, covariance as a bilinear form
+            in the powers, and kernels; zero for terms with free shapes.
         scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
             every record, and that of a narrow-band term by `_narrow_band_scatter`.
         moving, places: terms with free shapes, of unit amplitude, and their places among all.
@@ -188,9 +188,8 @@ class AllanDesign(eqx.Module):
         free, slots = free_shapes(model), max(slots, len(model))
         places = sorted({p.term for p in free})
         terms = [term.with_unit_amplitude() for term in model.sampled(rate).terms]
-        fixed, kernels, products = _parts(
-            {k: term for k, term in enumerate(terms) if k not in places}, geometry, slots
-        )
+        still = {k: term for k, term in enumerate(terms) if k not in places}
+        fixed, kernels, products = _parts(still, geometry, slots)
         return cls(
             shapes=tuple((p.parameter, places.index(p.term)) for p in free),
             geometry=geometry,
@@ -216,6 +215,15 @@ class AllanDesign(eqx.Module):
         for k, term in enumerate(self._moving(shape)):
             means = means.at[self.places[k]].set(self.geometry.mean(term))
         return means
+
+    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
+        """The same in NumPy for many shapes, without padding."""
+        m = int(self.geometry.count)
+        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
+        for b, at in enumerate(shape if self.moving else ()):
+            for k, term in zip(self.places, self._moving(at), strict=True):
+                found[b, k] = self.geometry.mean(term)[:m]
+        return found
 
     def moments(
         self, power: Float[Array, " terms"], shape: _Shapes
@@ -276,15 +284,6 @@ class AllanDesign(eqx.Module):
             octaves=self.octaves[:m, :m],
             ridge=float(self.ridge),
         )
-
-    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
-        """Expectation of the estimates for each term of unit amplitude, for many shapes, in NumPy."""
-        m = int(self.geometry.count)
-        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
-        for b, at in enumerate(shape if self.moving else ()):
-            for k, term in zip(self.places, self._moving(at), strict=True):
-                found[b, k] = self.geometry.mean(term)[:m]
-        return found
 
     def _moving(self, shape: Float[Array | np.ndarray, " shapes"]) -> list[NoiseTerm]:
         """Terms with free shapes, which they have here."""
@@ -388,11 +387,8 @@ def find_starts(
 ) -> tuple[Float[np.ndarray, "axes starts terms"], Float[np.ndarray, "axes starts shapes"]]:
     """Start values for every axis: powers, and the best few candidates of shapes, with which they fit best.
 
-    Args:
-        model: the model, with `candidates` of its free shapes, transformed.
-        unit: expectations of the estimates for each candidate and term of unit amplitude.
-        level, degrees: smooth estimates, taken to be independent, and their degrees of freedom.
-        active: the terms that each axis has.
+    `unit` are expectations for each candidate and term of unit amplitude, `level` smooth estimates, taken to
+    be independent, with their `degrees` of freedom.
     """
     amplitudes = (p.start for p in model.parameters if p.parameter.is_amplitude)
     free, held = free_powers(model), np.array([float(value or 0.0) ** 2 for value in amplitudes])

@@ -91,7 +91,7 @@ def fit_exact(
 
 
 class _Place(NamedTuple):
-    """Parameters, the likelihood there, its score and information, the next step, and its expected gain."""
+    """Parameters, their likelihood, its score and information, the next step, and its expected gain."""
 
     theta: _Vector
     log_likelihood: float

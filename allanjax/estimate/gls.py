@@ -41,13 +41,9 @@ _LEAST_ERROR = 1e-4
 class Solution(NamedTuple):
     """Estimate of one axis in arrays of JAX or NumPy, or of several along a first dimension.
 
-    Attributes:
-        power: powers (squared amplitudes) of the terms [terms].
-        shape: transformed shapes, ln(value − lower bound) [shapes].
-        chi2: χ² without an error of the model.
-        power_error: relative error of the model's powers that explains the misfit; 0 if the model suffices.
-        converged: whether the iteration converged.
-        cost: minus twice the log-likelihood, to choose among solutions.
+    Powers (squared amplitudes) [terms]; shapes, ln(value − lower bound) [shapes]; χ² without an error of the
+    model; the relative error of its powers that explains the misfit, 0 if the model suffices; whether the
+    iteration converged; and minus twice the log-likelihood, to choose among solutions.
     """
 
     power: Any
@@ -208,14 +204,9 @@ def solve(
     power: Float[np.ndarray, "axes terms"],
     shape: Float[np.ndarray, "axes shapes"],
 ) -> Solution:
-    """Estimate of every axis from its start, in arrays of NumPy.
+    """Fit to the estimates V of power [rate²] of every axis from its start, in arrays of NumPy.
 
-    Args:
-        design: the model of the estimates.
-        V: the estimates of power, such as Allan variances [rate²].
-        free: the terms whose power is estimated.
-        active: the terms in use, for each axis.
-        power, shape: start values.
+    `active` are the terms in use, and `free` those whose power is estimated.
     """
     padding, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
     of_terms = (np.pad(x, ((0, 0), (0, slots))) for x in (active, np.where(active, power, 0.0)))
@@ -226,9 +217,7 @@ def solve(
 
 @eqx.filter_jit
 def _solutions(
-    design: AllanDesign,
-    free: Bool[ArrayLike, " terms"],
-    *of_axes: Shaped[Array | np.ndarray, "axes ..."],
+    design: AllanDesign, free: Bool[ArrayLike, " terms"], *of_axes: Shaped[ArrayLike, "axes ..."]
 ) -> Solution:
     def of(axis: Any) -> Solution:
         return _Problem(design, axis[0], jnp.asarray(free), *axis[1:]).solution()

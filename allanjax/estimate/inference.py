@@ -36,6 +36,7 @@ _FAR_ENOUGH = 2.0
 # Probability that a ceiling is too low.
 _CHANCE = 0.025
 _PerAxis: TypeAlias = Float[np.ndarray, " axes"]
+_Curves: TypeAlias = Float[np.ndarray, "axes m"]
 _Terms: TypeAlias = Float[np.ndarray, "axes terms"]
 _Grid: TypeAlias = Float[np.ndarray, "axes grid"]
 _Ends: TypeAlias = Float[np.ndarray, "axes 5"]
@@ -53,11 +54,7 @@ class Inference(NamedTuple):
 
 @np.errstate(all="ignore")
 def infer(
-    tangent: Tangent,
-    V: Float[np.ndarray, "axes m"],
-    free: Bool[np.ndarray, " terms"],
-    active: Bool[np.ndarray, "axes terms"],
-    solution: Solution,
+    tangent: Tangent, V: _Curves, free: Bool[np.ndarray, " terms"], active: _Flags, solution: Solution
 ) -> Inference:
     """Covariance of the parameters, and intervals of each power by tests of hypothetical powers.
 
@@ -84,12 +81,12 @@ class _Axes(NamedTuple):
     """
 
     tangent: Tangent
-    V: Float[np.ndarray, "axes m"]
-    active: Bool[np.ndarray, "axes terms"]
-    fitted: Bool[np.ndarray, "axes terms"]
-    power: Float[np.ndarray, "axes terms"]
-    error: Float[np.ndarray, " axes"]
-    has_shape: Bool[np.ndarray, "axes shapes"]
+    V: _Curves
+    active: _Flags
+    fitted: _Flags
+    power: _Terms
+    error: _PerAxis
+    has_shape: _Flags
 
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
         return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
@@ -222,10 +219,8 @@ def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:
 def ends_of(below: tuple[_Grid, _Grid], above: tuple[_Grid, _Grid], ceiling: _PerAxis) -> _Ends:
     """Lower and upper end of the 95 % and of the 68 % interval of a power, and its one-sided 95 % limit.
 
-    Args:
-        below, above: hypothetical powers from the estimate on, and the distances of the data from them as
-            normal scores.
-        ceiling: the upper ends, if the model error is so large that the data exclude no power.
+    `below` and `above` are hypothetical powers from the estimate on, and the data's distances from them as
+    normal scores. The `ceiling` is the upper end if the model error is so large that the data exclude none.
     """
     # Without this term the others may leave no noise at all: such a hypothesis is excluded.
     lower = below[0], np.where(np.isfinite(below[1]), below[1], np.inf), 0.0
@@ -271,9 +266,7 @@ class Estimates(NamedTuple):
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def estimates_of(
-    model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
-) -> Estimates:
+def estimates_of(model: Model, active: _Flags, solution: Solution, inference: Inference) -> Estimates:
     """The coefficients of every axis from its solution and inference; inactive terms have limits only."""
     parameters, power = reported(model), solution.power
     sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
@@ -326,13 +319,7 @@ class Coefficients:
 
 
 def coefficients_of(
-    model: Model,
-    axis: Axis,
-    active: Bool[np.ndarray, "1 terms"],
-    solution: Solution,
-    inference: Inference,
-    n: int,
-    rate: float,
+    model: Model, axis: Axis, active: _Flags, solution: Solution, inference: Inference, n: int, rate: float
 ) -> Coefficients:
     """Coefficients of one axis by their labels, from `estimates_of`.
 
@@ -399,13 +386,8 @@ def deterministic_coefficients(
 ) -> dict[str, Estimate]:
     """The coefficients of a ramp or a line, by the noncentral χ² law of the square of its estimate.
 
-    Args:
-        model: the model, and `term` the index of the ramp or line in it.
-        axis: the axis.
-        amplitude, covariance: estimates [SI] of its components, one of a ramp or a step, two of a line.
-        line: where the line was found.
-        n: samples of the record; a line at an unknown frequency competes with n/2 frequencies without one.
-        active: whether the term is in the model.
+    The `amplitude` [SI] has one component for a ramp or a step, two for a line. A line at an unknown
+    frequency competes with n/2 frequencies without one. Of a term that is not `active` there is a limit.
     """
     from scipy.special import ndtr
 

@@ -70,15 +70,8 @@ class Options:
     absent_draws: int
 
     def __post_init__(self) -> None:
-        least = {
-            "seed": -1,
-            "max_steps": 9,
-            "absent_draws": 1,
-            "min_length": 0,
-            "max_change": 0,
-            "max_r_hat": 1,
-        }
-        for name, bound in least.items():
+        least = {"seed": -1, "max_steps": 9, "min_length": 0, "max_change": 0, "max_r_hat": 1}
+        for name, bound in (least | {"absent_draws": 1}).items():
             if not getattr(self, name) > bound:
                 raise AllanjaxError(f"{name} must be above {bound}, not {getattr(self, name)!r}")
 
