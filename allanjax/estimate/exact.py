@@ -37,10 +37,9 @@ _Vector: TypeAlias = Float[np.ndarray, " p"]
 MOST = 100_000
 # Difference for the derivatives, and least power, in units of a power and in ln of shapes.
 _DIFFERENCE, _LEAST = 1e-3, 1e-12
-# Most steps, longest step of a shape in ln, and gain of a step [nats] below which the maximum is reached.
-_STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
-# Bounds of a shape about its start, in ln.
-_REACH = 4.0
+# Most steps; gain of a step [nats] below which the maximum is reached; and in ln of a shape the longest step,
+# and bounds about its start.
+_STEPS, _REACHED, _LONGEST, _REACH = 30, 1e-5, 1.0, 4.0
 # Hypothetical powers: number and lowest of those below the estimate, and those above, in standard deviations.
 _BELOW, _LOWEST = 12, -7.0
 _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
@@ -82,8 +81,8 @@ def fit_exact(
     if at is None:
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
-    inferred, data = problem.inferred(at), (recording.n, recording.rate)
-    found = coefficients_of(template, start.axis, active[None], *inferred, *data)
+    inferred = problem.inferred(at)
+    found = coefficients_of(template, start.axis, active[None], *inferred, recording.n, recording.rate)
     values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
     model = fitted_model(template, values, absent(template, active))
     result = dataclasses.replace(start, _coefficients=values, _covariance=found.covariance, _model=model)

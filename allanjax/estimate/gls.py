@@ -75,7 +75,6 @@ class _State(NamedTuple):
     step: Int[Array, ""]
     chi2: Float[Array, ""]
     cost: Float[Array, ""]
-    settled: Bool[Array, ""]
     ended: Bool[Array, ""]
 
 
@@ -108,9 +107,9 @@ class _Problem(NamedTuple):
         return jnp.where(self.moves, clipped, self.shape)
 
     def start(self, tolerant: bool) -> _State:
-        at, no, infinite = (self.power, self.shape), jnp.asarray(False), jnp.asarray(jnp.inf)
+        at, infinite, no = (self.power, self.shape), jnp.asarray(jnp.inf), jnp.asarray(False)
         counts = (jnp.asarray(_WARM_UP[int(tolerant), 0]), jnp.asarray(tolerant), jnp.asarray(0))
-        return _State(at, *self.design.moments(*at), at, at, *counts, infinite, infinite, no, no)
+        return _State(at, *self.design.moments(*at), at, at, *counts, infinite, infinite, no)
 
     def misfit(self, mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
@@ -184,7 +183,7 @@ class _Problem(NamedTuple):
         # Minus twice the Gaussian log-likelihood, to choose among starts.
         cost = with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(mean))
         moments, before = (mean, covariance), (state.at, move)
-        new = _State(at, *moments, *before, wanted, tolerant, k + 1, chi2, cost, settled, ended)
+        new = _State(at, *moments, *before, wanted, tolerant, k + 1, chi2, cost, ended)
         anew = ended & ~tolerant & ~(settled & suffices)
         return jax.tree.map(lambda a, b: jnp.where(anew, a, b), again, new)
 
@@ -193,7 +192,7 @@ class _Problem(NamedTuple):
         end = jax.lax.while_loop(lambda state: ~state.ended, lambda state: self.next(state, again), first)
         vanished = (end.power_error <= _LEAST_ERROR) & (end.chi2 < beyond_doubt(self.dof))
         error = jnp.where(vanished, 0.0, end.power_error)
-        return Solution(*end.at, end.chi2, error, end.settled & jnp.isfinite(end.cost), end.cost)
+        return Solution(*end.at, end.chi2, error, (end.step < _STEPS) & jnp.isfinite(end.cost), end.cost)
 
 
 def solve(

@@ -33,11 +33,9 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Draws whose curves are evaluated at once, as terms without a closed form need memory; and draws from which
-# derived quantities are computed.
-_AT_ONCE, _DERIVED_DRAWS = 16, 1000
-# Numbers of cluster times at which the minimum of a curve is sought: of the curve itself, and of its spline.
-_MINIMUM_POINTS, _DENSE = 200, 4001
+# Draws whose curves are evaluated at once, as terms without a closed form need memory; draws from which
+# derived quantities are computed; cluster times at which the minimum of a curve and of its spline is sought.
+_AT_ONCE, _DERIVED_DRAWS, _MINIMUM_POINTS, _DENSE = 16, 1000, 200, 4001
 # Usual unit and name of the integrated rate.
 _INTEGRAL = {"gyro": ("deg", "angle"), "accel": ("m/s", "velocity")}
 # Probabilities of the median, the central 68 and 95 %, and the lowest 68 and 95 %.

@@ -37,6 +37,7 @@ _OVERDISPERSION, _ATTEMPTS = 1.5, 20
 
 _All: TypeAlias = Float[np.ndarray, " all"]
 _Values: TypeAlias = Float[np.ndarray, "b all"]
+_Levels: TypeAlias = Float[np.ndarray, "b m"]
 _Logs: TypeAlias = Float[np.ndarray, " b"]
 
 
@@ -119,14 +120,12 @@ class WhittleDensity(_Density):
             self._last = key, self._of.expected(shapes[:1])
         return self._last[1]
 
-    def _mean(self, values: _Values) -> Float[np.ndarray, "b m"]:
+    def _mean(self, values: _Values) -> _Levels:
         """Expected levels [rate²]."""
         power, units = values[:, self.own] ** 2, self._levels(values)
         return power @ units[0] if len(units) == 1 else np.einsum("bk,bkm->bm", power, units)
 
-    def _line(
-        self, line: Line, amplitude: _Logs, frequency: _Logs, inverse: Float[np.ndarray, "b m"]
-    ) -> _Logs:
+    def _line(self, line: Line, amplitude: _Logs, frequency: _Logs, inverse: _Levels) -> _Logs:
         """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
         columns = line_columns(frequency[:, None], line.indices, self._bins.n, self._bins.rate)
         of = np.searchsorted(np.cumsum(self._bins.size), line.indices - 1, side="right")
@@ -182,34 +181,28 @@ class AllanDensity(_Density):
 class Target:
     """Log-posterior of one axis of a fit, in coordinates y of the sampled parameters x = origin + e^y.
 
-    Default priors are uniform in y: an amplitude's origin is −(scale of its prior).
-
-    Args:
-        fit, axis: the fit, whose model is that of the axis.
-        given: the user's priors by label.
+    Default priors are uniform in y: an amplitude's origin is −(scale of its prior). `given` are the user's
+    priors by label.
 
     Attributes:
-        parameters: all parameters of the model.
-        priors: priors of the free ones, by their index.
+        parameters: all parameters of the model; `priors` are those of the free ones, by their index.
         sampled: indices of the sampled ones.
         base: values of all [SI], where amplitudes that are not sampled are 0.
         std, origin: rough standard deviations [SI], and origins of the coordinates.
 
     Raises:
         AllanjaxError: `given` names no parameter, or is no prior.
-        FitError: the fit was loaded without its spectrum, or is of wavelet variances, or has nothing to
-            sample.
+        FitError: the fit has no likelihood, or nothing to sample.
     """
 
     def __init__(self, fit: Fit, axis: str, given: Mapping[str, Prior]) -> None:
         result, model, self.parameters = fit[axis], fit.template, fit.template.parameters
         start = [result[p.label].value if p.free else p.start or 0.0 for p in self.parameters]
-        # Shapes of absent terms have some value in their range.
-        rough = [p.parameter.lower + 1.0 for p in self.parameters]
-        self.base = np.where(np.isfinite(start), start, rough)
         self.axis, self.widening = axis, result.widening
-        self._density = _density_of(fit, result, self.base)
-        self.origin, self.std = np.array([p.parameter.lower for p in self.parameters]), 0.1 * self.base
+        self.origin = np.array([p.parameter.lower for p in self.parameters])
+        # Shapes of absent terms have some value in their range.
+        self.base = np.where(np.isfinite(start), start, self.origin + 1.0)
+        self._density, self.std = _density_of(fit, result, self.base), 0.1 * self.base
         self.priors, scales = dict[int, Prior](), self._density.scales(self.base)
         for k, p in enumerate(self.parameters):
             deterministic = p.term < len(model) and model.terms[p.term].deterministic
@@ -239,8 +232,12 @@ class Target:
     def values(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch all"]:
         """Values of all parameters [SI] at these coordinates."""
         values = np.tile(self.base, (*y.shape[:-1], 1))
-        values[..., self.sampled] = self.origin[self.sampled] + np.exp(y)
+        values[..., self.sampled] = self.drawn(y)
         return values
+
+    def drawn(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch sampled"]:
+        """Values of the sampled parameters [SI] at these coordinates."""
+        return self.origin[self.sampled] + np.exp(y)
 
     def log_prior(self, x: Float[np.ndarray, ...], index: int) -> Float[np.ndarray, ...]:
         """Logarithm of the prior density of a parameter's coordinate at the value x [SI]."""
