@@ -216,6 +216,7 @@ def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:
     return normal / (size[:, :, None] * size[:, None]), size
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def ends_of(below: tuple[_Grid, _Grid], above: tuple[_Grid, _Grid], ceiling: _PerAxis) -> _Ends:
     """Lower and upper end of the 95 % and of the 68 % interval of a power, and its one-sided 95 % limit.
 
