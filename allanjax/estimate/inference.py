@@ -27,10 +27,11 @@ _MARGIN = 0.0125
 _NOWHERE = 1e4
 # A line at an unknown frequency is detected if noise has a line as strong in at most one of so many records.
 _FALSE_LINE = 1.35e-3
-# Hypothetical powers, in standard deviations from the estimate; the last one below is zero power. If the
-# scatter grows with the power, as for few long clusters, limits may be far above.
-_BELOW = np.array([0.0, -0.5, -1.0, -1.5, -2.0, -2.5, -3.0, -4.0, -5.0, -6.0, -8.0, -np.inf])
+# Hypothetical powers below and above the estimate, in standard deviations; the last below is zero power. If
+# the scatter grows with the power, as for few long clusters, limits may be far above.
 _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, *10.0 * 2.0 ** np.arange(1, 31)])
+_BELOW = np.full(len(_ABOVE), -np.inf)
+_BELOW[:11] = [0.0, -0.5, -1.0, -1.5, -2.0, -2.5, -3.0, -4.0, -5.0, -6.0, -8.0]
 # No interval ends beyond this score.
 _FAR_ENOUGH = 2.0
 # Probability that a ceiling is too low.
@@ -156,18 +157,20 @@ class _Axes(NamedTuple):
         # The term under test is estimated even if inactive; its shape may be unknown.
         shaped = self.has_shape & (self.tangent.owner != term[:, None])
         estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
-        variance = self.linearized(self.power, estimated)[2][axis, term, term]
-        here, sides = self.power[axis, term][:, None], list[tuple[_Grid, _Grid]]()
-        for sds, sign in ((_BELOW, 1), (_ABOVE, -1)):
-            v = np.maximum(here + sds * np.sqrt(variance)[:, None], 0.0)
-            # The only term cannot vanish altogether.
-            sides.append((v, self._walked(term, np.maximum(v, 1e-9 * here), sign)))
-        return ends_of(sides[0], sides[1], ceiling)
+        sd = np.sqrt(self.linearized(self.power, estimated)[2][axis, term, term])
+        # Both sides of each estimate are tested together.
+        sides, sign = np.repeat(axis, 2), np.tile([1.0, -1.0], len(axis))
+        here = self.power[axis, term][sides, None]
+        v = np.maximum(here + np.where(sign[:, None] > 0.0, _BELOW, _ABOVE) * sd[sides, None], 0.0)
+        # The only term cannot vanish altogether.
+        distance = self.of_axes(sides)._walked(term[sides], np.maximum(v, 1e-9 * here), sign)
+        return ends_of((v[::2], distance[::2]), (v[1::2], distance[1::2]), ceiling)
 
-    def _walked(self, term: _Index, v: _Grid, sign: int) -> _Grid:
+    def _walked(self, term: _Index, v: _Grid, sign: _PerAxis) -> _Grid:
         """Distance from each of these powers, beyond that at the estimate, until the data exclude one.
 
-        The other powers are fitted anew at each, with the weights of the last.
+        It is positive where the data favour the estimate, with `sign` 1 for powers below and −1 above. The
+        other powers are fitted anew at each, with the weights of the last.
         """
         distance, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
         owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
@@ -184,7 +187,7 @@ class _Axes(NamedTuple):
                 # so that its limit does not shrink.
                 start = np.where(np.isfinite(score), score, 0.0)
                 start = np.where(present, start, np.minimum(start, 0.0))
-            at[left], distance[left, k] = new, sign * (score - start[left])
+            at[left], distance[left, k] = new, sign[left] * (score - start[left])
             left = left[~(distance[left, k] > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
             if not len(left):
                 break
