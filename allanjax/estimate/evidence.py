@@ -36,6 +36,8 @@ _BLOCK, _FAR = 128, 50.0
 
 _PerSet: TypeAlias = Float[np.ndarray, " sets"]
 _Places: TypeAlias = Float[np.ndarray, "sets places"]
+_Flags: TypeAlias = Bool[np.ndarray, "sets places"]
+_Square: TypeAlias = Float[np.ndarray, "sets places places"]
 _Column: TypeAlias = Float[np.ndarray, "k 1"]
 _Points: TypeAlias = Float[np.ndarray, "k points"]
 
@@ -102,13 +104,7 @@ def evidence(
     return sets._replace(log_evidence=values, power=powers)
 
 
-def _around(
-    power: _Places,
-    used: Bool[np.ndarray, "sets places"],
-    information: Float[np.ndarray, "sets places places"],
-    slope: _Places,
-    scale: _Places,
-) -> _PerSet:
+def _around(power: _Places, used: _Flags, information: _Square, slope: _Places, scale: _Places) -> _PerSet:
     """ln ∫ prior · exp(ln L − max ln L) over the amplitudes of each set, by Laplace's approximation."""
     present, own = used & (power > 0.0), np.einsum("spp->sp", information)
     scaled = information / np.sqrt(own[:, :, None] * own[:, None])

@@ -336,19 +336,13 @@ def coefficients_of(
 
 
 def estimate_of(
-    p: ModelParameter,
-    axis: Axis,
-    value: float,
-    std: float,
-    ends: Sequence[float],
-    detected: bool,
-    source: Any = "fit",
+    p: ModelParameter, axis: Axis, value: float, std: float, ends: Sequence[float], seen: bool, **more: Any
 ) -> Estimate:
-    """Estimate of a parameter with `ends` as those of `Estimates`."""
+    """Estimate of a parameter, with `ends` as those of `Estimates`, that is detected if it is seen."""
+    more |= {"label": p.label, "term": p.term_label, "parameter": p.parameter, "held": not p.free}
+    more |= {"interval": (ends[0], ends[1]), "interval_68": (ends[2], ends[3])}
     limit = ends[4] if p.free and p.parameter.is_amplitude else None
-    numbers: Any = {"value": value, "std": std, "interval": (*ends[:2],), "interval_68": (*ends[2:4],)}
-    about: Any = {"label": p.label, "term": p.term_label, "parameter": p.parameter, "held": not p.free}
-    return Estimate(axis=axis, upper_limit=limit, detected=detected, source=source, **numbers, **about)
+    return Estimate(axis=axis, value=value, std=std, upper_limit=limit, detected=seen, **more)
 
 
 def _within(c: Estimate, n: int, rate: float) -> Estimate:

@@ -532,7 +532,7 @@ class _Candidates(NamedTuple):
 def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
     """An averaged amplitude."""
     median, *ends = np.quantile(draws, _QUANTILES).tolist()
-    return estimate_of(p, axis, median, float(draws.std()), ends, ends[0] > 0.0, "averaged")
+    return estimate_of(p, axis, median, float(draws.std()), ends, ends[0] > 0.0, source="averaged")
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:
