@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.critic.noise import EXPONENTS, FIXED, GRID, MARKOV, POWER_LAW, RAMP, Noise, NoiseFamily
-from allanjax.estimate.evidence import Evidence
+from allanjax.estimate.evidence import TermSets
 from allanjax.spectrum.cosine import SpectralStatistics
 
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
@@ -103,14 +103,14 @@ class ModelEvidence:
     constant: float
 
     @functools.cached_property
-    def _basic(self) -> Evidence:
+    def _basic(self) -> TermSets:
         return self._screen(MARKOV)
 
     @functools.cached_property
-    def _with_power_law(self) -> Evidence:
+    def _with_power_law(self) -> TermSets:
         return self._screen(POWER_LAW)
 
-    def _screen(self, grid: str) -> Evidence:
+    def _screen(self, grid: str) -> TermSets:
         """Coarse evidence of all subsets: every second shape is evaluated, the others are interpolated."""
         jobs, places = self.family.jobs, self.family.places
         between = jobs.used[:, -1] & (places % 2 == 1)
@@ -120,7 +120,7 @@ class ModelEvidence:
         values[rows], powers[rows] = found.log_evidence, found.power
         after = np.where(places[k] < GRID - 1, k + 1, k - 1)
         values[k], powers[k] = 0.5 * (values[k - 1] + values[after]), powers[k - 1]
-        return Evidence(*jobs, values, powers)
+        return jobs._replace(log_evidence=values, power=powers)
 
     def best(
         self,
@@ -187,7 +187,7 @@ class ModelEvidence:
         values[near], powers[near] = found.log_evidence, found.power
         return self._ranked(values, powers, grid, 1)[0]
 
-    def _of(self, grid: str) -> Evidence:
+    def _of(self, grid: str) -> TermSets:
         return self._with_power_law if grid == POWER_LAW else self._basic
 
     def _columns(self, grid: str) -> Float[np.ndarray, "grid m"]:

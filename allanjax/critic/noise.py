@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.estimate.design import correlation_times
-from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
+from allanjax.estimate.evidence import TermSets, evidence, term_sets
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
@@ -136,10 +136,10 @@ class NoiseFamily:
         grid: Float[np.ndarray, "grid m"],
         rows: Int[np.ndarray, " jobs"],
         first: Float[np.ndarray, "jobs terms"] | None = None,
-    ) -> Evidence:
+    ) -> TermSets:
         """Evidence and powers of some subsets, with powers to start from."""
         columns = np.concatenate([self.columns[: len(FIXED)], grid])
-        return evidence(TermSets(*(x[rows] for x in self.jobs)), columns, levels, size, first)
+        return evidence(self.jobs.of(rows)._replace(power=first), columns, levels, size)
 
     @functools.lru_cache(maxsize=GRID)  # noqa: B019 - families are few, and themselves cached
     def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:

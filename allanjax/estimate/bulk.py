@@ -145,11 +145,8 @@ def fit_many(
     """
     curve = _curve_of(data, cluster_times)
     template, variance = model_to_fit(model, curve.axes or ()), curve.variance.T
-    check_terms(
-        template,
-        "is estimated from the record itself, not from Allan variances; leave it out, or fit each recording "
-        "with allanjax.fit",
-    )
+    own = "is estimated from the record itself, not from Allan variances"
+    check_terms(template, f"{own}; leave it out, or fit each recording with allanjax.fit")
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, "the curve")
     capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
     design = AllanDesign.of(template, curve, (capacity, 0))
@@ -171,12 +168,10 @@ def _of_block(
     solution, inference, misfits = solve_and_infer(template, design, V, active, curve.n, curve.rate)
     found, converged = estimates_of(template, active, solution, inference), solution.converged
     measured = converged & [m is None or not m.excessive for m in misfits]
-
-    ends = found.ends.transpose(2, 0, 1)
-    known = {"std": found.std, "lower": ends[0], "upper": ends[1], "upper_limit": ends[4]}
-    arrays = {
+    lower, upper, _, _, limit = found.ends.transpose(2, 0, 1)
+    known = {"std": found.std, "lower": lower, "upper": upper, "upper_limit": limit}
+    arrays = {name: np.where(measured[:, None], x, np.nan) for name, x in known.items()} | {
         "value": np.where(converged[:, None], found.value, np.nan),
-        **{name: np.where(measured[:, None], x, np.nan) for name, x in known.items()},
         "detected": found.detected & measured[:, None],
         "converged": converged,
         "chi2": solution.chi2,
@@ -206,9 +201,6 @@ def _curve_of(data: AllanDeviation | Sequence[Recording], cluster_times: Spacing
         axes = [dataclasses.replace(axis, name=f"{name}/{axis.name}") for axis in recording.axes]
         alone = dataclasses.replace(recording, axes=tuple(axes), others=())
         curves.append(allan_deviation(alone, cluster_times=cluster_times))
-    return dataclasses.replace(
-        curves[0],
-        deviation=np.concatenate([curve.deviation for curve in curves], axis=1),
-        edf=np.concatenate([curve.edf for curve in curves], axis=1),
-        axes=tuple(axis for curve in curves for axis in curve.axes or ()),
-    )
+    deviation, edf = (np.hstack([getattr(curve, name) for curve in curves]) for name in ("deviation", "edf"))
+    every = tuple(axis for curve in curves for axis in curve.axes or ())
+    return dataclasses.replace(curves[0], deviation=deviation, edf=edf, axes=every)

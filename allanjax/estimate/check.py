@@ -32,6 +32,7 @@ from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
+from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.estimate.spectral.powers import Ramps, bounds, information, power_fits
@@ -39,6 +40,7 @@ from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
 from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
@@ -162,20 +164,10 @@ def _rough_fit(
 def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate:
     """Amplitude of a term from its power, with errors and limits."""
     detected, value = power > ONE_SIDED_95 * std, math.sqrt(power)
-    levels = (-TWO_SIDED_95, TWO_SIDED_95, -TWO_SIDED_68, TWO_SIDED_68)
+    levels = (-TWO_SIDED_95, TWO_SIDED_95, -TWO_SIDED_68, TWO_SIDED_68, ONE_SIDED_95)
     ends = [math.sqrt(max(power + z * std, 0.0)) for z in levels]
-    return Estimate(
-        axis=axis,
-        label=term.name(),
-        value=value if detected else 0.0,
-        std=std / 2.0 / value if detected else math.nan,
-        interval=(ends[0], ends[1]),
-        interval_68=(ends[2], ends[3]),
-        parameter=term.amplitude_parameter(),
-        term=term.name(),
-        upper_limit=math.sqrt(power + ONE_SIDED_95 * std),
-        detected=detected,
-    )
+    value, std = (value, std / 2.0 / value) if detected else (0.0, math.nan)
+    return estimate_of(Model((term,)).parameters[0], axis, value, std, ends, detected)
 
 
 class _Trials(NamedTuple):

@@ -11,7 +11,7 @@ import abc
 import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -33,53 +33,48 @@ from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.columns import Column
 from allanjax.record.recording import Axis
 
-#: Farthest that a shape moves from its start, in ln: the record locates a line better than that; the starts
-#: of other shapes are two to a decade or denser. And the margin kept from its upper bound, which is open.
+#: Farthest that a shape moves from its start, in ln: the record or dense starts locate it better than that;
+#: and the margin kept from its upper bound, which is open.
 REACH, INSIDE = {"line": 0.1, "time": 4.0, "frequency": 4.0, "number": 3.0}, 1e-2
-# Ridge added to the covariance, relative to its diagonal: rounding and quadrature errors stay below it, and
-# no direction of the data is trusted more. Oscillating terms need more quadrature nodes, and have larger
-# errors.
-_RIDGE = 1e-4
-_OSCILLATING_RIDGE = 5e-3
-_ORDER, _OSCILLATING_ORDER = 8, 32
+# Order of the quadrature, and ridge added to the covariance, relative to its diagonal: errors of rounding and
+# quadrature stay below it, and no direction of the data is trusted more. The same for terms that oscillate.
+_ORDER, _RIDGE, _OSCILLATING_ORDER, _OSCILLATING_RIDGE = 8, 1e-4, 32, 5e-3
 # Pairs of estimates that are computed together: few enough to stay in a core's cache.
 _FEW_PAIRS = 256
 # Number of shapes that are evaluated roughly, and of those at a time; and number of starts of a fit.
-_CANDIDATES = 512
-_BLOCK = 512
-_STARTS = 4
+_CANDIDATES, _BLOCK, _STARTS = 512, 512, 4
 # Starts that differ by less than this in ln lead to the same solution; 1 for unlisted kinds of shapes.
 _APART = {"line": 0.02}
 
-
 _Power: TypeAlias = Float[np.ndarray, "axes terms"]
+_PerAxis: TypeAlias = Float[np.ndarray, " axes"]
+_Curves: TypeAlias = Float[np.ndarray, "axes m"]
 _Columns: TypeAlias = Float[np.ndarray, "axes m k"]
+_Candidates: TypeAlias = Float[np.ndarray, "candidates shapes"]
+_Shapes: TypeAlias = Float[Array, " shapes"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Tangent(abc.ABC):
     """Model of estimates around the solutions of several axes, linear in the shapes; of one axis for all.
 
-    Attributes:
-        means: expectations of the estimates for each term of unit amplitude.
-        by_shape: their derivatives by the shapes.
-        owner: the term of each shape.
+    `means` are expectations for each term of unit amplitude, `owner` is the term of each shape.
     """
 
     means: Float[np.ndarray, "axes terms m"]
     by_shape: Float[np.ndarray, "axes terms m shapes"]
     owner: Int[np.ndarray, " shapes"]
 
-    def mean(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+    def mean(self, power: _Power) -> _Curves:
         """Expectation of the estimates for these powers of the terms."""
         return (power[:, None] @ self.means)[:, 0]
 
     @abc.abstractmethod
-    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+    def variances(self, power: _Power) -> _Curves:
         """Variances of the estimates for these powers of the terms."""
 
     @abc.abstractmethod
-    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
+    def weighed(self, power: _Power, error: _PerAxis, X: _Columns) -> _Columns:
         """Columns C⁻¹X for relative residuals of covariance C, with a relative error of the model."""
 
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> Tangent:
@@ -103,17 +98,21 @@ class AllanTangent(Tangent):
         squares = (power[:, :, None] * power[:, None]).reshape(len(power), 1, -1)
         return (squares @ self.products).reshape(-1, *self.octaves.shape)
 
-    def variances(self, power: _Power) -> Float[np.ndarray, "axes m"]:
+    def variances(self, power: _Power) -> _Curves:
         return np.einsum("aii->ai", self.covariance(power))
 
-    def weighed(self, power: _Power, error: Float[np.ndarray, " axes"], X: _Columns) -> _Columns:
+    def relative(self, power: _Power, error: _PerAxis) -> Float[np.ndarray, "axes m m"]:
+        """Covariance of the ratios to the expectations, with the ridge and a relative error of the model."""
         relative, mean = self.covariance(power), self.mean(power)
         relative /= mean[:, :, None]
         relative /= mean[:, None]
         np.einsum("aii->ai", relative)[...] *= 1.0 + self.ridge
         if np.any(error):
             relative += error[:, None, None] ** 2 * self.octaves
-        return np.linalg.solve(relative, X)
+        return relative
+
+    def weighed(self, power: _Power, error: _PerAxis, X: _Columns) -> _Columns:
+        return np.linalg.solve(self.relative(power, error), X)
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -149,13 +148,6 @@ def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
     return np.array([term.has_free_amplitude for term in model.terms])
 
 
-class FreeShape(NamedTuple):
-    """Free parameter that is not an amplitude, and its term among those with one."""
-
-    term: int
-    parameter: Parameter
-
-
 class AllanDesign(eqx.Module):
     """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
@@ -163,16 +155,17 @@ class AllanDesign(eqx.Module):
     such terms: lengths, rates, cluster sizes and all other terms.
 
     Attributes:
-        geometry, octaves, ridge: quadrature of the covariance; what two estimates share of a relative error
-            of the model; relative addition to the variances.
-        fixed, products, kernels: expectations of the estimates for each term of unit amplitude, their
-            covariance as a bilinear form in the powers, and kernels; zero for terms with free shapes.
+        shapes: free parameters that are not amplitudes, and the place of each one's term among `moving`.
+        octaves, ridge: what two estimates share of a relative error of the model, and relative addition to
+            the variances.
+        fixed, products, kernels: expectations of the `terms` of unit amplitude, covariance as a bilinear form
+            in the powers, and kernels; zero for terms with free shapes.
         scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
             every record, and that of a narrow-band term by `_narrow_band_scatter`.
-        moving: terms with free shapes, which are None, of unit amplitude, and `places` of these among all.
+        moving, places: terms with free shapes, of unit amplitude, and their places among all.
     """
 
-    shapes: tuple[FreeShape, ...] = eqx.field(static=True)
+    shapes: tuple[tuple[Parameter, int], ...] = eqx.field(static=True)
     geometry: AllanCovariance
     octaves: Float[np.ndarray, "m m"]
     ridge: Float[np.ndarray, ""]
@@ -186,11 +179,7 @@ class AllanDesign(eqx.Module):
 
     @classmethod
     def of(cls, model: Model, curve: AllanDeviation, capacity: tuple[int, int] = (0, 0)) -> AllanDesign:
-        """Design of a noise model for the Allan variances of a curve.
-
-        Arrays are padded to at least the `capacity` of cluster sizes and terms, so that compiled functions
-        are reused.
-        """
+        """Design of a noise model for a curve, padded to at least so many cluster sizes and terms."""
         return cls.of_geometry(model, curve.rate, geometry_of(curve, model, capacity[0]), capacity[1])
 
     @classmethod
@@ -199,11 +188,10 @@ class AllanDesign(eqx.Module):
         free, slots = free_shapes(model), max(slots, len(model))
         places = sorted({p.term for p in free})
         terms = [term.with_unit_amplitude() for term in model.sampled(rate).terms]
-        fixed, kernels, products = _parts(
-            {k: term for k, term in enumerate(terms) if k not in places}, geometry, slots
-        )
+        still = {k: term for k, term in enumerate(terms) if k not in places}
+        fixed, kernels, products = _parts(still, geometry, slots)
         return cls(
-            shapes=tuple(FreeShape(places.index(p.term), p.parameter) for p in free),
+            shapes=tuple((p.parameter, places.index(p.term)) for p in free),
             geometry=geometry,
             octaves=np.exp(-np.abs(np.subtract.outer(*2 * [np.log2(geometry.sizes)]))),
             ridge=np.asarray(_OSCILLATING_RIDGE if _order(model) > _ORDER else _RIDGE),
@@ -219,20 +207,34 @@ class AllanDesign(eqx.Module):
     @property
     def owner(self) -> Int[np.ndarray, " shapes"]:
         """The term of each shape."""
-        return self.places[np.array([shape.term for shape in self.shapes], int)]
+        return self.places[np.array([place for _, place in self.shapes], int)]
 
-    def means(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms m"]:
+    def means(self, shape: _Shapes) -> Float[Array, "terms m"]:
         """Expectation of the estimates for each term of unit amplitude."""
         means = jnp.asarray(self.fixed)
         for k, term in enumerate(self._moving(shape)):
             means = means.at[self.places[k]].set(self.geometry.mean(term))
         return means
 
-    def mean(self, power: Float[Array, " terms"], means: Float[Array, "terms m"]) -> Float[Array, " m"]:
-        """Expectation for these powers of the terms; one where there is no estimate."""
-        return jnp.where(jnp.arange(means.shape[1]) < self.geometry.count, power @ means, 1.0)
+    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
+        """The same in NumPy for many shapes, without padding."""
+        m = int(self.geometry.count)
+        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
+        for b, at in enumerate(shape if self.moving else ()):
+            for k, term in zip(self.places, self._moving(at), strict=True):
+                found[b, k] = self.geometry.mean(term)[:m]
+        return found
 
-    def products_at(self, shape: Float[Array, " shapes"]) -> Float[Array, "terms terms pairs"]:
+    def moments(
+        self, power: Float[Array, " terms"], shape: _Shapes
+    ) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
+        """Expectation and covariance of the estimates; one and zero where there is none."""
+        means, products = self.means(shape), self.products_at(shape)
+        mean = jnp.where(jnp.arange(means.shape[1]) < self.geometry.count, power @ means, 1.0)
+        by_pair = jnp.outer(power, power).ravel() @ products.reshape(-1, products.shape[-1])
+        return mean, by_pair[jnp.asarray(self.geometry.place)]
+
+    def products_at(self, shape: _Shapes) -> Float[Array, "terms terms pairs"]:
         """Covariance of the estimates as a bilinear form in the powers, for each pair of estimates."""
         products, terms, place = jnp.asarray(self.products), self._moving(shape), jnp.asarray(self.places)
         if not terms:
@@ -258,19 +260,8 @@ class AllanDesign(eqx.Module):
                 products = products.at[place[k], place[k]].set(_narrow_band_scatter(term, self.geometry))
         return products
 
-    def covariance(
-        self, power: Float[Array, " terms"], products: Float[Array, "terms terms pairs"]
-    ) -> Float[Array, "m m"]:
-        """Covariance of the estimates for these powers of the terms."""
-        by_pair = jnp.outer(power, power).ravel() @ products.reshape(-1, products.shape[-1])
-        return by_pair[jnp.asarray(self.geometry.place)]
-
     def whiten(
-        self,
-        covariance: Array,
-        mean: Float[Array, " m"],
-        power_error: Float[Array, ""],
-        X: Float[Array, "m k"],
+        self, mean: Array, covariance: Array, power_error: Array, X: Float[Array, "m k"]
     ) -> CholeskyWhitened:
         """Whitened columns X for relative residuals, with a model error that is common to about an octave."""
         relative = covariance / (mean[:, None] * mean)
@@ -294,21 +285,11 @@ class AllanDesign(eqx.Module):
             ridge=float(self.ridge),
         )
 
-    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
-        """Expectation of the estimates for each term of unit amplitude, for many shapes, in NumPy."""
-        m = int(self.geometry.count)
-        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
-        for b, at in enumerate(shape if self.moving else ()):
-            for k, term in zip(self.places, self._moving(at), strict=True):
-                found[b, k] = self.geometry.mean(term)[:m]
-        return found
-
     def _moving(self, shape: Float[Array | np.ndarray, " shapes"]) -> list[NoiseTerm]:
         """Terms with free shapes, which they have here."""
         terms, xp = list(self.moving), namespace(shape)
-        for s, u in zip(self.shapes, shape, strict=True):
-            value = s.parameter.lower + xp.exp(u)
-            terms[s.term] = terms[s.term].replace(**{s.parameter.name: value})
+        for (p, k), u in zip(self.shapes, shape, strict=True):
+            terms[k] = terms[k].replace(**{p.name: p.lower + xp.exp(u)})
         return terms
 
 
@@ -350,12 +331,11 @@ def _parts(
     terms: dict[int, Any], geometry: AllanCovariance, slots: int
 ) -> tuple[Float[np.ndarray, "slots m"], Float[np.ndarray, "slots lags pairs"], np.ndarray]:
     """Expectations, kernels and products of the terms in these slots; zero for the others."""
-    means = np.zeros((slots, len(geometry.sizes)))
-    kernels = np.zeros((slots, *geometry.lags.shape))
-    products = np.zeros((slots, slots, geometry.lags.shape[1]))
+    lags, pairs = geometry.lags.shape
+    means, kernels = np.zeros((slots, len(geometry.sizes))), np.zeros((slots, lags, pairs))
+    products = np.zeros((slots, slots, pairs))
     here, m, scatters = list(terms), int(geometry.count), _scatters(terms.values())
-    real = min(m * (m + 1) // 2, geometry.lags.shape[1])
-    both = (scatters[:, None] | scatters)[..., None]
+    real, both = min(m * (m + 1) // 2, pairs), (scatters[:, None] | scatters)[..., None]
     for first in range(0, real, _FEW_PAIRS):
         some = slice(first, min(first + _FEW_PAIRS, real))
         part = geometry.chosen(some)
@@ -399,19 +379,16 @@ def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Arra
 @np.errstate(all="ignore")
 def find_starts(
     model: Model,
-    candidates: Float[np.ndarray, "candidates shapes"],
+    candidates: _Candidates,
     unit: Float[np.ndarray, "candidates terms m"],
-    level: Float[np.ndarray, "axes m"],
+    level: _Curves,
     degrees: Float[np.ndarray, " m"],
     active: Bool[np.ndarray, "axes terms"],
 ) -> tuple[Float[np.ndarray, "axes starts terms"], Float[np.ndarray, "axes starts shapes"]]:
     """Start values for every axis: powers, and the best few candidates of shapes, with which they fit best.
 
-    Args:
-        model: the model, with `candidates` of its free shapes, transformed.
-        unit: expectations of the estimates for each candidate and term of unit amplitude.
-        level, degrees: smooth estimates, taken to be independent, and their degrees of freedom.
-        active: the terms that each axis has.
+    `unit` are expectations for each candidate and term of unit amplitude, `level` smooth estimates, taken to
+    be independent, with their `degrees` of freedom.
     """
     amplitudes = (p.start for p in model.parameters if p.parameter.is_amplitude)
     free, held = free_powers(model), np.array([float(value or 0.0) ** 2 for value in amplitudes])
@@ -424,17 +401,15 @@ def find_starts(
         start = np.where(free, largest, held)
         power[some], loss[some] = power_fits(own, degrees / 2.0, own, of_terms, start, active[axis[some]])
     powers = np.where(free, power, held).reshape(axes, count, -1)
-    best = np.stack([_different(free_shapes(model), candidates, x) for x in loss.reshape(axes, count)])
+    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in free_shapes(model)])
+    best = np.stack([_different(apart, candidates, x) for x in loss.reshape(axes, count)])
     return powers[np.arange(axes)[:, None], best], candidates[best]
 
 
 def _different(
-    shapes: Sequence[ModelParameter],
-    candidates: Float[np.ndarray, "candidates shapes"],
-    loss: Float[np.ndarray, " candidates"],
+    apart: Float[np.ndarray, " shapes"], candidates: _Candidates, loss: Float[np.ndarray, " candidates"]
 ) -> Int[np.ndarray, " starts"]:
     """Indices of the best candidates that are not next to a better one, then of the best others."""
-    apart = np.array([_APART.get(p.parameter.kind, 1.0) for p in shapes])
     # Of two orders of like terms, which fit equally well, that of ascending shapes comes first.
     order = np.lexsort((*candidates.T[::-1], np.round(loss - loss.min(), 2))).tolist()
     chosen: list[int] = []
@@ -449,16 +424,11 @@ def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"
     return np.geomspace(4.0 / rate, duration / 4.0, 16)
 
 
-def shape_candidates(
-    model: Model, duration: float, rate: float, peaks: Peaks = ()
-) -> Float[np.ndarray, "candidates shapes"]:
+def shape_candidates(model: Model, duration: float, rate: float, peaks: Peaks = ()) -> _Candidates:
     """Transformed values of a model's free shapes to try in a record of this duration [s].
 
     These are the given ones, or a grid; `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
     """
-    shapes = free_shapes(model)
-    if not shapes:
-        return np.zeros((1, 0))
 
     def choices(p: ModelParameter) -> Sequence[float] | Float[np.ndarray, " values"]:
         own = p.parameter
@@ -475,6 +445,7 @@ def shape_candidates(
         by_kind = {"time": correlation_times(duration, rate), "line": peaks}
         return by_kind.get(own.kind, own.lower + np.array([1.0, 5.0, 25.0]))
 
+    shapes = free_shapes(model)
     grid = np.array(list(itertools.product(*map(choices, shapes))))
     if len(grid) > _CANDIDATES:
         grid = grid[np.random.default_rng(0).choice(len(grid), _CANDIDATES, replace=False)]

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -34,19 +34,30 @@ _QUADRATURE = 48
 _BLOCK, _FAR = 128, 200.0
 
 
-class TermSets(NamedTuple):
-    """Sets of terms, each of which is a column of expected levels.
+_PerSet: TypeAlias = Float[np.ndarray, " sets"]
+_Places: TypeAlias = Float[np.ndarray, "sets places"]
+_Flags: TypeAlias = Bool[np.ndarray, "sets places"]
+_Square: TypeAlias = Float[np.ndarray, "sets places places"]
+_Column: TypeAlias = Float[np.ndarray, "k 1"]
+_Points: TypeAlias = Float[np.ndarray, "k points"]
 
-    Attributes:
-        columns: the columns that each set may have: those of terms without a free shape, and at last one for
-            each term with a free shape.
-        used: which of these it has.
-        ramp: whether it has a ramp.
+
+class TermSets(NamedTuple):
+    """Sets of terms: the `columns` of expected levels that each may have, which are `used`, and ramps.
+
+    The columns are those of terms without a free shape, and at last one for each term with a free shape. Sets
+    whose evidence is known have its logarithm [nats], and the most likely powers of their terms.
     """
 
     columns: Int[np.ndarray, "sets places"]
     used: Bool[np.ndarray, "sets places"]
     ramp: Bool[np.ndarray, " sets"]
+    log_evidence: Any = None
+    power: Any = None
+
+    def of(self, rows: Any) -> TermSets:
+        """Some of the sets."""
+        return TermSets._make(None if x is None else x[rows] for x in self)
 
 
 def term_sets(fixed: int, grid: int, ramp: bool) -> TermSets:
@@ -62,37 +73,16 @@ def term_sets(fixed: int, grid: int, ramp: bool) -> TermSets:
     return TermSets(columns[:, :places], used[:, :places], rows[:, -1])
 
 
-class Evidence(NamedTuple):
-    """Sets of terms (see `TermSets`), the logarithms of their evidence [nats], and the powers of their terms
-    at the maximum of the likelihood."""
-
-    columns: Int[np.ndarray, "sets places"]
-    used: Bool[np.ndarray, "sets places"]
-    ramp: Bool[np.ndarray, " sets"]
-    log_evidence: Float[np.ndarray, " sets"]
-    power: Float[np.ndarray, "sets places"]
-
-    def of(self, rows: Any) -> Evidence:
-        """That of some of the sets."""
-        return Evidence(*(x[rows] for x in self))
-
-
 def evidence(
     sets: TermSets,
     columns: Float[np.ndarray, "columns m"],
     statistics: SpectralStatistics,
     size: Float[np.ndarray, " m"],
-    first: Float[np.ndarray, "sets places"] | None = None,
-) -> Evidence:
-    """Evidence of sets of terms for an axis.
+) -> TermSets:
+    """Sets of terms with their evidence for an axis, starting from their powers, if they have any.
 
-    Args:
-        sets: the sets.
-        columns: expected levels [rate²] of terms of unit amplitude.
-        statistics: sums over the bins, [m].
-        size: coefficients in each bin. Where the model has an error of its own, these and the statistics are
-            multiplied by the share of their weight that bins keep.
-        first: powers to start from.
+    `columns` are expected levels [rate²] of terms of unit amplitude. Where the model has an error of its own,
+    the statistics and the size of the bins are multiplied by the share of their weight that bins keep.
     """
     around, squares = (np.convolve(x, np.ones(7), "same") for x in (size, statistics.squares))
     smooth = np.where(around > 0.0, squares / np.maximum(around, 1e-300), 1.0)
@@ -100,27 +90,21 @@ def evidence(
     scale = np.sum(shape * (columns / smooth) ** 2, axis=1) ** -0.25
     found = []
     for begin in range(0, len(sets.ramp), _BLOCK):
-        rows = slice(begin, begin + _BLOCK)
-        some, start = TermSets(*(x[rows] for x in sets)), None if first is None else first[rows]
+        some = sets.of(slice(begin, begin + _BLOCK))
         unit, ramps = columns[some.columns], Ramps(statistics.cross, statistics.gram, some.ramp)
-        power, _ = power_fits(level, shape, smooth, unit, start, some.used, _STEPS, ramps, _FAR)
+        power, _ = power_fits(level, shape, smooth, unit, some.power, some.used, _STEPS, ramps, _FAR)
         mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
         left, freedom, _ = ramps.removed(level, shape, mean)
         slope = ((unit / mean[:, None]) @ (freedom * (left / mean - 1.0))[..., None])[..., 0]
         value = _around(power, some.used, information(unit, mean, shape), slope, scale[some.columns])
         value[some.ramp] += _of_ramps(*(x[some.ramp] for x in ramps.slope(mean)))
         value -= (np.log(mean) + level / mean) @ shape
-        found.append(Evidence(*some, value, power))
-    return Evidence(*map(np.concatenate, zip(*found, strict=True)))
+        found.append((value, power))
+    values, powers = map(np.concatenate, zip(*found, strict=True))
+    return sets._replace(log_evidence=values, power=powers)
 
 
-def _around(
-    power: Float[np.ndarray, "sets places"],
-    used: Bool[np.ndarray, "sets places"],
-    information: Float[np.ndarray, "sets places places"],
-    slope: Float[np.ndarray, "sets places"],
-    scale: Float[np.ndarray, "sets places"],
-) -> Float[np.ndarray, " sets"]:
+def _around(power: _Places, used: _Flags, information: _Square, slope: _Places, scale: _Places) -> _PerSet:
     """ln ∫ prior · exp(ln L − max ln L) over the amplitudes of each set, by Laplace's approximation."""
     present, own = used & (power > 0.0), np.einsum("spp->sp", information)
     scaled = information / np.sqrt(own[:, :, None] * own[:, None])
@@ -146,10 +130,7 @@ def _of_ramps(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]
 
 
 def _over_prior(
-    exponent: Callable[[Float[np.ndarray, "k points"]], Float[np.ndarray, "k points"]],
-    low: Float[np.ndarray, "k 1"],
-    high: Float[np.ndarray, "k 1"],
-    scale: Float[np.ndarray, "k 1"],
+    exponent: Callable[[_Points], _Points], low: _Column, high: _Column, scale: _Column
 ) -> Float[np.ndarray, " k"]:
     """ln ∫ prior(c) exp(exponent(c)) dc between two ends, beyond which there is nothing."""
     # Uniform in y = ln(1 + c/scale), as the prior is.

@@ -23,7 +23,7 @@ from scipy.optimize import lsq_linear
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import INSIDE, free_shapes
 from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import ABOVE, Inference, coefficients_of
+from allanjax.estimate.inference import Inference, coefficients_of, ends_of
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.whittle import absent, fit_whittle
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
@@ -37,12 +37,11 @@ _Vector: TypeAlias = Float[np.ndarray, " p"]
 MOST = 100_000
 # Difference for the derivatives, and least power, in units of a power and in ln of shapes.
 _DIFFERENCE, _LEAST = 1e-3, 1e-12
-# Most steps, longest step of a shape in ln, and gain of a step [nats] below which the maximum is reached.
-_STEPS, _LONGEST, _REACHED = 30, 1.0, 1e-5
-# Bounds of a shape about its start, in ln.
-_REACH = 4.0
-# Hypothetical powers in standard deviations from the estimate: `ABOVE` from the lowest up to it, and above.
-_LOWEST = -7.0
+# Most steps; gain of a step [nats] below which the maximum is reached; and in ln of a shape the longest step,
+# and bounds about its start.
+_STEPS, _REACHED, _LONGEST, _REACH = 30, 1e-5, 1.0, 4.0
+# Hypothetical powers: number and lowest of those below the estimate, and those above, in standard deviations.
+_BELOW, _LOWEST = 12, -7.0
 _ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
 
 
@@ -82,8 +81,8 @@ def fit_exact(
     if at is None:
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
-    inferred, data = problem.inferred(at), (recording.n, recording.rate)
-    found = coefficients_of(template, start.axis, active[None], *inferred, *data)
+    inferred = problem.inferred(at)
+    found = coefficients_of(template, start.axis, active[None], *inferred, recording.n, recording.rate)
     values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
     model = fitted_model(template, values, absent(template, active))
     result = dataclasses.replace(start, _coefficients=values, _covariance=found.covariance, _model=model)
@@ -91,7 +90,7 @@ def fit_exact(
 
 
 class _Place(NamedTuple):
-    """Parameters, the likelihood there, its score and information, the next step, and its expected gain."""
+    """Parameters, their likelihood, its score and information, the next step, and its expected gain."""
 
     theta: _Vector
     log_likelihood: float
@@ -175,30 +174,28 @@ class _Problem:
         terms, value = len(self.template), at.theta * self.unit
         inside = self.moves & (at.theta > self.lower) & (at.theta < self.upper)
         covariance = at.covariance(inside) * np.outer(self.unit, self.unit)
-        tests = np.full((2, terms, ABOVE + len(_ABOVE)), np.nan)
+        ends = np.full((terms, 5), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
-            tests[:, k] = self._hypotheses(at, k, inside)
+            ends[k] = self._ends(at, k, inside)
         solved = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        found = (covariance, *tests, np.full(terms, np.inf))
-        # As of several axes.
-        return Solution(*(np.asarray(x)[None] for x in solved)), Inference(*(x[None] for x in found))
+        return Solution(*(np.asarray(x)[None] for x in solved)), Inference(covariance[None], ends[None])
 
-    def _hypotheses(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "2 grid"]:
-        """Hypothetical powers of a term, and signed roots of the likelihood ratio of each.
+    def _ends(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " 5"]:
+        """Ends of the intervals of a power, where the signed roots of the likelihood ratio have their levels.
 
         For an absent term the likelihood is modified to have its maximum at zero: its negative slope there is
         removed, so that the term's limit does not shrink.
         """
         covariance = at.covariance(inside | (np.arange(len(inside)) == k))
         sd, here = float(np.sqrt(covariance[k, k])), float(at.theta[k])
-        below = np.linspace(max(here + _LOWEST * sd, 0.0), here, ABOVE)
-        v, places = np.unique([*below, *(here + _ABOVE * sd)], return_inverse=True)
+        below = np.linspace(max(here + _LOWEST * sd, 0.0), here, _BELOW)
+        v = np.unique([*below, *(here + _ABOVE * sd)])
         least = np.where(self.is_power, 0.05 * at.theta, at.theta - _LONGEST)
         most = np.minimum(np.where(self.is_power, np.inf, at.theta + _LONGEST), self.upper)
         thetas = np.clip(at.theta + (v - here)[:, None] * covariance[k] / sd**2, least, most)
         thetas[:, k] = v
-        e, s = self.innovations(thetas)
-        ratio = np.maximum(2.0 * (at.log_likelihood - log_likelihoods(e, s)), 0.0)
+        ratio = np.maximum(2.0 * (at.log_likelihood - log_likelihoods(*self.innovations(thetas))), 0.0)
         slope = 0.0 if inside[k] else max(-float(at.score[k]), 0.0) * sd
-        root = np.sqrt(ratio + slope**2) - slope
-        return np.stack([v * self.unit[k], -np.sign(v - here) * root])[:, places]
+        root = np.where(v == here, 0.0, np.sqrt(ratio + slope**2) - slope)
+        both = np.stack([v * self.unit[k], root])[:, None]
+        return ends_of((*both[..., v <= here][..., ::-1],), (*both[..., v >= here],), np.full(1, np.inf))[0]

@@ -41,13 +41,9 @@ _LEAST_ERROR = 1e-4
 class Solution(NamedTuple):
     """Estimate of one axis in arrays of JAX or NumPy, or of several along a first dimension.
 
-    Attributes:
-        power: powers (squared amplitudes) of the terms [terms].
-        shape: transformed shapes, ln(value − lower bound) [shapes].
-        chi2: χ² without an error of the model.
-        power_error: relative error of the model's powers that explains the misfit; 0 if the model suffices.
-        converged: whether the iteration converged.
-        cost: minus twice the log-likelihood, to choose among solutions.
+    Powers (squared amplitudes) [terms]; shapes, ln(value − lower bound) [shapes]; χ² without an error of the
+    model; the relative error of its powers that explains the misfit, 0 if the model suffices; whether the
+    iteration converged; and minus twice the log-likelihood, to choose among solutions.
     """
 
     power: Any
@@ -64,13 +60,12 @@ class Solution(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State of the iteration: the estimate, expectation and covariance there, and the last move.
+    """State of the iteration: powers and shapes, expectation and covariance there, the last place and move.
 
     `tolerant`: whether the model is given an error; `step` counts from the start with or without one.
     """
 
-    power: Float[Array, " terms"]
-    shape: Float[Array, " shapes"]
+    at: tuple[Array, Array]
     mean: Float[Array, " m"]
     covariance: Float[Array, "m m"]
     last: tuple[Array, Array]
@@ -80,16 +75,11 @@ class _State(NamedTuple):
     step: Int[Array, ""]
     chi2: Float[Array, ""]
     cost: Float[Array, ""]
-    settled: Bool[Array, ""]
     ended: Bool[Array, ""]
 
 
 class _Problem(NamedTuple):
-    """Data of one axis, the model that is fitted to them, and the start; see `solve`.
-
-    `still` are means and products if no shape moves, computed once; `moves`, `lower` and `upper` tell which
-    shapes are fitted, and their bounds; `dof` are the degrees of freedom of χ².
-    """
+    """Data of one axis, the model that is fitted to them, and the start; see `solve`."""
 
     design: AllanDesign
     V: Float[Array, " m"]
@@ -97,59 +87,47 @@ class _Problem(NamedTuple):
     active: Bool[Array, " terms"]
     power: Float[Array, " terms"]
     shape: Float[Array, " shapes"]
-    moves: Bool[Array, " shapes"]
-    lower: Float[Array, " shapes"]
-    upper: Float[Array, " shapes"]
-    still: tuple[Array, Array] | None
-    dof: Float[Array, ""]
 
-    @classmethod
-    def of(
-        cls, design: AllanDesign, V: Array, free: Array, active: Array, power: Array, shape: Array
-    ) -> _Problem:
-        reach = jnp.asarray([REACH[s.parameter.kind] for s in design.shapes])
-        end = jnp.asarray([np.log(s.parameter.upper - s.parameter.lower) for s in design.shapes]) - INSIDE
-        moves, power = active[jnp.asarray(design.owner)], jnp.where(active, power, 0.0)
-        dof = jnp.maximum(design.geometry.count - jnp.sum(active & free) - jnp.sum(moves), 1.0)
-        still = None if design.shapes else (design.means(shape), design.products_at(shape))
-        bounds = (shape - reach, jnp.minimum(shape + reach, end))
-        return cls(design, V, free, active, power, shape, moves, *bounds, still, dof)
+    @property
+    def moves(self) -> Bool[Array, " shapes"]:
+        """Which shapes are fitted."""
+        return self.active[jnp.asarray(self.design.owner)]
+
+    @property
+    def dof(self) -> Float[Array, ""]:
+        """Degrees of freedom of χ²."""
+        estimated = jnp.sum(self.active & self.free) + jnp.sum(self.moves)
+        return jnp.maximum(self.design.geometry.count - estimated, 1.0)
 
     def within(self, u: Array) -> Float[Array, " shapes"]:
         """Shapes clipped to their bounds; those that are not fitted stay at their start."""
-        return jnp.where(self.moves, jnp.clip(u, self.lower, self.upper), self.shape)
-
-    def means(self, shape: Array) -> Float[Array, "terms m"]:
-        return self.design.means(shape) if self.still is None else self.still[0]
-
-    def moments(self, power: Array, shape: Array) -> tuple[Array, Array]:
-        """Expectation and covariance of the data under these parameters."""
-        products = self.design.products_at(shape) if self.still is None else self.still[1]
-        return self.design.mean(power, self.means(shape)), self.design.covariance(power, products)
+        reach = jnp.asarray([REACH[p.kind] for p, _ in self.design.shapes])
+        end = jnp.asarray([np.log(p.upper - p.lower) for p, _ in self.design.shapes]) - INSIDE
+        clipped = jnp.clip(u, self.shape - reach, jnp.minimum(self.shape + reach, end))
+        return jnp.where(self.moves, clipped, self.shape)
 
     def start(self, tolerant: bool) -> _State:
-        at, no, infinite = (self.power, self.shape), jnp.asarray(False), jnp.asarray(jnp.inf)
-        error = jnp.asarray(_WARM_UP[int(tolerant), 0])
-        counts = (jnp.asarray(tolerant), jnp.asarray(0))
-        return _State(*at, *self.moments(*at), at, at, error, *counts, infinite, infinite, no, no)
+        at, infinite, no = (self.power, self.shape), jnp.asarray(jnp.inf), jnp.asarray(False)
+        counts = (jnp.asarray(_WARM_UP[int(tolerant), 0]), jnp.asarray(tolerant), jnp.asarray(0))
+        return _State(at, *self.design.moments(*at), at, at, *counts, infinite, infinite, no)
 
     def misfit(self, mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
         # Plain relative residuals, since normal scores of each would not be jointly normal.
-        residual, log_det = self.design.whiten(covariance, mean, power_error, (self.V / mean - 1.0)[:, None])
+        residual, log_det = self.design.whiten(mean, covariance, power_error, (self.V / mean - 1.0)[:, None])
         return jnp.sum(residual**2), log_det
 
     def powers(self, shape: Array, W: Array, reference: Array) -> tuple[Array, Array]:
         """Best powers for given shapes, and the whitened residual (variable projection)."""
-        A = W @ (self.means(shape) / reference).T
+        A = W @ (self.design.means(shape) / reference).T
         target = W @ (self.V / reference) - A @ jnp.where(self.free, 0.0, self.power)
         v = non_negative_least_squares(A, target, self.active & self.free)
         return jnp.where(self.free, v, self.power), target - A @ jnp.where(self.free, v, 0.0)
 
     def reweighted(self, state: _State, W: Array) -> tuple[Array, Array]:
         """Powers and shapes by one generalized least squares fit with the weights of the present estimate."""
-        shape = state.shape
-        if self.still is None:
+        shape = state.at[1]
+        if self.design.shapes:
 
             def residual(u: Array, _: None) -> Array:
                 return self.powers(self.within(u), W, state.mean)[1]
@@ -167,7 +145,7 @@ class _Problem(NamedTuple):
         Reweighting converges linearly, sometimes slowly or with alternating sign. The acceleration remedies
         that, with one step of memory and moves measured by how far they move the curve.
         """
-        to_curve = W @ (self.means(state.shape) / state.mean).T
+        to_curve = W @ (self.design.means(state.at[1]) / state.mean).T
         here, last = to_curve @ move[0], to_curve @ state.last_move[0]
         change = here - last
         gamma = jnp.vdot(change, here) / jnp.maximum(jnp.vdot(change, change), 1e-30)
@@ -177,23 +155,21 @@ class _Problem(NamedTuple):
         gamma = jnp.where(state.step > _WARM, jnp.clip(gamma, -_MAX_EXTRAPOLATION, 0.5), 0.0)
         power, shape = (
             x + f - gamma * (x - x_last + f - f_last)
-            for x, f, x_last, f_last in zip(state[:2], move, state.last, state.last_move, strict=True)
+            for x, f, x_last, f_last in zip(state.at, move, state.last, state.last_move, strict=True)
         )
-        return jnp.where(self.free, jnp.maximum(power, 0.0), state.power), self.within(shape)
+        return jnp.where(self.free, jnp.maximum(power, 0.0), self.power), self.within(shape)
 
-    def next(self, state: _State) -> _State:
-        """State after one step; a model that does not suffice without an error begins anew with one."""
+    def next(self, state: _State, again: _State) -> _State:
+        """State after one step; a model that does not suffice without an error begins `again` with one."""
         k, error, tolerant = state.step, state.power_error, state.tolerant
-        W = self.design.whiten(state.covariance, state.mean, error, jnp.eye(len(self.V))).values
-        power, shape = self.reweighted(state, W)
-        move = (power - state.power, shape - state.shape)
+        W = self.design.whiten(state.mean, state.covariance, error, jnp.eye(len(self.V))).values
+        move = jax.tree.map(jnp.subtract, self.reweighted(state, W), state.at)
         at = self.accelerated(state, W, move)
-        mean, covariance = self.moments(*at)
+        mean, covariance = self.design.moments(*at)
         # Move of the curve in standard deviations.
         moved = jnp.linalg.norm(W @ (mean / state.mean - 1.0))
-        (chi2, with_error), (_, log_det) = jax.vmap(lambda s: self.misfit(mean, covariance, s))(
-            jnp.stack([jnp.zeros(()), error])
-        )
+        errors = jnp.stack([jnp.zeros(()), error])
+        (chi2, with_error), (_, log_det) = jax.vmap(lambda s: self.misfit(mean, covariance, s))(errors)
         limit, excess = beyond_doubt(self.dof), with_error / self.dof
         # With few clusters the tail is heavier than that of χ².
         suffices = chi2 < limit
@@ -203,29 +179,20 @@ class _Problem(NamedTuple):
         # Where the model's error dominates the covariance, χ² is proportional to its inverse square.
         adapted = jnp.where(tolerant, jnp.clip(error * jnp.sqrt(excess), _LEAST_ERROR, 10.0), 0.0)
         warm = jnp.asarray(_WARM_UP)[tolerant.astype(int), jnp.minimum(k + 1, _WARM - 1)]
-        new = _State(
-            *at,
-            mean,
-            covariance,
-            last=state[:2],
-            last_move=move,
-            power_error=jnp.where(ended, error, jnp.where(k + 1 < _WARM, warm, adapted)),
-            tolerant=tolerant,
-            step=k + 1,
-            chi2=chi2,
-            # Minus twice the Gaussian log-likelihood, to choose among starts.
-            cost=with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(mean)),
-            settled=settled,
-            ended=ended,
-        )
+        wanted = jnp.where(ended, error, jnp.where(k + 1 < _WARM, warm, adapted))
+        # Minus twice the Gaussian log-likelihood, to choose among starts.
+        cost = with_error + 2.0 * log_det + 2.0 * jnp.sum(jnp.log(mean))
+        moments, before = (mean, covariance), (state.at, move)
+        new = _State(at, *moments, *before, wanted, tolerant, k + 1, chi2, cost, ended)
         anew = ended & ~tolerant & ~(settled & suffices)
-        return jax.tree.map(lambda a, b: jnp.where(anew, a, b), self.start(tolerant=True), new)
+        return jax.tree.map(lambda a, b: jnp.where(anew, a, b), again, new)
 
     def solution(self) -> Solution:
-        end = jax.lax.while_loop(lambda state: ~state.ended, self.next, self.start(tolerant=False))
+        first, again = self.start(tolerant=False), self.start(tolerant=True)
+        end = jax.lax.while_loop(lambda state: ~state.ended, lambda state: self.next(state, again), first)
         vanished = (end.power_error <= _LEAST_ERROR) & (end.chi2 < beyond_doubt(self.dof))
         error = jnp.where(vanished, 0.0, end.power_error)
-        return Solution(*end[:2], end.chi2, error, end.settled & jnp.isfinite(end.cost), end.cost)
+        return Solution(*end.at, end.chi2, error, (end.step < _STEPS) & jnp.isfinite(end.cost), end.cost)
 
 
 def solve(
@@ -236,31 +203,23 @@ def solve(
     power: Float[np.ndarray, "axes terms"],
     shape: Float[np.ndarray, "axes shapes"],
 ) -> Solution:
-    """Estimate of every axis from its start, in arrays of NumPy.
+    """Fit to the estimates V of power [rate²] of every axis from its start, in arrays of NumPy.
 
-    Args:
-        design: the model of the estimates.
-        V: the estimates of power, such as Allan variances [rate²].
-        free: the terms whose power is estimated.
-        active: the terms in use, for each axis.
-        power, shape: start values.
+    `active` are the terms in use, and `free` those whose power is estimated.
     """
     padding, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
-    of_terms = (np.pad(free, (0, slots)), *(np.pad(x, ((0, 0), (0, slots))) for x in (active, power)))
+    of_terms = (np.pad(x, ((0, 0), (0, slots))) for x in (active, np.where(active, power, 0.0)))
     V = np.pad(V, ((0, 0), (0, padding)), constant_values=1.0)
-    found: Any = jax.device_get(_solutions(design, V, *of_terms, shape))
+    found: Any = jax.device_get(_solutions(design, np.pad(free, (0, slots)), V, *of_terms, shape))
     return found._replace(power=found.power[:, : len(free)])
 
 
 @eqx.filter_jit
 def _solutions(
-    design: AllanDesign,
-    V: Float[Array | np.ndarray, "axes m"],
-    free: Bool[ArrayLike, " terms"],
-    *of_axes: Shaped[Array | np.ndarray, "axes ..."],
+    design: AllanDesign, free: Bool[ArrayLike, " terms"], *of_axes: Shaped[ArrayLike, "axes ..."]
 ) -> Solution:
     def of(axis: Any) -> Solution:
-        return _Problem.of(design, axis[0], jnp.asarray(free), *axis[1:]).solution()
+        return _Problem(design, axis[0], jnp.asarray(free), *axis[1:]).solution()
 
     # With shapes one after another, for then no axis waits for the slowest.
-    return jax.lax.map(of, (V, *of_axes)) if design.shapes else jax.vmap(of)((V, *of_axes))
+    return jax.lax.map(of, of_axes) if design.shapes else jax.vmap(of)(of_axes)

@@ -27,73 +27,51 @@ _MARGIN = 0.0125
 _NOWHERE = 1e4
 # A line at an unknown frequency is detected if noise has a line as strong in at most one of so many records.
 _FALSE_LINE = 1.35e-3
-# Hypothetical powers, in standard deviations from the estimate; the first is zero power.
-_BELOW = np.array([-np.inf, -8.0, -6.0, -5.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0])
-# If the scatter grows with the power, as for few long clusters, limits may be far above.
-_NEAR = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0]
-_ABOVE = np.array([*_NEAR, *10.0 * 2.0 ** np.arange(1, 31)])
-#: Number of hypotheses below the estimate, itself included.
-ABOVE = len(_BELOW)
+# Hypothetical powers below and above the estimate, in standard deviations; the last below is zero power. If
+# the scatter grows with the power, as for few long clusters, limits may be far above.
+_ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, *10.0 * 2.0 ** np.arange(1, 31)])
+_BELOW = np.full(len(_ABOVE), -np.inf)
+_BELOW[:11] = [0.0, -0.5, -1.0, -1.5, -2.0, -2.5, -3.0, -4.0, -5.0, -6.0, -8.0]
 # No interval ends beyond this score.
 _FAR_ENOUGH = 2.0
 # Probability that a ceiling is too low.
 _CHANCE = 0.025
+_PerAxis: TypeAlias = Float[np.ndarray, " axes"]
+_Curves: TypeAlias = Float[np.ndarray, "axes m"]
 _Terms: TypeAlias = Float[np.ndarray, "axes terms"]
 _Grid: TypeAlias = Float[np.ndarray, "axes grid"]
+_Ends: TypeAlias = Float[np.ndarray, "axes 5"]
 _Flags: TypeAlias = Bool[np.ndarray, "axes _"]
 _Index: TypeAlias = Int[np.ndarray, " axes"]
+_Square: TypeAlias = Float[np.ndarray, "axes k k"]
 
 
 class Inference(NamedTuple):
-    """Covariance and hypothesis tests of several axes around their estimates.
-
-    `covariance` is that of (powers, shapes); `power_at` and `pivot_at` are, per term, hypothetical powers
-    and the data's distance from each as a normal score, positive if the data favour a larger power: first
-    `ABOVE` below the estimate, then those above. `ceiling` is, per term, a power that is excluded even
-    without other terms.
-    """
+    """Covariance of (powers, shapes) of several axes, and for each power what `ends_of` returns."""
 
     covariance: Float[np.ndarray, "axes params params"]
-    power_at: Float[np.ndarray, "axes terms grid"]
-    pivot_at: Float[np.ndarray, "axes terms grid"]
-    ceiling: Float[np.ndarray, "axes terms"]
+    ends: Float[np.ndarray, "axes terms 5"]
 
 
 @np.errstate(all="ignore")
 def infer(
-    tangent: Tangent,
-    V: Float[np.ndarray, "axes m"],
-    free: Bool[np.ndarray, " terms"],
-    active: Bool[np.ndarray, "axes terms"],
-    solution: Solution,
+    tangent: Tangent, V: _Curves, free: Bool[np.ndarray, " terms"], active: _Flags, solution: Solution
 ) -> Inference:
-    """Covariance of the parameters, and for each term the distance of the data from hypothetical powers.
+    """Covariance of the parameters, and intervals of each power by tests of hypothetical powers.
 
-    Hypotheses lead from the estimate down to v = 0, and up, until the data exclude one; the others are NaN.
-    The distance is the score statistic: the mean, covariance and derivatives at the hypothesis (the other
-    powers fitted anew), so that it is right at the boundary v = 0 as well as where the scatter grows with v.
-    It exists for inactive terms too, whose upper limits it gives.
+    Hypotheses lead from the estimate down to v = 0, and up, until the data exclude one. The distance of the
+    data is the score statistic: the mean, covariance and derivatives at the hypothesis (the other powers
+    fitted anew), so that it is right at the boundary v = 0 as well as where the scatter grows with v. It
+    exists for inactive terms too, whose upper limits it gives.
     """
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
     axes = _Axes(tangent, V, active, active & free, power, solution.power_error, has_shape)
-    covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1)).covariance
+    covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1))[2]
     # Every term of every axis.
     axis, term = (x.ravel() for x in np.indices(power.shape))
-    power_at, pivot_at = (x.reshape(*power.shape, -1) for x in axes.of_axes(axis).hypotheses(term))
-    return Inference(covariance, power_at, pivot_at, axes.ceiling())
-
-
-class _Linearized(NamedTuple):
-    """One-step estimates at hypotheses, linear in the relative residuals r: `covariance` · `raw`' C⁻¹ r.
-
-    `weighed` is C⁻¹ `raw`, `step` the estimate; parameters that are not estimated have zeros.
-    """
-
-    raw: Float[np.ndarray, "axes m params"]
-    weighed: Float[np.ndarray, "axes m params"]
-    covariance: Float[np.ndarray, "axes params params"]
-    step: Float[np.ndarray, "axes params"]
+    ends = axes.of_axes(axis).ends(term, axes.ceiling().ravel())
+    return Inference(covariance, ends.reshape(*power.shape, -1))
 
 
 class _Axes(NamedTuple):
@@ -104,46 +82,54 @@ class _Axes(NamedTuple):
     """
 
     tangent: Tangent
-    V: Float[np.ndarray, "axes m"]
-    active: Bool[np.ndarray, "axes terms"]
-    fitted: Bool[np.ndarray, "axes terms"]
-    power: Float[np.ndarray, "axes terms"]
-    error: Float[np.ndarray, " axes"]
-    has_shape: Bool[np.ndarray, "axes shapes"]
+    V: _Curves
+    active: _Flags
+    fitted: _Flags
+    power: _Terms
+    error: _PerAxis
+    has_shape: _Flags
 
     def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
         return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
 
-    def linearized(self, power: _Terms, estimated: _Flags) -> _Linearized:
-        """One-step estimates at hypotheses of those parameters that are estimated."""
+    def linearized(
+        self, power: _Terms, estimated: _Flags
+    ) -> tuple[_Square, _Square, _Square, Float[np.ndarray, "axes params"]]:
+        """Derivatives X of the relative residuals r, C⁻¹X, covariance, and one-step estimates at hypotheses.
+
+        The estimates are linear, covariance·X'C⁻¹r; parameters that are not estimated have zeros.
+        """
         at, mean = self.tangent, self.tangent.mean(power)
         moved = np.sum(power[:, :, None, None] * at.by_shape, axis=1)
         units = np.broadcast_to(at.means.swapaxes(1, 2), (*mean.shape, power.shape[1]))
-        raw = np.concatenate([units, moved], axis=2) / mean[:, :, None] * estimated[:, None]
-        weighed = at.weighed(power, self.error, raw)
-        normal = raw.swapaxes(1, 2) @ weighed
-        size = np.sqrt(np.einsum("aii->ai", normal))
-        size = np.where(size > 0.0, size, 1.0)
-        sizes = size[:, :, None] * size[:, None]
+        X = np.concatenate([units, moved], axis=2) / mean[:, :, None] * estimated[:, None]
+        weighed = at.weighed(power, self.error, X)
+        normal, size = _scaled(X.swapaxes(1, 2) @ weighed)
         # A zero column (not estimated) gets a unit on the diagonal.
         rest = np.where(estimated, 0.0, 1.0) + 1e-12
-        covariance = np.linalg.inv(normal / sizes + rest[:, :, None] * np.eye(rest.shape[1])) / sizes
+        sizes = size[:, :, None] * size[:, None]
+        covariance = np.linalg.inv(normal + rest[:, :, None] * np.eye(rest.shape[1])) / sizes
         covariance *= estimated[:, :, None] & estimated[:, None]
         score = weighed.swapaxes(1, 2) @ (self.V / mean - 1.0)[:, :, None]
-        return _Linearized(raw, weighed, covariance, (covariance @ score)[..., 0])
+        return X, weighed, covariance, (covariance @ score)[..., 0]
 
-    def scores(self, term: _Index, power: _Terms, estimated: _Flags) -> Float[np.ndarray, " axes"]:
-        """Distance of the data from these powers, that of one term being tested, as a normal score."""
-        there, axis = self.linearized(power, estimated), np.arange(len(term))
-        row, variance = there.covariance[axis, term][:, :, None], there.covariance[axis, term, term]
+    def scores(self, term: _Index, power: _Terms, estimated: _Flags) -> _PerAxis:
+        """Distance of the data from these powers, that of one term being tested, as a normal score.
+
+        With few clusters estimates are skewed, so that a positive deviation is less surprising than a
+        negative one: the score is that of a shifted gamma law.
+        """
+        X, weighed, covariance, step = self.linearized(power, estimated)
+        axis = np.arange(len(term))
+        row, variance = covariance[axis, term][:, :, None], covariance[axis, term, term]
         # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
         # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-        third = 2.0 * np.sum((there.weighed @ row) * (there.raw @ row) ** 2, axis=(1, 2))
+        third = 2.0 * np.sum((weighed @ row) * (X @ row) ** 2, axis=(1, 2))
         # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
         most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, term], 1e-300)
-        return _normal_score(
-            there.step[axis, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
-        )
+        t, skewness = step[axis, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
+        g = np.where(np.abs(skewness) > 1e-3, skewness, 1e-3)
+        return np.sign(g) * cube_root_score(np.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
 
     def profiled(self, power: _Terms, allowed: _Flags) -> _Terms:
         """Powers, the allowed ones fitted to the data with weights from the covariance at `power`.
@@ -154,10 +140,8 @@ class _Axes(NamedTuple):
         A = (means / mean[:, None]).swapaxes(1, 2)
         rest = (self.V - self.tangent.mean(np.where(allowed, 0.0, power))) / mean
         weighed = self.tangent.weighed(power, self.error, A).swapaxes(1, 2)
-        normal, target = weighed @ A, (weighed @ rest[:, :, None])[..., 0]
-        size = np.sqrt(np.einsum("aii->ai", normal))
-        size = np.where(size > 0.0, size, 1.0)
-        normal, target, positive = normal / (size[..., None] * size[:, None]), target / size, allowed
+        normal, size = _scaled(weighed @ A)
+        target, positive = (weighed @ rest[:, :, None])[..., 0] / size, allowed
         for _ in range(power.shape[1]):
             system = np.where(positive[..., None] & positive[:, None], normal, 0.0)
             system += np.where(positive, 1e-12, 1.0)[..., None] * np.eye(power.shape[1])
@@ -167,27 +151,28 @@ class _Axes(NamedTuple):
             positive = positive & (x >= 0.0)
         return np.where(allowed, np.maximum(x, 0.0) / size, power)
 
-    def hypotheses(self, term: _Index) -> tuple[_Grid, _Grid]:
-        """Hypothetical powers of a term of each axis, and the data's distance from each."""
+    def ends(self, term: _Index, ceiling: _PerAxis) -> _Ends:
+        """Ends of the intervals of a term's power for each axis."""
         axis, alone = np.arange(len(term)), np.eye(self.power.shape[1], dtype=bool)[term]
         # The term under test is estimated even if inactive; its shape may be unknown.
         shaped = self.has_shape & (self.tangent.owner != term[:, None])
         estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
-        variance = self.linearized(self.power, estimated).covariance[axis, term, term]
-        here = self.power[axis, term][:, None]
-        down, up = (np.maximum(here + sds * np.sqrt(variance)[:, None], 0.0) for sds in (_BELOW, _ABOVE))
+        sd = np.sqrt(self.linearized(self.power, estimated)[2][axis, term, term])
+        # Both sides of each estimate are tested together.
+        sides, sign = np.repeat(axis, 2), np.tile([1.0, -1.0], len(axis))
+        here = self.power[axis, term][sides, None]
+        v = np.maximum(here + np.where(sign[:, None] > 0.0, _BELOW, _ABOVE) * sd[sides, None], 0.0)
         # The only term cannot vanish altogether.
-        below, above = (
-            self._walked(term, np.maximum(v, 1e-9 * here), sign) for v, sign in ((down[:, ::-1], 1), (up, -1))
-        )
-        return np.concatenate([down, up], axis=1), np.concatenate([below[:, ::-1], above], axis=1)
+        distance = self.of_axes(sides)._walked(term[sides], np.maximum(v, 1e-9 * here), sign)
+        return ends_of((v[::2], distance[::2]), (v[1::2], distance[1::2]), ceiling)
 
-    def _walked(self, term: _Index, v: _Grid, sign: int) -> _Grid:
-        """Distance from each of these powers, from the estimate on, until the data exclude one.
+    def _walked(self, term: _Index, v: _Grid, sign: _PerAxis) -> _Grid:
+        """Distance from each of these powers, beyond that at the estimate, until the data exclude one.
 
-        The other powers are fitted anew at each, with the weights of the last.
+        It is positive where the data favour the estimate, with `sign` 1 for powers below and −1 above. The
+        other powers are fitted anew at each, with the weights of the last.
         """
-        scores, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
+        distance, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
         owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
         present = self.power[left, term] > 0.0
         for k in range(v.shape[1]):
@@ -196,14 +181,17 @@ class _Axes(NamedTuple):
             there = new[:, owner] > 0.0
             own = owner == term[left, None]
             shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
-            known = np.concatenate([some.fitted | here, shaped], axis=1)
-            scores[left, k] = some.scores(term[left], new, known)
-            at[left] = new
-            distance = sign * (scores[left, k] - _at_estimate(scores[left, 0], present[left]))
-            left = left[~(distance > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
+            score = some.scores(term[left], new, np.concatenate([some.fitted | here, shaped], axis=1))
+            if k == 0:
+                # Not zero where other powers ended at zero. Also for an absent term whose score is negative,
+                # so that its limit does not shrink.
+                start = np.where(np.isfinite(score), score, 0.0)
+                start = np.where(present, start, np.minimum(start, 0.0))
+            at[left], distance[left, k] = new, sign[left] * (score - start[left])
+            left = left[~(distance[left, k] > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
             if not len(left):
                 break
-        return scores
+        return distance
 
     def ceiling(self) -> _Terms:
         """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
@@ -224,26 +212,35 @@ class _Axes(NamedTuple):
         return np.min(highest, axis=2)
 
 
-def _normal_score(
-    t: Float[np.ndarray, " axes"], skewness: Float[np.ndarray, " axes"]
-) -> Float[np.ndarray, " axes"]:
-    """Normal score of a standardized deviation t of a shifted gamma law with this skewness.
+def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:
+    """Normal equations with a unit diagonal, and the root of their diagonal; 1 where it is zero."""
+    size = np.sqrt(np.einsum("aii->ai", normal))
+    size = np.where(size > 0.0, size, 1.0)
+    return normal / (size[:, :, None] * size[:, None]), size
 
-    With few clusters estimates are skewed, so that a positive t is less surprising than a negative one.
+
+@np.errstate(divide="ignore", invalid="ignore")
+def ends_of(below: tuple[_Grid, _Grid], above: tuple[_Grid, _Grid], ceiling: _PerAxis) -> _Ends:
+    """Lower and upper end of the 95 % and of the 68 % interval of a power, and its one-sided 95 % limit.
+
+    `below` and `above` are hypothetical powers from the estimate on, and the data's distances from them as
+    normal scores. The `ceiling` is the upper end if the model error is so large that the data exclude none.
     """
-    g = np.where(np.abs(skewness) > 1e-3, skewness, 1e-3)
-    return np.sign(g) * cube_root_score(np.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
-
-
-def _at_estimate(
-    score: Float[np.ndarray, " axes"], present: Bool[np.ndarray, " axes"]
-) -> Float[np.ndarray, " axes"]:
-    """Score at the estimate, which is not zero where other powers ended at zero, to be subtracted.
-
-    Also for an absent term whose score is negative, so that its limit does not shrink.
-    """
-    score = np.where(np.isfinite(score), score, 0.0)
-    return np.where(present, score, np.minimum(score, 0.0))
+    # Without this term the others may leave no noise at all: such a hypothesis is excluded.
+    lower = below[0], np.where(np.isfinite(below[1]), below[1], np.inf), 0.0
+    upper = above[0], np.where(np.isfinite(above[1]), above[1], np.nan), np.maximum(ceiling, above[0][:, 0])
+    axis, found = np.arange(len(ceiling)), []
+    for level in _LEVELS:
+        power, distance, nowhere = lower if level > 0.0 else upper
+        # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
+        beyond = distance >= abs(level)
+        outer = np.argmax(beyond, axis=1)
+        inner = np.maximum(outer - 1, 0)
+        (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, distance))
+        # No share where there is no distance at the estimate itself.
+        share = np.where(np.isfinite(far) & (far != near), (abs(level) - near) / (far - near), 0.0)
+        found.append(np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere))
+    return np.stack(found, axis=1)
 
 
 def reported(model: Model) -> tuple[ModelParameter, ...]:
@@ -258,14 +255,11 @@ def count_estimated(model: Model, active: Bool[np.ndarray, " terms"]) -> int:
 
 
 class Estimates(NamedTuple):
-    """The coefficients of several axes in SI, [axes, coefficients] in the order of `reported`.
+    """The coefficients of several axes in SI, in the order of `reported`, and their covariance.
 
-    Attributes:
-        value, std: estimates and their standard deviations; NaN for the shape of an absent term.
-        ends: lower and upper end of the 95 % and of the 68 % interval, and the one-sided 95 % limit, which
-            is NaN except for amplitudes.
-        detected: whether the term's amplitude excludes zero.
-        covariance: covariance of the coefficients of each axis.
+    `value` and `std` are NaN for the shape of an absent term; `ends` are those of the 95 % and of the 68 %
+    interval, and the one-sided 95 % limit, which is NaN except for amplitudes; `detected` tells whether the
+    term's amplitude excludes zero.
     """
 
     value: Float[np.ndarray, "axes params"]
@@ -276,9 +270,7 @@ class Estimates(NamedTuple):
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def estimates_of(
-    model: Model, active: Bool[np.ndarray, "axes terms"], solution: Solution, inference: Inference
-) -> Estimates:
+def estimates_of(model: Model, active: _Flags, solution: Solution, inference: Inference) -> Estimates:
     """The coefficients of every axis from its solution and inference; inactive terms have limits only."""
     parameters, power = reported(model), solution.power
     sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
@@ -295,11 +287,9 @@ def estimates_of(
             if own.is_amplitude:
                 found[:, p.term] = True
         elif own.is_amplitude:
-            present = power[:, p.term] > 0.0
-            value[:, row] = np.sqrt(power[:, p.term])
-            ends[:, row] = np.sqrt(_crossings(inference, p.term, present))
+            value[:, row], ends[:, row] = np.sqrt(power[:, p.term]), np.sqrt(inference.ends[:, p.term])
             found[:, p.term] = active[:, p.term] & (ends[:, row, 0] > 0.0)
-            slopes[:, row, p.term] = np.where(present, 0.5 / value[:, row], 0.0)
+            slopes[:, row, p.term] = np.where(power[:, p.term] > 0.0, 0.5 / value[:, row], 0.0)
         else:
             k, present = next(shapes), there[:, p.term]
             distance = np.exp(solution.shape[:, k - len(model)])
@@ -333,13 +323,7 @@ class Coefficients:
 
 
 def coefficients_of(
-    model: Model,
-    axis: Axis,
-    active: Bool[np.ndarray, "1 terms"],
-    solution: Solution,
-    inference: Inference,
-    n: int,
-    rate: float,
+    model: Model, axis: Axis, active: _Flags, solution: Solution, inference: Inference, n: int, rate: float
 ) -> Coefficients:
     """Coefficients of one axis by their labels, from `estimates_of`.
 
@@ -347,27 +331,18 @@ def coefficients_of(
     """
     found = estimates_of(model, active, solution, inference)
     rows = zip(reported(model), *(x[0].tolist() for x in found[:4]), strict=True)
-    of_axis = [_within(_estimate(p, axis, *row), n, rate) for p, *row in rows]
-    return Coefficients({c.label: c for c in of_axis}, np.nan_to_num(found.covariance[0]))
+    of_axis = {p.label: _within(estimate_of(p, axis, *row), n, rate) for p, *row in rows}
+    return Coefficients(of_axis, np.nan_to_num(found.covariance[0]))
 
 
-def _estimate(
-    p: ModelParameter, axis: Axis, value: float, std: float, ends: Sequence[float], detected: bool
+def estimate_of(
+    p: ModelParameter, axis: Axis, value: float, std: float, ends: Sequence[float], seen: bool, **more: Any
 ) -> Estimate:
-    """Estimate of a parameter from a row of `Estimates`."""
-    return Estimate(
-        label=p.label,
-        term=p.term_label,
-        parameter=p.parameter,
-        axis=axis,
-        value=value,
-        std=std,
-        interval=(ends[0], ends[1]),
-        interval_68=(ends[2], ends[3]),
-        upper_limit=ends[4] if p.free and p.parameter.is_amplitude else None,
-        detected=detected,
-        held=not p.free,
-    )
+    """Estimate of a parameter, with `ends` as those of `Estimates`, that is detected if it is seen."""
+    more |= {"label": p.label, "term": p.term_label, "parameter": p.parameter, "held": not p.free}
+    more |= {"interval": (ends[0], ends[1]), "interval_68": (ends[2], ends[3])}
+    limit = ends[4] if p.free and p.parameter.is_amplitude else None
+    return Estimate(axis=axis, value=value, std=std, upper_limit=limit, detected=seen, **more)
 
 
 def _within(c: Estimate, n: int, rate: float) -> Estimate:
@@ -386,15 +361,12 @@ def _within(c: Estimate, n: int, rate: float) -> Estimate:
     ratio = float(np.exp(min(ONE_SIDED_95 * c.std / distance, 700.0)))
     # At a bound itself the data do not determine the logarithm of the distance from it.
     below, above = below or ratio > _NOWHERE, above or ratio > _NOWHERE
-
-    def cut(ends: tuple[float, float]) -> tuple[float, float]:
-        return p.lower if below else ends[0], p.upper if above else ends[1]
-
+    cut = [(p.lower if below else a, p.upper if above else b) for a, b in (c.interval, c.interval_68)]
     return dataclasses.replace(
         c,
         std=float("nan"),
-        interval=cut(c.interval),
-        interval_68=cut(c.interval_68),
+        interval=cut[0],
+        interval_68=cut[1],
         lower_limit=p.lower + distance / ratio if above and not below else None,
         upper_limit=p.lower + distance * ratio if below and not above else None,
     )
@@ -412,14 +384,8 @@ def deterministic_coefficients(
 ) -> dict[str, Estimate]:
     """The coefficients of a ramp or a line, by the noncentral χ² law of the square of its estimate.
 
-    Args:
-        model: the model, and `term` the index of the ramp or line in it.
-        axis: the axis.
-        amplitude: estimates of its components, SI: one of a ramp or a step, two of a line.
-        covariance: their covariance.
-        line: where the line was found.
-        n: samples of the record; a line at an unknown frequency competes with n/2 frequencies without one.
-        active: whether the term is in the model.
+    The `amplitude` [SI] has one component for a ramp or a step, two for a line. A line at an unknown
+    frequency competes with n/2 frequencies without one. Of a term that is not `active` there is a limit.
     """
     from scipy.special import ndtr
 
@@ -429,45 +395,17 @@ def deterministic_coefficients(
     chance, detected = np.exp(-square / 2.0) * n if searched else 0.0, True
     found: dict[str, Estimate] = {}
     for p in (p for p in reported(model) if p.term == term):
-        if not p.free:
-            value, std, ends, seen = float(p.start or 0.0), 0.0, [float(p.start or 0.0)] * 5, True
-        elif p.parameter.is_amplitude:
+        value, std, seen = float(p.start or 0.0), 0.0, True
+        ends = [value] * 5
+        if p.free and p.parameter.is_amplitude:
             levels = ndtr(np.append(_LEVELS, 0.0))
             *ends, value = (unit * amplitude_quantiles(square, len(amplitude), levels)).tolist()
             value = value if active else 0.0
             std = unit if value > 0.0 else 0.0
             seen = detected = bool(active and ends[0] > 0.0 and chance < _FALSE_LINE)
-        else:
+        elif p.free:
             assert line is not None
             value, std, seen = line.frequency, line.frequency_std, detected
             ends = (value - _LEVELS * std).tolist()
-        found[p.label] = _estimate(p, axis, value, std, ends, seen)
+        found[p.label] = estimate_of(p, axis, value, std, ends, seen)
     return found
-
-
-def _crossings(
-    inference: Inference, term: int, present: Bool[np.ndarray, " axes"]
-) -> Float[np.ndarray, "axes 5"]:
-    """The hypothetical powers of a term at which the data are as far away as `_LEVELS`.
-
-    Positive levels are sought below the estimate (zero if none is reached), negative ones above (the ceiling,
-    if the model error is so large that the data exclude none).
-    """
-    axis, found = np.arange(len(present)), []
-    for level in _LEVELS:
-        below = level > 0.0
-        side = slice(ABOVE - 1, None, -1) if below else slice(ABOVE, None)
-        power, pivot = inference.power_at[:, term, side], inference.pivot_at[:, term, side]
-        # Without this term the others may leave no noise at all: such a hypothesis is excluded.
-        pivot = np.where(np.isfinite(pivot), pivot, np.inf if below else np.nan)
-        pivot = pivot - _at_estimate(pivot[:, 0], present)[:, None]
-        # The nearest hypothesis beyond the level, and its neighbour on the estimate's side.
-        beyond = pivot >= level if below else pivot <= level
-        outer = np.argmax(beyond, axis=1)
-        inner = np.maximum(outer - 1, 0)
-        (from_, to), (near, far) = ((x[axis, inner], x[axis, outer]) for x in (power, pivot))
-        # No share where there is no distance at the estimate itself.
-        share = np.where(np.isfinite(far) & (far != near), (level - near) / (far - near), 0.0)
-        nowhere = np.zeros(len(power)) if below else np.maximum(inference.ceiling[:, term], power[:, 0])
-        found.append(np.where(beyond.any(axis=1), from_ + share * (to - from_), nowhere))
-    return np.stack(found, axis=1)

@@ -22,7 +22,8 @@ from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, 
 from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
-from allanjax.estimate.evidence import Evidence, TermSets, evidence, term_sets
+from allanjax.estimate.evidence import TermSets, evidence, term_sets
+from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
 from allanjax.estimate.spectral.powers import Ramps, information
@@ -424,7 +425,7 @@ class _Candidates(NamedTuple):
         more = ((0, 0), (0, len(self.owner) - sets.columns.shape[1]))
         return TermSets(np.pad(sets.columns, more), np.pad(sets.used, more), sets.ramp)
 
-    def with_two_times(self, found: Evidence) -> TermSets:
+    def with_two_times(self, found: TermSets) -> TermSets:
         """All pairs of times with what those sets with one have besides that are not far behind the best."""
         one = found.used[:, self.plain]
         near = one & (found.log_evidence > found.log_evidence[one].max() - _FAR)
@@ -439,7 +440,7 @@ class _Candidates(NamedTuple):
         weighed, found, error = self, self.evidence(self.sets), 0.0
         if len(self.owner) > self.plain + 1:
             pairs = self.evidence(self.with_two_times(found))
-            found = Evidence(*map(np.concatenate, zip(found, pairs, strict=True)))
+            found = TermSets(*map(np.concatenate, zip(found, pairs, strict=True)))
         if self.error_of(found) > 0.0:
             # Without other terms, those with a free time are kept.
             if self.plain:
@@ -449,7 +450,7 @@ class _Candidates(NamedTuple):
                 share = share_with_error(self.size, self.bins.per_octave() * error**2)
                 statistics = SpectralStatistics(*(share * x for x in self.statistics))
                 weighed = self._replace(statistics=statistics, size=share * self.size)
-                found = weighed.evidence(TermSets(*found[:3]))
+                found = weighed.evidence(found._replace(power=None))
         has = np.zeros((len(found.ramp), len(self.model)), bool)
         has[:, self.owner] = found.used
         if self.ramp is not None:
@@ -470,17 +471,17 @@ class _Candidates(NamedTuple):
         averaged = weighed.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
         return AxisSelection(axis, tuple(ranking), error / 2.0, averaged)
 
-    def evidence(self, sets: TermSets) -> Evidence:
+    def evidence(self, sets: TermSets) -> TermSets:
         return evidence(sets, self.levels, self.statistics, self.size)
 
-    def ramps(self, found: Evidence) -> Ramps:
+    def ramps(self, found: TermSets) -> Ramps:
         return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
 
-    def mean(self, found: Evidence) -> Float[np.ndarray, "sets m"]:
+    def mean(self, found: TermSets) -> Float[np.ndarray, "sets m"]:
         """Expected levels of sets at the maxima of their likelihoods."""
         return np.maximum((found.power[:, None] @ self.levels[found.columns])[:, 0], 1e-300)
 
-    def error_of(self, found: Evidence) -> float:
+    def error_of(self, found: TermSets) -> float:
         """Relative error that makes the best set fit; 0 if it does."""
         best = found.of([np.argmax(found.log_evidence)])
         level, mean = self.statistics.squares / self.size, self.mean(best)
@@ -490,14 +491,14 @@ class _Candidates(NamedTuple):
             return 0.0
         return error_of_powers(ratio, dof, self.bins.per_octave(), degrees)
 
-    def covariance(self, found: Evidence) -> Float[np.ndarray, "sets places places"]:
+    def covariance(self, found: TermSets) -> Float[np.ndarray, "sets places places"]:
         """Covariance of the logarithms of the powers of sets."""
         F = information(self.levels[found.columns], self.mean(found), self.size / 2.0)
         F *= found.power[:, :, None] * found.power[:, None]
         # A power that few coefficients determine is as likely half as large as twice as large.
         return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
 
-    def intervals(self, best: Evidence) -> dict[str, tuple[float, float]]:
+    def intervals(self, best: TermSets) -> dict[str, tuple[float, float]]:
         """95 % interval of each amplitude of a set but the ramp's, by its label."""
         labels = {p.term: p.label for p in self.model.parameters if p.parameter.is_amplitude}
         value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
@@ -505,7 +506,7 @@ class _Candidates(NamedTuple):
         every = zip(self.owner.tolist(), *ends.tolist(), strict=True)
         return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
 
-    def averaged(self, axis: Axis, found: Evidence, probability: Float[np.ndarray, " sets"]) -> Averaged:
+    def averaged(self, axis: Axis, found: TermSets, probability: Float[np.ndarray, " sets"]) -> Averaged:
         """Average over the sets, drawn by their probabilities."""
         rng = np.random.default_rng(0)
         likely = probability > _IMPROBABLE * probability.max()
@@ -530,20 +531,8 @@ class _Candidates(NamedTuple):
 
 def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
     """An averaged amplitude."""
-    median, low_95, high_95, low_68, high_68, limit = np.quantile(draws, _QUANTILES).tolist()
-    return Estimate(
-        label=p.label,
-        term=p.term_label,
-        parameter=p.parameter,
-        axis=axis,
-        value=median,
-        std=float(draws.std()),
-        interval=(low_95, high_95),
-        interval_68=(low_68, high_68),
-        upper_limit=limit,
-        detected=low_95 > 0.0,
-        source="averaged",
-    )
+    median, *ends = np.quantile(draws, _QUANTILES).tolist()
+    return estimate_of(p, axis, median, float(draws.std()), ends, ends[0] > 0.0, source="averaged")
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:

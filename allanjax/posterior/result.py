@@ -33,11 +33,9 @@ if TYPE_CHECKING:
 
     from allanjax.allan.deviation import AllanDeviation
 
-# Draws whose curves are evaluated at once, as terms without a closed form need memory; and draws from which
-# derived quantities are computed.
-_AT_ONCE, _DERIVED_DRAWS = 16, 1000
-# Numbers of cluster times at which the minimum of a curve is sought: of the curve itself, and of its spline.
-_MINIMUM_POINTS, _DENSE = 200, 4001
+# Draws whose curves are evaluated at once, as terms without a closed form need memory; draws from which
+# derived quantities are computed; cluster times at which the minimum of a curve and of its spline is sought.
+_AT_ONCE, _DERIVED_DRAWS, _MINIMUM_POINTS, _DENSE = 16, 1000, 200, 4001
 # Usual unit and name of the integrated rate.
 _INTEGRAL = {"gyro": ("deg", "angle"), "accel": ("m/s", "velocity")}
 # Probabilities of the median, the central 68 and 95 %, and the lowest 68 and 95 %.
@@ -79,24 +77,16 @@ class BiasMinimum(ByValue):
         return f"<BiasMinimum {self}>"
 
 
-def _with_draw(
-    template: Model, labels: tuple[str, ...], absent: tuple[str, ...], values: Sequence[Any] | Array
-) -> Model:
-    """The model with these values of the labelled parameters, without the absent terms."""
-    return template.with_values(**dict(zip(labels, values, strict=True))).without(absent)
-
-
 @eqx.filter_jit
-def _curves(
-    model_of: eqx.Partial, draws: Float[ArrayLike, "draws params"], at: ArrayLike, rate: float, is_psd: bool
-) -> Float[Array, "draws points"]:
-    """Allan deviation at cluster times [s], or one-sided PSD at frequencies [Hz], of every draw's model."""
+def _curves(models: Model, at: ArrayLike, rate: float, is_psd: bool) -> Float[Array, "draws points"]:
+    """Allan deviation at cluster times [s], or one-sided PSD at frequencies [Hz], of models of draws."""
+    drawn, others = eqx.partition(models, eqx.is_array)
 
-    def one(values: Float[Array, " params"]) -> Float[Array, " points"]:
-        model = model_of(values).sampled(rate)
+    def one(values: Model) -> Float[Array, " points"]:
+        model = eqx.combine(values, others).sampled(rate)
         return 2.0 * model.sampled_psd(at, rate) if is_psd else jnp.sqrt(model.allan_variance(at))
 
-    return jax.lax.map(one, draws, batch_size=_AT_ONCE)
+    return jax.lax.map(one, drawn, batch_size=_AT_ONCE)
 
 
 class PosteriorWarning(AllanjaxWarning):
@@ -166,20 +156,19 @@ class AxisPosterior(ByValue, AxisEstimates):
         lack = f"the data also call for {' and '.join(wanted)}, which was not sampled; add it to the model"
         return f"{text}; {lack}" if wanted else text
 
-    @property
-    def _model_of(self) -> Any:
-        """Function that makes a model of a draw: terms that were not sampled are left out, held ones stay."""
+    def _model_of(self, values: Sequence[Any] | Array) -> Model:
+        """Model of a draw, or of many: terms that were not sampled are left out, held ones stay."""
         free = [p for p in self._template.parameters if p.parameter.is_amplitude and p.free]
-        absent = tuple(p.term_label for p in free if p.label not in self.labels)
-        return eqx.Partial(_with_draw, self._template, self.labels, absent)
+        model = self._template.with_values(**dict(zip(self.labels, values, strict=True)))
+        return model.without([p.term_label for p in free if p.label not in self.labels])
 
     def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
         """Evenly spaced draws; some repeat if there are fewer."""
         return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
 
     def _curves(self, at: ArrayLike, count: int, is_psd: bool) -> Float[np.ndarray, "count points"]:
-        points = np.atleast_1d(np.asarray(at, float))
-        return np.asarray(_curves(self._model_of, self._some_draws(count), points, self.rate, is_psd))
+        models = self._model_of(jnp.asarray(self._some_draws(count).T))
+        return np.asarray(_curves(models, np.atleast_1d(np.asarray(at, float)), self.rate, is_psd))
 
     def models(self, count: int = 100) -> list[Model]:
         """Models of `count` evenly spaced draws, without the terms that were not sampled."""
@@ -207,20 +196,14 @@ class AxisPosterior(ByValue, AxisEstimates):
         logs = curves(dense)
         lowest = np.argmin(logs, axis=1)
         at_start, at_end = float(np.mean(lowest == 0)), float(np.mean(lowest == _DENSE - 1))
-        remarks = "", ""
-        if at_end > 0.5:
-            still = "bound: the curve still falls at half the record"
-            remarks = f"upper {still}", f"lower {still}"
-        elif at_start > 0.5:
-            remarks = ("the curve rises from the first cluster time on",) * 2
+        remark = "the curve rises from the first cluster time on" if at_start > 0.5 else ""
+        still = "bound: the curve still falls at half the record"
+        remarks = (f"upper {still}", f"lower {still}") if at_end > 0.5 else (remark, remark)
         unit = default_coefficient_unit(self.axis.sensor, 0.0)
         height, place = np.exp(logs.min(axis=1)), np.exp(dense[lowest])
-        return BiasMinimum(
-            self._derived("bias-instability minimum", unit, height, remarks[0]),
-            self._derived("cluster time of the minimum", "s", place, remarks[1]),
-            at_start,
-            at_end,
-        )
+        lowest_one = self._derived("bias-instability minimum", unit, height, remarks[0])
+        its_time = self._derived("cluster time of the minimum", "s", place, remarks[1])
+        return BiasMinimum(lowest_one, its_time, at_start, at_end)
 
     def _derived(self, label: str, unit: str, draws: Float[np.ndarray, " draws"], remark: str) -> Estimate:
         return Estimate(axis=self.axis, label=label, usual_unit=unit, remark=remark, **summary(draws))

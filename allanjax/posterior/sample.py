@@ -74,10 +74,10 @@ def sample(
     if not names:
         raise AllanjaxError(f"name at least one axis to sample, of {', '.join(fit.axes)}")
     for name in names:
-        why = f"{fit[name].verdict}; allanjax.critique looks for the cause"
-        if not fit[name].converged:
-            why = f"the fit failed ({fit[name].reason})"
-        if not (fit[name].converged and fit[name].measured):
+        result = fit[name]
+        if not (result.converged and result.measured):
+            looked = f"{result.verdict}; allanjax.critique looks for the cause"
+            why = looked if result.converged else f"the fit failed ({result.reason})"
             raise FitError(f"{name}: no posterior: {why}; sample the others with axes=[…]")
     options = Options(seed, walkers, max_steps, min_length, max_change, max_r_hat, absent_draws)
     shown, results = sys.stderr.isatty() if progress is None else progress, []

@@ -37,10 +37,9 @@ from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, PosteriorWarning, summary
 from allanjax.posterior.target import Target
 
-# Steps in which the proposals adapt, in how many rounds, and steps before convergence is first checked.
-_WARM_UP, _ROUNDS, _FIRST_BLOCK = 100, 4, 200
-# Length of the burn-in, in autocorrelation times.
-_BURN_IN = 5.0
+# Steps in which the proposals adapt, in how many rounds, steps before convergence is first checked, and
+# length of the burn-in in autocorrelation times.
+_WARM_UP, _ROUNDS, _FIRST_BLOCK, _BURN_IN = 100, 4, 200, 5.0
 # Degrees of freedom of the proposed Student law, with tails heavier than those of any posterior seen here.
 _DOF = 4.0
 # An amplitude is detected if the data make zero less credible by this factor.
@@ -70,15 +69,8 @@ class Options:
     absent_draws: int
 
     def __post_init__(self) -> None:
-        least = {
-            "seed": -1,
-            "max_steps": 9,
-            "absent_draws": 1,
-            "min_length": 0,
-            "max_change": 0,
-            "max_r_hat": 1,
-        }
-        for name, bound in least.items():
+        least = {"seed": -1, "max_steps": 9, "min_length": 0, "max_change": 0, "max_r_hat": 1}
+        for name, bound in (least | {"absent_draws": 1}).items():
             if not getattr(self, name) > bound:
                 raise AllanjaxError(f"{name} must be above {bound}, not {getattr(self, name)!r}")
 
@@ -145,8 +137,8 @@ def _run(
         state = sampler.run_mcmc(state, ahead, skip_initial_state_check=True)
         steps = sampler.iteration
         with np.errstate(invalid="ignore", divide="ignore"):
-            settled = target.values(sampler.get_chain(discard=min(burn_in, steps // 2)))
-            tau, previous = integrated_time(settled[..., target.sampled], tol=0, quiet=True), tau
+            settled = target.drawn(sampler.get_chain(discard=min(burn_in, steps // 2)))
+            tau, previous = integrated_time(settled, tol=0, quiet=True), tau
         burn_in = min(int(np.ceil(_BURN_IN * np.nanmax([*tau, 1.0]))), steps // 2)
         chain = sampler.get_chain(discard=burn_in)
         r_hat = np.array([_split_r_hat(chain[:, :, i]) for i in range(chain.shape[2])])
@@ -203,8 +195,8 @@ def posterior_of(
     return AxisPosterior(
         axis=result.axis,
         labels=labels,
-        draws=target.values(y)[:, target.sampled],
-        chain=target.values(chain)[..., target.sampled],
+        draws=target.drawn(y),
+        chain=target.drawn(chain),
         coefficients=_marginals(target, result, y, few, random),
         priors={target.parameters[k].label: prior for k, prior in target.priors.items()},
         rate=fit.curve.rate,
@@ -218,7 +210,7 @@ def _marginals(
     target: Target, fit: AxisFit, y: _Draws, few: _Draws, random: np.random.RandomState
 ) -> dict[str, Estimate]:
     """Marginals of all parameters by label, from the draws of those sampled; `few` are for absent terms."""
-    columns = dict(zip(target.sampled.tolist(), target.values(y)[:, target.sampled].T, strict=True))
+    columns = dict(zip(target.sampled.tolist(), target.drawn(y).T, strict=True))
     found, there = dict[str, Estimate](), dict[int, bool]()
     for i, p in enumerate(target.parameters):
         c, draws, factor, limit = fit.coefficients.get(p.label), columns.get(i), None, None
@@ -230,21 +222,14 @@ def _marginals(
             else:
                 factor = _bayes_factor(target, i, draws)
             there[p.term], limit = factor < _DETECTED, float(np.quantile(draws, 0.95))
-        if draws is None:
-            # Held, or a shape of an absent term.
-            found[p.label] = dataclasses.replace(c, source="posterior", sampled=False)
-            continue
-        here = there.get(p.term, True)
-        found[p.label] = dataclasses.replace(
-            c,
-            **summary(draws, from_zero=p.parameter.is_amplitude and not here),
-            upper_limit=limit,
-            lower_limit=None,
+        # Without draws: held, or a shape of an absent term.
+        more: dict[str, Any] = {"source": "posterior"}
+        if draws is not None:
+            here = there.get(p.term, True)
+            more = summary(draws, from_zero=p.parameter.is_amplitude and not here)
             # Draws are of the chosen terms only.
-            detected=here and not c.rivals,
-            bayes_factor=factor,
-            sampled=i in columns,
-        )
+            more |= {"detected": here and not c.rivals, "upper_limit": limit, "lower_limit": None}
+        found[p.label] = dataclasses.replace(c, **more, bayes_factor=factor, sampled=i in columns)
     return found
 
 
@@ -282,7 +267,7 @@ def _absent_amplitude(
         # Start from the linear continuation of the last two translations.
         shift = 2.0 * shifts[-1] - shifts[-2]
         for _ in range(_CORRECTIONS):
-            values[:, target.sampled] = target.values(y + shift)[:, target.sampled]
+            values[:, target.sampled] = target.drawn(y + shift)
             log_weight = target.log_density(values) - before
             log_ratio[g] = logsumexp(log_weight) - np.log(len(y))
             if not np.isfinite(log_ratio[g]):

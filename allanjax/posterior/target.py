@@ -6,8 +6,9 @@ values of all parameters of the model at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeAlias
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +17,7 @@ from scipy.special import i0e
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.estimate.axis_fits import ALLAN_CAPACITY
-from allanjax.estimate.design import AllanDesign, free_shapes, of_owners
+from allanjax.estimate.design import AllanDesign, AllanTangent, free_shapes, of_owners
 from allanjax.estimate.deterministic import LINE_REACH, Line, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
@@ -36,10 +37,26 @@ _OVERDISPERSION, _ATTEMPTS = 1.5, 20
 
 _All: TypeAlias = Float[np.ndarray, " all"]
 _Values: TypeAlias = Float[np.ndarray, "b all"]
+_Levels: TypeAlias = Float[np.ndarray, "b m"]
 _Logs: TypeAlias = Float[np.ndarray, " b"]
 
 
-class WhittleDensity:
+class _Density:
+    """Places of a model's amplitudes, of those of the terms that have levels (`own`), and of shapes."""
+
+    def __init__(self, model: Model, terms: Sequence[int]) -> None:
+        self.amplitude = np.array([k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude])
+        self.own, owners = self.amplitude[np.array(terms, int)], (*terms, len(model))
+        shapes = [p for p in free_shapes(model) if p.term in owners]
+        self._shapes = [model.parameters.index(p) for p in shapes]
+        self._lower = np.array([p.parameter.lower for p in shapes])
+
+    def shape(self, values: _Values) -> Float[np.ndarray, "b shapes"]:
+        """The free shapes in ln of the distance from their bounds."""
+        return np.log(values[:, self._shapes] - self._lower)
+
+
+class WhittleDensity(_Density):
     """Whittle's likelihood: independent χ² levels of the cosine spectrum.
 
     The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
@@ -49,19 +66,13 @@ class WhittleDensity:
         spectrum, model = result.spectrum, fit.template
         assert spectrum is not None
         self._spectrum, self._bins, size = spectrum, spectrum.bins, spectrum.bins.size.astype(float)
-        #: Places of each term's amplitude, and of all parameters of the random terms and of the response.
-        self._amplitude = np.array([k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude])
         random = [k for k, term in enumerate(model.terms) if not term.deterministic]
-        self._own = [k for k, p in enumerate(model.parameters) if p.term in (*random, len(model))]
+        super().__init__(model, random)
         others = [label for k, label in enumerate(model.term_labels) if k not in random]
         self._of, self._last = Arrangement.of(model.without(others), self._bins), (b"", np.zeros((0, 0, 0)))
-        shapes = free_shapes(self._of.model)
-        self._shapes = [k for k, p in enumerate(self._of.model.parameters) if p in shapes]
-        self._lower = np.array([p.parameter.lower for p in shapes])
-        self._random = self._amplitude[random]
         # The error of powers is twice that of deviations.
         self._share = share_with_error(size, self._bins.per_octave() * (2.0 * result.discrepancy) ** 2)
-        self._shape = 0.5 * self._share * size
+        self._half = 0.5 * self._share * size
         # The likelihood ratio of each line neglects the other lines.
         self._squares = self._share * (spectrum.squares - spectrum.overlap)
         columns = [k for k, owner in enumerate(spectrum.owners) if owner not in spectrum.lines]
@@ -69,11 +80,11 @@ class WhittleDensity:
         self._gram = self._share[:, None, None] * spectrum.gram[:, columns][:, :, columns]
         #: Places of the amplitudes of the last columns; those before are of regressors.
         owners = [spectrum.owners[k] for k in columns]
-        self._ramps = [self._amplitude[owner] for owner in owners if isinstance(owner, int)]
+        self._ramps = [self.amplitude[owner] for owner in owners if isinstance(owner, int)]
 
     def __call__(self, values: _Values) -> _Logs:
         inverse = 1.0 / self._mean(values)
-        total = np.log(inverse) @ self._shape - 0.5 * inverse @ self._squares
+        total = np.log(inverse) @ self._half - 0.5 * inverse @ self._squares
         p, U = inverse @ self._cross, np.einsum("bm,mij->bij", inverse, self._gram)
         if q := p.shape[1] - len(self._ramps):
             # The regressors' amplitudes have a flat prior and are integrated out.
@@ -85,38 +96,36 @@ class WhittleDensity:
             x = abs(values[:, place] * p[:, k])
             total += np.logaddexp(x, -x) - np.log(2.0) - 0.5 * values[:, place] ** 2 * U[:, k, k]
         for k, line in self._spectrum.lines.items():
-            place = self._amplitude[k]
+            place = self.amplitude[k]
             total += self._line(line, values[:, place], values[:, place + 1], inverse)
         return total
 
     def scales(self, values: _All) -> dict[int, float]:
         """By index, the amplitude of each term whose power is one standard deviation about these values."""
         mean, units = self._mean(values[None])[0], self._levels(values[None])[0]
-        information = np.sum(self._shape * (units / mean) ** 2, axis=1)
-        found = dict(zip(self._random.tolist(), (information**-0.25).tolist(), strict=True))
+        information = np.sum(self._half * (units / mean) ** 2, axis=1)
+        found = dict(zip(self.own.tolist(), (information**-0.25).tolist(), strict=True))
         for k, owner in enumerate(self._spectrum.owners):
             if isinstance(owner, int):
                 power = np.sum(self._share * self._spectrum.gram[:, k, k] / mean)
-                found[int(self._amplitude[owner])] = float(power**-0.5)
+                found[int(self.amplitude[owner])] = float(power**-0.5)
         return found
 
     def _levels(self, values: _Values) -> Float[np.ndarray, "_ terms m"]:
         """Levels of the random terms of unit amplitude, which walkers with the same shapes have in common."""
-        shapes = np.log(values[:, self._own][:, self._shapes] - self._lower)
+        shapes = self.shape(values)
         if not (shapes == shapes[:1]).all():
             return self._of.expected(shapes)
         if (key := b"|" + shapes[0].tobytes()) != self._last[0]:
             self._last = key, self._of.expected(shapes[:1])
         return self._last[1]
 
-    def _mean(self, values: _Values) -> Float[np.ndarray, "b m"]:
+    def _mean(self, values: _Values) -> _Levels:
         """Expected levels [rate²]."""
-        power, units = values[:, self._random] ** 2, self._levels(values)
+        power, units = values[:, self.own] ** 2, self._levels(values)
         return power @ units[0] if len(units) == 1 else np.einsum("bk,bkm->bm", power, units)
 
-    def _line(
-        self, line: Line, amplitude: _Logs, frequency: _Logs, inverse: Float[np.ndarray, "b m"]
-    ) -> _Logs:
+    def _line(self, line: Line, amplitude: _Logs, frequency: _Logs, inverse: _Levels) -> _Logs:
         """Logarithm of a line's likelihood ratio, averaged over its phase (Rice's law)."""
         columns = line_columns(frequency[:, None], line.indices, self._bins.n, self._bins.rate)
         of = np.searchsorted(np.cumsum(self._bins.size), line.indices - 1, side="right")
@@ -125,7 +134,7 @@ class WhittleDensity:
         return np.log(i0e(x)) + x - 0.25 * amplitude**2 * np.sum(weighted * columns, axis=(1, 2))
 
 
-class AllanDensity:
+class AllanDensity(_Density):
     """Likelihood of the Allan variances: correlated χ² laws, whose covariance follows the powers only.
 
     Each variance is transformed by its χ² law under the model to a normal score (Wilson & Hilferty 1931); the
@@ -133,26 +142,26 @@ class AllanDensity:
     """
 
     def __init__(self, fit: Fit, result: AxisFit, values: _All) -> None:
-        curve, model = fit.curve, fit.template
-        # The fit's own design, whose programs are there.
-        design = AllanDesign.of(model, curve, ALLAN_CAPACITY)
-        rows = np.arange(0, len(curve.cluster_size), _THINNED)
-        self._variance = curve.variance[rows, fit.axes.index(result.axis.name)]
-        self._error = 2.0 * result.discrepancy
-        shapes = free_shapes(model)
-        self._amplitude = [k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude]
-        self._shapes = [model.parameters.index(p) for p in shapes]
-        self._lower = np.array([p.parameter.lower for p in shapes])
-        shape = np.log(values[self._shapes] - self._lower)
-        tangent, m = design.tangent(shape[None]), len(curve.cluster_size)
-        self._design, self._rows, self._constant = design, rows, tangent.means[:, :, rows]
-        products = tangent.products.reshape(len(model), len(model), m, m)
-        self._products = products[:, :, rows[:, None], rows]
-        self._octaves = self._error**2 * tangent.octaves[np.ix_(rows, rows)]
-        self._ridge = 1.0 + tangent.ridge * np.eye(len(rows))
+        model, names = fit.template, ("cluster_time", "cluster_size", "deviation", "count", "edf")
+        super().__init__(model, range(len(model)))
+        thinned = {name: getattr(fit.curve, name)[::_THINNED] for name in names}
+        curve = dataclasses.replace(fit.curve, **thinned)
+        # Padded as the fit's own design, whose programs are there.
+        self._design = AllanDesign.of(model, curve, ALLAN_CAPACITY)
+        self._tangent = self._design.tangent(self.shape(values[None]))
+        self._variance = curve.variance[:, fit.axes.index(result.axis.name)]
+        self._error = np.full(1, 2.0 * result.discrepancy)
+
+    def _around(self, values: _Values) -> tuple[AllanTangent, Float[np.ndarray, "b terms"]]:
+        """The model with these shapes, and powers; its covariance follows the powers only."""
+        units, (_, terms, m) = self._tangent.means, self._tangent.means.shape
+        if self._shapes:
+            units = in_batches(AllanDesign.means, self._design, self.shape(values))[:, :terms, :m]
+        return dataclasses.replace(self._tangent, means=units), values[:, self.own] ** 2
 
     def __call__(self, values: _Values) -> _Logs:
-        _, mean, correlated = self._moments(values)
+        at, power = self._around(values)
+        mean, correlated = at.mean(power), at.relative(power, self._error)
         own = np.einsum("bii->bi", correlated)
         ratio = self._variance / mean
         score = np.asarray(cube_root_score(ratio, own)) * np.sqrt(own)
@@ -162,67 +171,48 @@ class AllanDensity:
         return np.sum(slope, axis=1) - 0.5 * squares - 0.5 * np.linalg.slogdet(correlated)[1]
 
     def scales(self, values: _All) -> dict[int, float]:
-        """By index, the amplitude of each term whose power is one standard deviation about these values."""
-        (units, *_), (mean,), (correlated,) = self._moments(values[None])
-        columns = (units / mean).T
-        information = np.sum(columns * np.linalg.solve(correlated, columns), axis=0)
-        return dict(zip(self._amplitude, (information**-0.25).tolist(), strict=True))
-
-    def _moments(self, values: _Values) -> tuple[Any, Float[np.ndarray, "b m"], Float[np.ndarray, "b m m"]]:
-        """Variances of unit amplitudes, expected variances, and the covariance of their ratios to these.
-
-        The covariance has the ridge of the quadrature's errors and the model's error.
-        """
-        power, units = values[:, self._amplitude] ** 2, self._constant
-        if self._shapes:
-            shape = np.log(values[:, self._shapes] - self._lower)
-            units = in_batches(AllanDesign.means, self._design, shape)[:, : power.shape[1], self._rows]
-        mean = np.einsum("bk,bkm->bm", power, np.broadcast_to(units, (len(values), *units.shape[1:])))
-        covariance = np.einsum("bk,bl,klij->bij", power, power, self._products, optimize=True)
-        relative = covariance / (mean[:, :, None] * mean[:, None])
-        return units, mean, relative * self._ridge + self._octaves
+        """As of `WhittleDensity`."""
+        at, power = self._around(values[None])
+        columns = (at.means / at.mean(power)[:, None]).swapaxes(1, 2)
+        information = np.sum(columns * at.weighed(power, self._error, columns), axis=1)[0]
+        return dict(zip(self.own.tolist(), (information**-0.25).tolist(), strict=True))
 
 
 class Target:
     """Log-posterior of one axis of a fit, in coordinates y of the sampled parameters x = origin + e^y.
 
-    Default priors are uniform in y: an amplitude's origin is −(scale of its prior).
-
-    Args:
-        fit, axis: the fit, whose model is that of the axis.
-        given: the user's priors by label.
+    Default priors are uniform in y: an amplitude's origin is −(scale of its prior). `given` are the user's
+    priors by label.
 
     Attributes:
-        parameters: all parameters of the model.
-        priors: priors of the free ones, by their index.
+        parameters: all parameters of the model; `priors` are those of the free ones, by their index.
         sampled: indices of the sampled ones.
         base: values of all [SI], where amplitudes that are not sampled are 0.
         std, origin: rough standard deviations [SI], and origins of the coordinates.
 
     Raises:
         AllanjaxError: `given` names no parameter, or is no prior.
-        FitError: the fit was loaded without its spectrum, or is of wavelet variances, or has nothing to
-            sample.
+        FitError: the fit has no likelihood, or nothing to sample.
     """
 
     def __init__(self, fit: Fit, axis: str, given: Mapping[str, Prior]) -> None:
         result, model, self.parameters = fit[axis], fit.template, fit.template.parameters
         start = [result[p.label].value if p.free else p.start or 0.0 for p in self.parameters]
-        # Shapes of absent terms have some value in their range.
-        rough = [p.parameter.lower + 1.0 for p in self.parameters]
-        self.base = np.where(np.isfinite(start), start, rough)
         self.axis, self.widening = axis, result.widening
-        self._density = _density_of(fit, result, self.base)
-        self.origin, self.std = np.array([p.parameter.lower for p in self.parameters]), 0.1 * self.base
+        self.origin = np.array([p.parameter.lower for p in self.parameters])
+        # Shapes of absent terms have some value in their range.
+        self.base = np.where(np.isfinite(start), start, self.origin + 1.0)
+        self._density, self.std = _density_of(fit, result, self.base), 0.1 * self.base
         self.priors, scales = dict[int, Prior](), self._density.scales(self.base)
         for k, p in enumerate(self.parameters):
+            deterministic = p.term < len(model) and model.terms[p.term].deterministic
             if p.free and p.parameter.is_amplitude:
                 upper = max(PRIOR_RANGE * scales[k], _CEILING * float(self.base[k]))
                 self.origin[k], self.std[k] = -scales[k] * self.widening**0.5, 0.5 * scales[k]
                 self.priors[k] = ModifiedLogUniform(-float(self.origin[k]), upper)
-            elif p.free and not (result.spectrum is None and _is_deterministic(p, model)):
+            elif p.free and not (result.spectrum is None and deterministic):
                 # The Allan variances do not determine the frequency of a line.
-                self.priors[k] = _prior_of_shape(p, float(self.base[k]), fit)
+                self.priors[k] = _prior_of_shape(p, float(self.base[k]), fit, deterministic)
         labels = {self.parameters[k].label: k for k in self.priors}
         for label, prior in given.items():
             if label not in labels or not isinstance(prior, Prior):
@@ -242,8 +232,12 @@ class Target:
     def values(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch all"]:
         """Values of all parameters [SI] at these coordinates."""
         values = np.tile(self.base, (*y.shape[:-1], 1))
-        values[..., self.sampled] = self.origin[self.sampled] + np.exp(y)
+        values[..., self.sampled] = self.drawn(y)
         return values
+
+    def drawn(self, y: Float[np.ndarray, "*batch sampled"]) -> Float[np.ndarray, "*batch sampled"]:
+        """Values of the sampled parameters [SI] at these coordinates."""
+        return self.origin[self.sampled] + np.exp(y)
 
     def log_prior(self, x: Float[np.ndarray, ...], index: int) -> Float[np.ndarray, ...]:
         """Logarithm of the prior density of a parameter's coordinate at the value x [SI]."""
@@ -285,13 +279,7 @@ class Target:
         raise FitError(f"{self.axis}: the posterior has no density near the fit; check the priors")
 
 
-def _is_deterministic(p: ModelParameter, model: Model) -> bool:
-    return p.term < len(model) and model.terms[p.term].deterministic
-
-
-def _density_of(
-    fit: Fit, result: AxisFit, values: Float[np.ndarray, " all"]
-) -> WhittleDensity | AllanDensity:
+def _density_of(fit: Fit, result: AxisFit, values: _All) -> WhittleDensity | AllanDensity:
     """Likelihood of the data that the axis was fitted to."""
     if result.spectrum is not None:
         return WhittleDensity(fit, result)
@@ -304,16 +292,17 @@ def _density_of(
     return AllanDensity(fit, result, values)
 
 
-def _prior_of_shape(p: ModelParameter, start: float, fit: Fit) -> Prior:
+def _prior_of_shape(p: ModelParameter, start: float, fit: Fit, deterministic: bool) -> Prior:
     """Default prior of a parameter that is not an amplitude, over a range far wider than needed."""
     own, n, rate = p.parameter, fit.curve.n, fit.curve.rate
+    lowest, highest = start / _LINE_RANGE, start * _LINE_RANGE
+    if deterministic:
+        reach = LINE_REACH / 4.0 * rate / n
+        lowest, highest = max(start - reach, 0.1 * rate / n), start + reach
     ends = {
         "time": (2.0 / rate, n / rate),
         "frequency": (rate / n, rate / 2.0),
         "number": (own.lower + 1e-2, min(own.lower + 1e4, own.upper - 1e-2)),
-        "line": (start / _LINE_RANGE, min(start * _LINE_RANGE, rate / 2.0)),
+        "line": (lowest, min(highest, rate / 2.0)),
     }
-    if _is_deterministic(p, fit.template):
-        reach = LINE_REACH / 4.0 * rate / n
-        ends["line"] = max(start - reach, 0.1 * rate / n), min(start + reach, rate / 2.0)
     return LogUniform(*ends[own.kind], own.lower)
