@@ -13,7 +13,6 @@ from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     AllanDesign,
-    Tangent,
     find_starts,
     free_powers,
     geometry_of,
@@ -32,7 +31,7 @@ from allanjax.estimate.inference import (
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, fit_whittle, spectrum_of, with_misfit
+from allanjax.estimate.whittle import axis_fit, fit_spectrum, spectrum_of, with_misfit
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
@@ -51,20 +50,17 @@ def fit_allan(
     template: Model,
     active: Bool[np.ndarray, "axes terms"],
     values: Float[np.ndarray, "n axes"] | None = None,
-) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Fit every axis by generalized least squares; the curve gets its degrees of freedom under the fit.
+) -> tuple[AxisFit, ...]:
+    """Fit every axis by generalized least squares of its Allan variances.
 
     Args:
-        curve: the Allan variances.
-        axes: its axes.
+        curve, axes: the Allan variances, and the axes.
         template: the model.
         active: the terms that each axis has.
         values: the record, which is needed to find lines and resonances.
     """
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
-    place = curve.n, curve.rate
-    results = _fit_estimates(design, curve.variance, place, axes, template, active, values)
-    return results, _under_models(curve, template, results)[0]
+    return _fit_estimates(design, curve.variance, (curve.n, curve.rate), axes, template, active, values)
 
 
 def fit_wavelet(
@@ -121,18 +117,18 @@ def _fit_estimates(
 
     `place`: number of samples and their rate [Hz].
     """
-    records = [None] * len(axes) if values is None else values.T
     indices, wanted = lines_of(template)
-    slots, results = len(design.scatters), []
-    for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
-        model, lines = template, dict[int, Line]()
-        peaks = () if x is None else peaks_for(template, x, place[1])
-        if wanted and x is not None:
+    slots, results, rate = len(design.scatters), [], place[1]
+    for k, axis in enumerate(axes):
+        model, lines, here = template, dict[int, Line](), active[[k]]
+        peaks = () if values is None else peaks_for(template, values[:, k], rate)
+        if wanted and values is not None:
             # The record determines a line far better than its Allan variances do.
-            lines = dict(zip(indices, take_out_lines(x - x.mean(), place[1], wanted)[1], strict=True))
+            x = values[:, k] - values[:, k].mean()
+            lines = dict(zip(indices, take_out_lines(x, rate, wanted)[1], strict=True))
             model = _with_lines(template, lines)
-            design = AllanDesign.of_geometry(model, place[1], design.geometry, slots)
-        here, variance = active[[k]], variances[:, [k]].T
+            design = AllanDesign.of_geometry(model, rate, design.geometry, slots)
+        variance = variances[:, [k]].T
         solution, inference, (misfit,) = solve_and_infer(model, design, variance, here, *place, peaks)
         coefficients = coefficients_of(model, axis, here, solution, inference, *place)
         for i, line in lines.items():
@@ -191,100 +187,70 @@ def solve_and_infer(
         better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
         both = zip(other, solution, strict=True)
         solution = Solution(*(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in both))
-    tangent = design.tangent(solution.shape)
-    misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)
+    tangent, misfits = design.tangent(solution.shape), list[Misfit | None]([None] * len(variance))
+    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
+        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
+        mean, scatter = own.mean(power)[0], own.variances(power)[0]
+        ratio, edf = np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter
+        misfits[k] = misfit_of(design.geometry.cluster_time[: len(mean)], ratio, edf, "s")
     solution = widened(solution, misfits)
     return solution, infer(tangent, variance, free, active, solution), misfits
 
 
-def _misfits(
-    tangent: Tangent,
-    cluster_time: Float[np.ndarray, " capacity"],
-    variance: Float[np.ndarray, "axes m"],
-    solution: Solution,
-) -> list[Misfit | None]:
-    """Misfit of each axis's curve; None where the model suffices."""
-    found: list[Misfit | None] = [None] * len(variance)
-    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
-        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
-        mean, scatter = own.mean(power)[0], own.variances(power)[0]
-        ratio = np.sqrt(variance[k] / mean)
-        found[k] = misfit_of(cluster_time[: len(mean)], ratio, 2.0 * mean**2 / scatter, "s")
-    return found
-
-
 def judged(
-    recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"], result: AxisFit
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    template: Model,
+    active: Bool[np.ndarray, " terms"],
+    result: AxisFit,
 ) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
+    spectrum = spectrum_of(template, x, rate)
     random = np.array([not term.deterministic for term in template.terms])
-    sufficient = result.converged and result.discrepancy == 0.0
+    sufficient, fits = result.converged and result.discrepancy == 0.0, False
     if sufficient:
-        spectrum = spectrum_of(template, recording.values[:, k], recording.rate)
-        noise = [term for term in result.model.sampled(recording.rate).terms if not term.deterministic]
+        noise = [term for term in result.model.sampled(rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
         projection = spectrum.project(mean, spectrum.used(active))
         chi2 = chi_squared(projection.level / mean, projection.dof)
         dof = round(projection.estimates) - count_estimated(template, active & random)
-        if chi2 <= beyond_doubt(dof):
-            return _with_verdict(result, chi2, dof)
-    other = fit_whittle(recording, k, template, active)
-    # A doubtful spectrum does not overrule variances that refuse the model.
-    if result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful):
-        return _with_verdict(result, other.chi2, other.dof)
-    return other if other.converged else result
-
-
-def _with_verdict(result: AxisFit, chi2: float, dof: int) -> AxisFit:
+        fits = bool(chi2 <= beyond_doubt(dof))
+    if not fits:
+        other = fit_spectrum(template, result.axis, spectrum, active)
+        # A doubtful spectrum does not overrule variances that refuse the model.
+        refused = result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful)
+        if not refused:
+            return other if other.converged else result
+        chi2, dof = other.chi2, other.dof
     return dataclasses.replace(result, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof)))
 
 
 def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    curve, means = _under_models(curve, template, results)
+    """Fits, those of spectra with the misfit of their Allan deviations, and the curve.
+
+    It gets its degrees of freedom 2μ²/Var under the fitted models.
+    """
+    geometry, edf, found = geometry_of(curve, template), np.array(curve.edf), []
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
-    found = []
-    for k, result in enumerate(results):
-        if result.converged and result.spectrum is not None and not (profiled or result.regression):
-            ratio = curve.deviation[:, k] / np.sqrt(means[:, k])
-            misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
-            # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
-            # excessive.
-            if result.misfit is not None and result.measured and misfit.excessive:
-                result = with_misfit(result, misfit)
-            else:
-                result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
-        found.append(result)
-    return tuple(found), curve
-
-
-def _under_models(
-    curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
-) -> tuple[AllanDeviation, Float[np.ndarray, "m axes"]]:
-    """Curve with degrees of freedom 2μ²/Var under the fitted models, and their variances μ, if there are."""
-    geometry = geometry_of(curve, template)
-    edf, means = np.array(curve.edf), np.full(curve.edf.shape, np.nan)
     for k, result in enumerate(results):
         if result.converged:
-            means[:, k], scatter = moments_behind(
-                _with_all_terms(template, result).sampled(curve.rate), geometry
-            )
-            edf[:, k] = 2.0 * means[:, k] ** 2 / scatter * curve.gain
-    return dataclasses.replace(curve, edf=edf), means
-
-
-def _with_all_terms(template: Model, result: AxisFit) -> Model:
-    """The fitted model; absent terms are included with an amplitude of zero and an arbitrary shape."""
-    values = {}
-    for p in template.parameters:
-        value = result[p.label].value if p.label in result.coefficients else p.start
-        absent = 0.0 if p.parameter.is_amplitude else p.parameter.lower + 1.0
-        values[p.label] = absent if value is None or np.isnan(value) else float(value)
-    return template.with_values(**values)
+            mean, scatter = moments_behind(result.model.sampled(curve.rate), geometry)
+            edf[:, k] = 2.0 * mean**2 / scatter * curve.gain
+            if result.spectrum is not None and not (profiled or result.regression):
+                ratio = curve.deviation[:, k] / np.sqrt(mean)
+                misfit = misfit_of(curve.cluster_time, ratio, edf[:, k], "s")
+                # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations
+                # is excessive.
+                if result.misfit is not None and result.measured and misfit.excessive:
+                    result = with_misfit(result, misfit)
+                else:
+                    result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
+        found.append(result)
+    return tuple(found), dataclasses.replace(curve, edf=edf)

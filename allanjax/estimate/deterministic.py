@@ -8,7 +8,8 @@ the noise is estimated from residuals that do not depend on the amplitudes of th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
-from allanjax.spectrum.cosine import Bins, cosine_transform
+from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column, term_column
 
 #: Frequencies [Hz].
 Peaks: TypeAlias = Sequence[float] | Float[np.ndarray, " peaks"]
@@ -84,6 +85,11 @@ class Line:
         """Indices of these coefficients."""
         return self.first + np.arange(len(self.coefficients))
 
+    def fitted(self, n: int, rate: float) -> Float[np.ndarray, " k"]:
+        """What of them is due to the line, by least squares, in a record of n samples at `rate` [Hz]."""
+        own = line_columns(self.frequency, self.indices, n, rate)
+        return own @ np.linalg.lstsq(own, self.coefficients, rcond=None)[0]
+
     def samples(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """The line in time, given 2πt."""
         phase = angle * self.frequency
@@ -139,6 +145,16 @@ def take_out_lines(
         lines.append(dataclasses.replace(line, coefficients=alone[line.indices - 1] + own))
         c[line.indices - 1] += own
     return c, tuple(lines)
+
+
+def without_lines(
+    c: Float[np.ndarray, " n-1"], lines: Sequence[Line], rate: float
+) -> Float[np.ndarray, " n-1"]:
+    """Coefficients, as of `take_out_lines`, without the lines near these as well."""
+    c = c.copy()
+    for line in lines:
+        c[line.indices - 1] -= line.fitted(len(c) + 1, rate)
+    return c
 
 
 def peaks_for(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Peaks:
@@ -233,44 +249,64 @@ class AxisSpectrum(ByValue):
     """Sufficient statistics of one axis: sums over bins of products of cosine coefficients.
 
     These are the record's (`squares`), and those of deterministic columns with the record's (`cross`) and
-    with each other (`gram`); `overlap` is what products of two lines add to the squares. A column's owner is
-    a regressor's name or the index of a term, as of `lines`.
+    with each other (`gram`). A column's owner is a regressor's name or the index of a term, as of `lines`;
+    `peaks` are to be tried for narrow-band terms that have no frequency.
     """
 
     bins: Bins
     squares: Float[np.ndarray, " m"]
-    overlap: Float[np.ndarray, " m"]
     cross: Float[np.ndarray, "m columns"]
     gram: Float[np.ndarray, "m columns columns"]
     owners: tuple[str | int, ...]
-    lines: dict[int, Line]
+    lines: dict[int, Line] = dataclasses.field(default_factory=dict)
+    peaks: Peaks = ()
 
     @classmethod
     def of(
         cls,
+        template: Model,
         bins: Bins,
         c: Float[np.ndarray, " n-1"],
-        columns: Sequence[tuple[str | int, Float[np.ndarray, " n-1"]]],
-        lines: dict[int, Line],
+        found: Sequence[Line],
+        regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+        peaks: Peaks = (),
     ) -> AxisSpectrum:
-        """Statistics of coefficients c with columns over the whole spectrum and lines, which are local."""
-        everywhere, present, apart = list(columns), np.zeros(bins.n - 1), np.zeros(bins.n - 1)
-        for term, line in lines.items():
-            near, whole = line.indices - 1, np.zeros((bins.n - 1, 2))
-            whole[near] = own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
-            # The rest is due to other lines and is not in a line's own coefficients.
-            fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
-            apart[near] += fitted**2
-            present[near] += fitted
-            everywhere += [(term, column) for column in whole.T]
-        q = len(everywhere)
-        cross, gram = np.zeros((len(bins.size), q)), np.zeros((len(bins.size), q, q))
-        for a, (_, one) in enumerate(everywhere):
-            cross[:, a] = bins.sums(c * one)
-            for b, (_, other) in enumerate(everywhere[: a + 1]):
-                gram[:, a, b] = gram[:, b, a] = bins.sums(one * other)
-        owners = tuple(owner for owner, _ in everywhere)
-        return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
+        """Statistics of coefficients c, and of a model's deterministic parts, of which the lines were found.
+
+        Lines are local: what other lines have there is not in a line's own coefficients.
+        """
+        n, rate, lines = bins.n, bins.rate, dict(zip(lines_of(template)[0], found, strict=True))
+        columns: list[tuple[str | int, np.ndarray]] = []
+        columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
+        for k, term in enumerate(template.terms):
+            if isinstance(term, DriftRamp):
+                columns.append((k, term.sign * ramp_column(n, rate)))
+            elif term.deterministic and k not in lines:
+                columns.append((k, term_column(term, n, rate)))
+        for k, line in lines.items():
+            whole = np.zeros((2, n - 1))
+            whole[:, line.indices - 1] = line_columns(line.frequency, line.indices, n, rate).T
+            columns += [(k, column) for column in whole]
+        owners, each = tuple(owner for owner, _ in columns), [column for _, column in columns]
+        q, m = len(each), len(bins.size)
+        cross, gram = np.zeros((m, q)), np.zeros((m, q, q))
+        for a, b in itertools.combinations_with_replacement(range(q), 2):
+            gram[:, a, b] = gram[:, b, a] = bins.sums(each[a] * each[b])
+        for a in range(q):
+            cross[:, a] = bins.sums(c * each[a])
+        return cls(bins, bins.sums(c**2), cross, gram, owners, lines, peaks)
+
+    @property
+    def overlap(self) -> Float[np.ndarray, " m"]:
+        """What products of two lines add to the squares."""
+        if len(self.lines) < 2:
+            return np.zeros(len(self.squares))
+        present, apart = np.zeros((2, self.bins.n - 1))
+        for line in self.lines.values():
+            fitted = line.fitted(self.bins.n, self.bins.rate)
+            present[line.indices - 1] += fitted
+            apart[line.indices - 1] += fitted**2
+        return self.bins.sums(present**2 - apart)
 
     def used(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " columns"]:
         """Which columns are in use if these terms are: theirs, and those of regressors."""
