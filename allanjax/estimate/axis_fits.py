@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
@@ -19,7 +20,17 @@ from allanjax.estimate.design import (
     moments_behind,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import Line, Peaks, lines_of, needs_record, peaks_for, take_out_lines
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    InUse,
+    Line,
+    Peaks,
+    Samples,
+    lines_of,
+    needs_record,
+    peaks_for,
+    take_out_lines,
+)
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Inference,
@@ -31,7 +42,7 @@ from allanjax.estimate.inference import (
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, fit_spectrum, spectrum_of, with_misfit
+from allanjax.estimate.whittle import axis_fit, fit_spectrum, with_misfit
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
@@ -42,30 +53,21 @@ from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 ALLAN_CAPACITY = (96, 6)
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
+_Record: TypeAlias = Float[np.ndarray, "n axes"]
 
 
 def fit_allan(
-    curve: AllanDeviation,
-    axes: Sequence[Axis],
-    template: Model,
-    active: Bool[np.ndarray, "axes terms"],
-    values: Float[np.ndarray, "n axes"] | None = None,
+    curve: AllanDeviation, axes: Sequence[Axis], template: Model, active: InUse, values: _Record | None = None
 ) -> tuple[AxisFit, ...]:
     """Fit every axis by generalized least squares of its Allan variances.
 
-    Args:
-        curve, axes: the Allan variances, and the axes.
-        template: the model.
-        active: the terms that each axis has.
-        values: the record, which is needed to find lines and resonances.
+    Lines and resonances are found in the record.
     """
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
     return _fit_estimates(design, curve.variance, (curve.n, curve.rate), axes, template, active, values)
 
 
-def fit_wavelet(
-    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"], wavelet: str
-) -> tuple[AxisFit, ...]:
+def fit_wavelet(recording: Recording, template: Model, active: InUse, wavelet: str) -> tuple[AxisFit, ...]:
     """Fit every axis of a recording by generalized least squares of its wavelet variances.
 
     Raises:
@@ -110,8 +112,8 @@ def _fit_estimates(
     place: tuple[int, float],
     axes: Sequence[Axis],
     template: Model,
-    active: Bool[np.ndarray, "axes terms"],
-    values: Float[np.ndarray, "n axes"] | None,
+    active: InUse,
+    values: _Record | None,
 ) -> tuple[AxisFit, ...]:
     """Fits of every axis to its estimates; see `fit_allan`.
 
@@ -147,10 +149,8 @@ def _with_lines(template: Model, lines: Mapping[int, Line]) -> Model:
     terms = list(template.terms)
     for k, line in lines.items():
         amplitude, frequency = (p.name for p in terms[k].parameters())
-        values = {frequency: line.frequency}
-        if terms[k].has_free_amplitude:
-            values[amplitude] = line.amplitude
-        terms[k] = terms[k].hold(amplitude, frequency, **values)
+        size = {amplitude: float(np.hypot(*line.beta))} if terms[k].has_free_amplitude else {}
+        terms[k] = terms[k].hold(amplitude, **{frequency: line.frequency}, **size)
     return dataclasses.replace(template, terms=tuple(terms))
 
 
@@ -158,7 +158,7 @@ def solve_and_infer(
     model: Model,
     design: AllanDesign,
     variance: Float[np.ndarray, "axes m"],
-    active: Bool[np.ndarray, "axes terms"],
+    active: InUse,
     n: int,
     rate: float,
     peaks: Peaks = (),
@@ -197,18 +197,12 @@ def solve_and_infer(
     return solution, infer(tangent, variance, free, active, solution), misfits
 
 
-def judged(
-    x: Float[np.ndarray, " n"],
-    rate: float,
-    template: Model,
-    active: Bool[np.ndarray, " terms"],
-    result: AxisFit,
-) -> AxisFit:
+def judged(x: Samples, rate: float, template: Model, active: InUse, result: AxisFit) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
-    spectrum = spectrum_of(template, x, rate)
+    spectrum = AxisSpectrum.of(template, x, rate)
     random = np.array([not term.deterministic for term in template.terms])
     sufficient, fits = result.converged and result.discrepancy == 0.0, False
     if sufficient:
@@ -217,7 +211,7 @@ def judged(
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
         projection = spectrum.project(mean, spectrum.used(active))
         chi2 = chi_squared(projection.level / mean, projection.dof)
-        dof = round(projection.estimates) - count_estimated(template, active & random)
+        dof = projection.estimates - count_estimated(template, active & random)
         fits = bool(chi2 <= beyond_doubt(dof))
     if not fits:
         other = fit_spectrum(template, result.axis, spectrum, active)

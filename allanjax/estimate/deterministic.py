@@ -10,20 +10,24 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
-from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column, term_column
+from allanjax.spectrum.cosine import PER_OCTAVE, Bins, cosine_transform, fast_length, ramp_column, term_column
 
-#: Frequencies [Hz].
+#: Samples of an axis and their cosine coefficients; frequencies [Hz]; samples of auxiliary channels by name;
+#: the terms in use, of one axis or several.
+Samples: TypeAlias = Float[np.ndarray, " n"]
+Cosines: TypeAlias = Float[np.ndarray, " n-1"]
 Peaks: TypeAlias = Sequence[float] | Float[np.ndarray, " peaks"]
+Regressors: TypeAlias = Mapping[str, Samples]
+InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
@@ -34,6 +38,8 @@ _SEARCH, _GRID = 4.0, 4
 _PLACES, _PEAKS = 8, 4
 # Longest spectra, in samples, in which broad peaks are searched for.
 _COARSER = (8192, 512)
+# Bins per octave where the spectrum is not smooth: for filters.
+_FINE = 24
 # Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
 _MEDIAN, _OUTLYING = 0.4549, 16.0
 
@@ -44,19 +50,17 @@ def needs_record(term: NoiseTerm) -> bool:
 
 
 def line_columns(
-    frequency: ArrayLike, j: Int[ArrayLike, " k"], n: ArrayLike, rate: ArrayLike
-) -> Float[Array, "k 2"]:
+    frequency: float | Float[np.ndarray, "b 1"], j: Int[np.ndarray, " k"], n: int, rate: float
+) -> Float[np.ndarray, "*b k 2"]:
     """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series."""
-    xp = namespace(frequency, j, n, rate)
     w, a = 2.0 * np.pi * frequency / rate, np.pi * j / n
-    cosines, sines = 0.0, 0.0
+    x = np.stack([w + a, w - a])
     # Sums over k = 0 … n−1 of cos and sin of x(k + ½).
-    for x in (w + a, w - a):
-        regular = abs(xp.sin(x / 2.0)) > 1e-13
-        half = xp.where(regular, x, 1.0) / 2.0
-        cosines += xp.where(regular, xp.sin(2.0 * n * half) / (2.0 * xp.sin(half)), 1.0 * n)
-        sines += xp.where(regular, xp.sin(n * half) ** 2 / xp.sin(half), 0.0)
-    return xp.stack([cosines, sines], axis=-1) / xp.sqrt(2.0 * n)
+    regular = abs(np.sin(x / 2.0)) > 1e-13
+    half = np.where(regular, x, 1.0) / 2.0
+    cosines = np.where(regular, np.sin(2.0 * n * half) / (2.0 * np.sin(half)), n)
+    sines = np.where(regular, np.sin(n * half) ** 2 / np.sin(half), 0.0)
+    return np.stack([cosines.sum(axis=0), sines.sum(axis=0)], axis=-1) / np.sqrt(2.0 * n)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class Line:
 
     `frequency_std` is 0 if the frequency [Hz] was given; `gain` is in log-likelihood [nats]; `beta` are the
     amplitudes of cosine and sine in the samples, and `amplitude_std` the error of each. `coefficients` are
-    the record's from index `first` on, this line included and other lines subtracted.
+    the record's of these `indices`, this line included and other lines subtracted.
     """
 
     frequency: float
@@ -73,24 +77,15 @@ class Line:
     gain: float
     beta: Float[np.ndarray, " 2"]
     amplitude_std: float
-    first: int
+    indices: Int[np.ndarray, " k"]
     coefficients: Float[np.ndarray, " k"]
-
-    @property
-    def amplitude(self) -> float:
-        return float(np.hypot(*self.beta))
-
-    @property
-    def indices(self) -> Int[np.ndarray, " k"]:
-        """Indices of these coefficients."""
-        return self.first + np.arange(len(self.coefficients))
 
     def fitted(self, n: int, rate: float) -> Float[np.ndarray, " k"]:
         """What of them is due to the line, by least squares, in a record of n samples at `rate` [Hz]."""
         own = line_columns(self.frequency, self.indices, n, rate)
         return own @ np.linalg.lstsq(own, self.coefficients, rcond=None)[0]
 
-    def samples(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def samples(self, angle: Samples) -> Samples:
         """The line in time, given 2πt."""
         phase = angle * self.frequency
         return self.beta[0] * np.cos(phase) + self.beta[1] * np.sin(phase)
@@ -98,27 +93,17 @@ class Line:
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
     """Indices of a model's lines, with the start of each frequency (or None) and whether it is held."""
-    of = [
-        (k, (getattr(term, p.name), not term.is_free(p)))
-        for k, term in enumerate(model.terms)
-        for p in term.parameters()
-        if term.deterministic and p.kind == "line"
-    ]
-    return [k for k, _ in of], [wanted for _, wanted in of]
+    of = [p for p in model.parameters if p.parameter.kind == "line" and model.terms[p.term].deterministic]
+    return [p.term for p in of], [(p.start, not p.free) for p in of]
 
 
 def take_out_lines(
-    x: Float[np.ndarray, " n"], rate: float, wanted: Sequence[tuple[float | None, bool]]
-) -> tuple[Float[np.ndarray, " n-1"], tuple[Line, ...]]:
+    x: Samples, rate: float, wanted: Sequence[tuple[float | None, bool]]
+) -> tuple[Cosines, tuple[Line, ...]]:
     """Find lines, the strongest first, and subtract them from a record's cosine coefficients.
 
-    Args:
-        x: the samples.
-        rate: sample rate [Hz].
-        wanted: for each line a frequency to start from, or None, and whether it is held there.
-
-    Returns:
-        The coefficients, and the lines in the order wanted. Near a line the coefficients still contain it.
+    `wanted`: for each line a frequency to start from, or None, and whether it is held there. The lines are in
+    this order. Near a line the coefficients still contain it.
     """
     if not wanted:
         return cosine_transform(x), ()
@@ -147,24 +132,22 @@ def take_out_lines(
     return c, tuple(lines)
 
 
-def without_lines(
-    c: Float[np.ndarray, " n-1"], lines: Sequence[Line], rate: float
-) -> Float[np.ndarray, " n-1"]:
-    """Coefficients, as of `take_out_lines`, without the lines near these as well."""
+def without_lines(c: Cosines, lines: Sequence[Line], rate: float) -> Cosines:
+    """Coefficients of `take_out_lines` without what they still contain of the lines."""
     c = c.copy()
     for line in lines:
         c[line.indices - 1] -= line.fitted(len(c) + 1, rate)
     return c
 
 
-def peaks_for(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Peaks:
+def peaks_for(model: Model, x: Samples, rate: float) -> Peaks:
     """Frequencies to try for the lines and resonances of a model that come without one."""
     searched = any(p.parameter.kind == "line" and p.start is None for p in model.parameters)
     return find_lines(x, rate) if searched else ()
 
 
 def find_lines(
-    x: Float[np.ndarray, " samples"], rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
+    x: Samples, rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
 ) -> Float[np.ndarray, " peaks"]:
     """Frequencies [Hz] of the `count` most conspicuous peaks of the spectrum, sharp lines and broad bumps.
 
@@ -191,15 +174,14 @@ def find_lines(
     return np.array(chosen + [rate / 8.0] * (count - len(chosen)))
 
 
-def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: float) -> Line:
+def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     """Best line within `reach` coefficients of a frequency."""
     from scipy.optimize import minimize_scalar
 
     n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
-    first = max(centre - LINE_REACH, 1)
-    indices = np.arange(first, min(centre + LINE_REACH, n - 1) + 1)
+    indices = np.arange(max(centre - LINE_REACH, 1), min(centre + LINE_REACH, n - 1) + 1)
     data = c[indices - 1]
     # The level of the noise: a mean without outliers, such as another line.
     around = c[max(centre - _LEVEL_REACH, 1) - 1 : centre + _LEVEL_REACH] ** 2
@@ -222,11 +204,10 @@ def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: flo
         curvature = (left - 2.0 * middle + right) / h**2
         std = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else spacing
     loss, beta, amplitude_std = fitted(f)
-    return Line(f, std, -loss, beta, amplitude_std, first, data)
+    return Line(f, std, -loss, beta, amplitude_std, indices, data)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Projection:
+class Projection(NamedTuple):
     """Levels of the noise after the projection of deterministic parts, and the amplitudes of these.
 
     `level` is the mean square [rate²] per degree of freedom in each bin; amplitudes are by weighted least
@@ -239,9 +220,9 @@ class Projection:
     covariance: Float[np.ndarray, "columns columns"]
 
     @property
-    def estimates(self) -> float:
-        """Number of levels; a level with less than one degree of freedom counts as that fraction."""
-        return float(np.sum(np.minimum(self.dof, 1.0)))
+    def estimates(self) -> int:
+        """Number of levels; one with less than one degree of freedom counts as that fraction."""
+        return round(float(np.sum(np.minimum(self.dof, 1.0))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -263,18 +244,28 @@ class AxisSpectrum(ByValue):
 
     @classmethod
     def of(
+        cls, template: Model, x: Samples, rate: float, regressors: Regressors | None = None
+    ) -> AxisSpectrum:
+        """Statistics of one axis for a model, in bins that are finer around narrow-band terms."""
+        peaks, n, (lines, wanted) = peaks_for(template, x, rate), fast_length(len(x)), lines_of(template)
+        c, found = take_out_lines(x[:n] - x[:n].mean(), rate, wanted)
+        narrow = [p.start for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
+        around, unknown = [line.frequency for line in found], iter(peaks)
+        around += [float(next(unknown, rate / 8.0)) if start is None else start for start in narrow]
+        per_octave = PER_OCTAVE if template.response is None else _FINE
+        bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
+        return dataclasses.replace(cls.in_bins(template, bins, c, found, regressors), peaks=peaks)
+
+    @classmethod
+    def in_bins(
         cls,
         template: Model,
         bins: Bins,
-        c: Float[np.ndarray, " n-1"],
+        c: Cosines,
         found: Sequence[Line],
-        regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-        peaks: Peaks = (),
+        regressors: Regressors | None = None,
     ) -> AxisSpectrum:
-        """Statistics of coefficients c, and of a model's deterministic parts, of which the lines were found.
-
-        Lines are local: what other lines have there is not in a line's own coefficients.
-        """
+        """Statistics of coefficients from which the lines found were taken out."""
         n, rate, lines = bins.n, bins.rate, dict(zip(lines_of(template)[0], found, strict=True))
         columns: list[tuple[str | int, np.ndarray]] = []
         columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
@@ -287,14 +278,12 @@ class AxisSpectrum(ByValue):
             whole = np.zeros((2, n - 1))
             whole[:, line.indices - 1] = line_columns(line.frequency, line.indices, n, rate).T
             columns += [(k, column) for column in whole]
-        owners, each = tuple(owner for owner, _ in columns), [column for _, column in columns]
-        q, m = len(each), len(bins.size)
-        cross, gram = np.zeros((m, q)), np.zeros((m, q, q))
-        for a, b in itertools.combinations_with_replacement(range(q), 2):
-            gram[:, a, b] = gram[:, b, a] = bins.sums(each[a] * each[b])
-        for a in range(q):
-            cross[:, a] = bins.sums(c * each[a])
-        return cls(bins, bins.sums(c**2), cross, gram, owners, lines, peaks)
+        every = [c, *(column for _, column in columns)]
+        sums = np.zeros((len(bins.size), len(every), len(every)))
+        for a, b in itertools.combinations_with_replacement(range(len(every)), 2):
+            sums[:, a, b] = sums[:, b, a] = bins.sums(every[a] * every[b])
+        owners = tuple(owner for owner, _ in columns)
+        return cls(bins, sums[:, 0, 0], sums[:, 0, 1:], sums[:, 1:, 1:], owners, lines)
 
     @property
     def overlap(self) -> Float[np.ndarray, " m"]:
@@ -308,7 +297,7 @@ class AxisSpectrum(ByValue):
             apart[line.indices - 1] += fitted**2
         return self.bins.sums(present**2 - apart)
 
-    def used(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " columns"]:
+    def used(self, active: InUse) -> Bool[np.ndarray, " columns"]:
         """Which columns are in use if these terms are: theirs, and those of regressors."""
         return np.array([isinstance(owner, str) or active[owner] for owner in self.owners], bool)
 
@@ -338,9 +327,8 @@ def amplitude_quantiles(
     """Amplitudes, in standard deviations, under which a square as small as this has these probabilities.
 
     The square of an estimate with `degrees` components (a ramp has one, a line two), in units of its
-    variance, has a noncentral χ² law. A confidence limit follows for any amplitude, zero included. Upper
-    limits (a probability below one half) never use a square below the median of pure noise: data with less
-    power than noise say nothing about an amplitude.
+    variance, has a noncentral χ² law. Upper limits (a probability below one half) never use a square below
+    the median of pure noise: data with less power than noise say nothing about an amplitude.
     """
     from scipy.special import chndtr, chndtrinc, ndtri
 

@@ -12,23 +12,24 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.estimate.deterministic import AxisSpectrum, Line, lines_of, take_out_lines, without_lines
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    Cosines,
+    InUse,
+    Line,
+    Samples,
+    lines_of,
+    take_out_lines,
+    without_lines,
+)
 from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import MARKOV, NONE
-from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure.search import (
-    Record,
-    bins_around,
-    completed,
-    narrow,
-    refitted,
-    searched,
-    with_process,
-)
+from allanjax.estimate.spectral.model import Component, response_of
+from allanjax.estimate.structure import search
+from allanjax.estimate.structure.search import Record
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
@@ -68,10 +69,10 @@ class Content(NamedTuple):
     structure: Structure
     lines: tuple[Line, ...]
     bins: Bins
-    c: Float[np.ndarray, " n-1"]
+    c: Cosines
 
     @classmethod
-    def of(cls, x: Float[np.ndarray, " n"], rate: float) -> Content:
+    def of(cls, x: Samples, rate: float) -> Content:
         """Components of the spectrum of these samples."""
         c, lines = cosine_transform(x), tuple[Line, ...]()
         for _ in range(_LOOKS):
@@ -79,18 +80,18 @@ class Content(NamedTuple):
                 break
             c, lines = _with_more_lines(x, rate, lines, more)
         record = Record(without_lines(c, lines, rate) ** 2, rate)
-        spectrum, found = searched(record, Structure.plain(list(range(len(FIXED)))))
-        if sharp := narrow(found.structure, len(x)):
+        spectrum, found = search.searched(record, Structure.plain(list(range(len(FIXED)))))
+        if sharp := search.narrow(found.structure, len(x)):
             own, rest = found.structure.components, found.structure.without(*sharp)
             more = [own[k].frequency * rate / (2.0 * np.pi) for k in sharp]
             c, lines = _with_more_lines(x, rate, lines, more)
             record = Record(without_lines(c, lines, rate) ** 2, rate)
-            spectrum, found = searched(record, refitted(record, rest)[1].structure)
-        structure = completed(spectrum, found).structure
-        return cls(structure.without(*narrow(structure, len(x))), lines, spectrum.bins, c)
+            spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
+        structure = search.completed(spectrum, found).structure
+        return cls(structure.without(*search.narrow(structure, len(x))), lines, spectrum.bins, c)
 
     @property
-    def rest(self) -> Float[np.ndarray, " n-1"]:
+    def rest(self) -> Cosines:
         """The coefficients without the lines."""
         return without_lines(self.c, self.lines, self.bins.rate)
 
@@ -102,7 +103,7 @@ class Content(NamedTuple):
         return [k for k in of.there if k in plain and (of.kind == NONE or of.components[k].inside)]
 
 
-def _conspicuous(square: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
+def _conspicuous(square: Cosines, rate: float) -> list[float]:
     """Frequencies of peaks that are as narrow as lines and far above their surroundings [Hz]."""
     n = len(square) + 1
     blocks = square[: len(square) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
@@ -121,19 +122,14 @@ def _conspicuous(square: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
 
 
 def _with_more_lines(
-    x: Float[np.ndarray, " n"], rate: float, lines: Sequence[Line], more: Sequence[float]
-) -> tuple[Float[np.ndarray, " n-1"], tuple[Line, ...]]:
+    x: Samples, rate: float, lines: Sequence[Line], more: Sequence[float]
+) -> tuple[Cosines, tuple[Line, ...]]:
     """Coefficients and lines, of which there are more near these frequencies [Hz]; see `take_out_lines`."""
     return take_out_lines(x, rate, [(f, False) for f in (*(line.frequency for line in lines), *more)])
 
 
 def extended(
-    x: Float[np.ndarray, " n"],
-    rate: float,
-    plain: AxisFit,
-    selection: AxisSelection,
-    curve: AllanDeviation,
-    k: int,
+    x: Samples, rate: float, plain: AxisFit, selection: AxisSelection, curve: AllanDeviation, k: int
 ) -> tuple[AxisFit, AxisSelection]:
     """Fit of one axis with components besides the plain terms, and the ranking of these.
 
@@ -170,15 +166,12 @@ def extended(
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:
     """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
-    structure, fine = content.structure, content.bins
-    bins = Bins.of(fine.n, fine.rate)
-    f, response = fine.frequency, response_of(structure, fine.rate)
+    structure, fine, there = content.structure, content.bins, content.structure.there
+    bins, f, response = Bins.of(fine.n, fine.rate), fine.frequency, response_of(structure, fine.rate)
+    density = np.array([term_of(structure, k, fine.rate).sampled_psd(f, fine.rate) for k in there])
     passed = 1.0 if response is None else np.asarray(response.power(f, fine.rate))
-    total, terms = np.zeros(len(f)), np.zeros(len(f))
-    for k in structure.there:
-        density = np.asarray(term_of(structure, k, fine.rate).sampled_psd(f, fine.rate))
-        total += density * (passed if structure.components[k].inside else 1.0)
-        terms += density if k in content.plain_terms else 0.0
+    total = np.sum(density * np.where(structure.inside[there][:, None], passed, 1.0), axis=0)
+    terms = np.sum(density[np.isin(there, content.plain_terms)], axis=0)
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
     corrected = content.rest / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
@@ -202,13 +195,13 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
         structure = structure.with_column(k, 0.0) if label in chosen else structure
     spectrum = Record(content.rest**2, content.bins.rate).binned(structure)
     for _ in range(count):
-        structure = min(with_process(spectrum, structure), key=lambda fit: fit.loss).structure
+        structure = min(search.with_process(spectrum, structure), key=lambda fit: fit.loss).structure
     # What follows the response is as the search found it.
     processes = [structure.components[k] for k in structure.of_kind(MARKOV)]
     return content.structure.without(*own).plus(*processes)
 
 
-def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[np.ndarray, " terms"]]:
+def _template(content: Content, selection: AxisSelection) -> tuple[Model, InUse]:
     """Model of the content with the chosen terms, and the terms in use; the others get a limit."""
     structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
     after = structure.kind != NONE and not structure.column(QUANTIZATION).inside
@@ -229,68 +222,64 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
 
 
 def _detected(
-    content: Content,
-    template: Model,
-    active: Bool[np.ndarray, " terms"],
-    axis: Axis,
-    x: Float[np.ndarray, " n"],
+    content: Content, template: Model, active: InUse, axis: Axis, x: Samples
 ) -> tuple[Model, AxisFit]:
     """Model without what its fit does not detect, and its fit."""
-    rate, c, lines, last = content.bins.rate, content.c, content.lines, list[tuple[Model, AxisFit]]()
+    rate, c, lines, n = content.bins.rate, content.c, content.lines, len(x)
+    last: tuple[Model, AxisFit] | None = None
     for _ in range(_ROUNDS):
         if len(wanted := lines_of(template)[1]) != len(lines):
             c, lines = take_out_lines(x, rate, wanted)
         peaks = [term for term in template.terms if isinstance(term, Resonance)]
         around = [(float(term.frequency or 0.0), float(term.quality_factor or 1.0)) for term in peaks]
-        spectrum = AxisSpectrum.of(template, bins_around(around, len(x), rate), c, lines)
+        spectrum = AxisSpectrum.in_bins(template, search.bins_around(around, n, rate), c, lines)
         result = fit_spectrum(template, axis, spectrum, active, at_low=True)
-        if last and not result.discrepancy <= _WORSE * last[-1][1].discrepancy + _SLIGHT:
+        if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
             # What was taken out was needed, though its size is not known.
             break
-        last.append((template, result))
-        if (
-            not result.converged
-            or (tidied := _tidied(template, active, result, rate / (2.0 * len(x)))) is None
-        ):
+        last = template, result
+        template, active = _tidied(template, active, result, rate / (2.0 * n))
+        if template is last[0]:
             break
-        template, active = tidied
-    return last[-1]
+    assert last is not None
+    return last
 
 
-def _tidied(
-    template: Model, active: Bool[np.ndarray, " terms"], result: AxisFit, spacing: float
-) -> tuple[Model, Bool[np.ndarray, " terms"]] | None:
-    """Model without resonances and lines that its fit does not detect; None if it detects all.
+def _tidied(template: Model, active: InUse, result: AxisFit, spacing: float) -> tuple[Model, InUse]:
+    """Model without resonances and lines that its fit does not detect, if there are any.
 
     A resonance that has become as narrow as a line becomes a line. Coefficients have a `spacing` [Hz].
     """
-    model = _with_values(template, result)
+    if not result.converged:
+        return template, active
+    model, peaks, lines = _with_values(template, result), dict[str, Component](), list[float]()
     every = dict(zip(model.term_labels, model.terms, strict=True))
-    further = {k: term for k, term in every.items() if type(term) in (PowerLaw, Resonance, Sinusoid)}
-    lines = [float(term.frequency or 0.0) for term in further.values() if isinstance(term, Sinusoid)]
-    peaks = {
-        k: resonance(float(term.frequency or 0.0), float(term.quality_factor or 1.0), 0.0, False)
-        for k, term in further.items()
-        if isinstance(term, Resonance)
-    }
-    sharp = [k for k, peak in peaks.items() if peak.width < LINE * spacing]
-    gone = list(sharp)
+    for label, term in every.items():
+        if isinstance(term, Resonance):
+            peaks[label] = resonance(
+                float(term.frequency or 0.0), float(term.quality_factor or 1.0), 0.0, False
+            )
+        elif isinstance(term, Sinusoid):
+            lines.append(float(term.frequency or 0.0))
     # Too narrow a resonance spoils its neighbours; these are judged once it is a line.
+    gone = sharp = [label for label, peak in peaks.items() if peak.width < LINE * spacing]
     if not sharp:
-        amplitudes = (c for c in result.coefficients.values() if c.is_amplitude and c.term in further)
+        further = [k for k, term in every.items() if type(term) in (PowerLaw, Resonance, Sinusoid)]
+        unseen = [c for c in result.coefficients.values() if c.is_amplitude and not c.detected]
+        gone = []
         # Overlapping resonances may be detected only together, not singly: the weakest goes first.
-        for c in sorted((c for c in amplitudes if not c.detected), key=lambda c: c.value):
+        for c in sorted((c for c in unseen if c.term in further), key=lambda c: c.value):
             beside = [peaks[k] for k in gone if {k, c.term} <= peaks.keys()]
             if not any(peaks[c.term].is_close_to(other) for other in beside):
                 gone.append(c.term)
     if not gone:
-        return None
-    stays = np.array([label not in gone for label in every])
-    model, active = model.without(gone), active[stays]
-    for peak in (peaks[k] for k in sharp):
-        if all(abs(peak.frequency - line) > _APART * spacing for line in lines):
-            lines.append(peak.frequency)
-            model, active = model + Sinusoid(frequency=peak.frequency), np.append(active, True)
+        return template, active
+    active = active[[label not in gone for label in every]]
+    model = model.without(gone)
+    for frequency in (peaks[k].frequency for k in sharp):
+        if all(abs(frequency - line) > _APART * spacing for line in lines):
+            lines.append(frequency)
+            model, active = model + Sinusoid(frequency=frequency), np.append(active, True)
     return model, active
 
 

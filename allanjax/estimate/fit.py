@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
 from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, judged, with_curve
 from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.deterministic import needs_record
+from allanjax.estimate.deterministic import InUse, Regressors, needs_record
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension import extended
 from allanjax.estimate.result import AxisFit, Fit
@@ -31,7 +30,7 @@ from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
-from allanjax.record.recording import Axis, DeadAxis, Recording
+from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import joint_statistics
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
@@ -63,18 +62,17 @@ def fit(
 
     `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
     per octave, weighted with their full covariance under the fitted model (see `gls`).
-    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all spectral
-    information: more efficient where terms have similar Allan curves, and far more for lines. Ramps, lines
-    and regressors are profiled out exactly.
+    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`): more efficient where
+    terms have similar Allan curves, and far more for lines. Ramps, lines and regressors are profiled out.
     `objective="wavelet"`: generalized least squares of the wavelet variances of all levels (see
     `wavelet_variance`). With "haar" these are half the Allan variances at octaves.
-    `objective="exact"`: maximum of the Gaussian likelihood of the samples, by a Kalman filter. For a given
-    model and records of up to 100,000 samples, in which the lowest frequencies matter; missing samples are
-    left out, not filled in. An axis that the model does not fit has the result of Whittle's likelihood.
+    `objective="exact"`: maximum of the Gaussian likelihood of the samples, by a Kalman filter, for a given
+    model and up to 100,000 samples, of which the lowest frequencies matter; missing samples are not filled
+    in. An axis that the model does not fit has the result of Whittle's likelihood.
 
     The segments of a recording with gaps (`gaps="segments"`) are fitted jointly by Whittle's likelihood, each
-    less its own mean; `objective` is then "whittle". Filters, resonances and lines are searched for in the
-    longest segment only, and whatever needs a single record is fitted to that segment; a note reports it.
+    less its own mean; `objective` is then "whittle". Whatever needs a single record is fitted to the longest
+    segment, in which filters, resonances and lines are searched for; a note reports it.
 
     Args:
         recording: a result of `read`; or samples [samples, axes], a data frame, or the path of a file.
@@ -132,29 +130,25 @@ def fit_inspected(
     if seen.refusal:
         template, _ = terms_to_fit(model, None, recording.axes, objective)
         curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
-        return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
-    missing, exact = quiet.missing, objective == "exact"
+        none = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
+        fit = Fit(seen.name, template, curve, none, recording.notes, objective, dead=recording.dead)
+        return with_what_was_seen(fit, seen)
     if recording.others and not as_is:
         quiet = _with_quiet_segments(quiet, len(recording.others))
     if quiet.others:
-        quiet = _joined(quiet, model or Model(()), objective, regressors)
-    # The record is fitted as if complete (not by the exact likelihood); intervals are widened later.
-    whole = quiet if exact else dataclasses.replace(quiet, missing=None)
-    found = _fitted(whole, model, objective, channels, plain, wavelet)
-    if missing is not None and not exact:
-        factors = widening(missing)
-        curve = dataclasses.replace(found.curve, edf=found.curve.edf / factors**2)
-        results = zip(found.results, factors.tolist(), strict=True)
-        found = dataclasses.replace(found, curve=curve, results=tuple(r.widened(by) for r, by in results))
-    return with_what_was_seen(found, seen)
+        quiet = _joined(quiet, model or Model(()), objective, channels)
+    if quiet.missing is None or objective == "exact":
+        return with_what_was_seen(_fitted(quiet, model, objective, channels, plain, wavelet), seen)
+    # The record is fitted as if complete; then intervals are widened.
+    complete, by = dataclasses.replace(quiet, missing=None), widening(quiet.missing)
+    fit = _fitted(complete, model, objective, channels, plain, wavelet)
+    curve = dataclasses.replace(fit.curve, edf=fit.curve.edf / by**2)
+    results = tuple(map(AxisFit.widened, fit.results, by.tolist()))
+    return with_what_was_seen(dataclasses.replace(fit, curve=curve, results=results), seen)
 
 
 def inspected(
-    recording: Recording,
-    model: ModelLike | None,
-    regressors: Sequence[str],
-    as_is: bool,
-    vibrating: bool,
+    recording: Recording, model: ModelLike | None, regressors: Sequence[str], as_is: bool, vibrating: bool
 ) -> Inspection:
     """Inspection of a recording for a fit of this model, under which the mean may move."""
     terms = () if model is None else model_to_fit(model, recording.axes, with_response=True).terms
@@ -181,33 +175,27 @@ def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
     return dataclasses.replace(quiet, others=(*kept, *quiet.others[count:]), notes=notes)
 
 
-def _joined(
-    recording: Recording, template: Model, objective: Objective, regressors: Sequence[str]
-) -> Recording:
+def _joined(recording: Recording, template: Model, objective: Objective, regressors: Regressors) -> Recording:
     """The recording with all segments if they can be fitted jointly, else the longest; a note reports it."""
-    why = ""
-    if objective not in ("allan", "whittle"):
-        why = f'objective="{objective}" takes a single segment'
-    elif regressors:
-        why = "regressors need a single segment"
-    elif template.response is not None:
-        why = "a response is fitted to a single segment"
-    elif lines := [term.name() for term in template.terms if needs_record(term)]:
-        why = f"{lines[0]} is fitted to a single segment"
-    if why:
-        note = f"only the longest segment was fitted: {why}"
-        return dataclasses.replace(recording, others=(), notes=(*recording.notes, note))
-    total = recording.n + sum(map(len, recording.others))
-    count = len(recording.others) + 1
-    note = f"joint fit of {count} segments, {total:,} samples, by Whittle's likelihood"
-    return dataclasses.replace(recording, notes=(*recording.notes, note))
+    of_record = [term.name() for term in template.terms if needs_record(term)]
+    reasons = [
+        f'objective="{objective}" takes a single segment' * (objective not in ("allan", "whittle")),
+        "regressors need a single segment" * bool(regressors),
+        "a response is fitted to a single segment" * (template.response is not None),
+        *(f"{name} is fitted to a single segment" for name in of_record),
+    ]
+    others, lengths = recording.others, [recording.n, *map(len, recording.others)]
+    note = f"joint fit of {len(lengths)} segments, {sum(lengths):,} samples, by Whittle's likelihood"
+    if why := next(filter(None, reasons), ""):
+        others, note = (), f"only the longest segment was fitted: {why}"
+    return dataclasses.replace(recording, others=others, notes=(*recording.notes, note))
 
 
 def _fitted(
     recording: Recording,
     model: Model | None,
     objective: Objective,
-    regressors: Mapping[str, Float[np.ndarray, " n"]],
+    regressors: Regressors,
     plain: bool,
     wavelet: str,
 ) -> Fit:
@@ -260,32 +248,15 @@ def _fitted(
 
 
 def _exact(
-    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
+    recording: Recording, template: Model, active: InUse
 ) -> tuple[tuple[AxisFit, ...], tuple[str, ...]]:
-    """Results by the exact likelihood, and the recording's notes with one on axes with Whittle's.
-
-    These are widened for missing samples.
-    """
+    """Results by the exact likelihood, and notes; axes with Whittle's are widened for missing samples."""
     fits = [fit_exact(recording, k, template, of_axis) for k, of_axis in enumerate(active)]
     by = np.ones(len(fits)) if recording.missing is None else widening(recording.missing)
     results = [r if exact else r.widened(x) for (r, exact), x in zip(fits, by.tolist(), strict=True)]
-    names, notes = ", ".join(r.axis.name for r, exact in fits if not exact), recording.notes
-    if names:
-        notes += (f"{names}: fitted by Whittle's likelihood instead, as the model does not fit",)
-    return tuple(results), notes
-
-
-def without_coefficients(
-    seen: Inspection,
-    curve: AllanDeviation,
-    template: Model,
-    objective: Objective,
-    notes: tuple[str, ...],
-    dead: tuple[DeadAxis, ...],
-) -> Fit:
-    """A fit without coefficients: the curve of a recording, and the reason."""
-    results = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
-    return with_what_was_seen(Fit(seen.name, template, curve, results, notes, objective, None, dead), seen)
+    names = ", ".join(r.axis.name for r, exact in fits if not exact)
+    note = f"{names}: fitted by Whittle's likelihood instead, as the model does not fit"
+    return tuple(results), (*recording.notes, *([note] if names else []))
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
@@ -307,22 +278,19 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
 
 
 def _left(fact: Fact, found: Fit) -> Fact:
-    """A fact about lines, which widens the intervals if no term of the axis's model describes them; others as
-    is."""
-    if fact.kind != "lines" or not found[fact.axes[0]].converged:
+    """The fact; one about lines widens the intervals if no term of the axis's model describes them."""
+    result = found[fact.axes[0]] if fact.kind == "lines" else None
+    if result is None or not result.converged:
         return fact
-    if any(term.narrow_band or isinstance(term, Sinusoid) for term in found[fact.axes[0]].model.terms):
+    if any(term.narrow_band or isinstance(term, Sinusoid) for term in result.model.terms):
         return fact
     text = f"{fact.text}: no term of the model describes it; the intervals are widened accordingly"
     return dataclasses.replace(fact, consequence="widened", text=text)
 
 
 def terms_to_fit(
-    model: ModelLike | None,
-    selection: TermSelection | None,
-    axes: Sequence[Axis],
-    objective: Objective,
-) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
+    model: ModelLike | None, selection: TermSelection | None, axes: Sequence[Axis], objective: Objective
+) -> tuple[Model, InUse]:
     """Model to fit, given or chosen, and the terms that each axis has.
 
     Raises:
@@ -364,9 +332,7 @@ def _checked(template: Model, objective: Objective) -> Model:
     return dataclasses.replace(template, terms=tuple(terms))
 
 
-def _regressors(
-    recording: Recording, names: Sequence[str], objective: Objective
-) -> dict[str, Float[np.ndarray, " n"]]:
+def _regressors(recording: Recording, names: Sequence[str], objective: Objective) -> Regressors:
     """Auxiliary channels of these names, their means subtracted."""
     if names and objective != "whittle":
         raise AllanjaxError(

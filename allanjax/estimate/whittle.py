@@ -8,23 +8,18 @@ with the levels in their place. Lines, ramps and regressors are estimated alongs
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
 from allanjax.base.threads import for_each
 from allanjax.estimate.design import find_starts, free_powers, shape_candidates
-from allanjax.estimate.deterministic import (
-    AxisSpectrum,
-    Peaks,
-    Projection,
-    lines_of,
-    peaks_for,
-    take_out_lines,
-)
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Projection, Regressors
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import (
     Coefficients,
@@ -40,64 +35,35 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import PER_OCTAVE, Bins, SpectralStatistics, fast_length, smoothed
+from allanjax.spectrum.cosine import Bins, SpectralStatistics, smoothed
 
 # Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
 # Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
-# Bins per octave where the spectrum is not smooth: for resonances, and for filters.
-_FINE = 24
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
 _SHAPED, _AROUND = 0.05, 1.5
+# Powers and shapes.
+_Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
 
 
 def fit_whittle(
-    recording: Recording,
-    k: int,
-    template: Model,
-    active: Bool[np.ndarray, " terms"],
-    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    recording: Recording, k: int, template: Model, active: InUse, regressors: Regressors | None = None
 ) -> AxisFit:
     """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
-    spectrum = spectrum_of(template, recording.values[:, k], recording.rate, regressors)
+    spectrum = AxisSpectrum.of(template, recording.values[:, k], recording.rate, regressors)
     return fit_spectrum(template, recording.axes[k], spectrum, active)
 
 
-def spectrum_of(
-    template: Model,
-    x: Float[np.ndarray, " n"],
-    rate: float,
-    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-) -> AxisSpectrum:
-    """Spectral statistics of one axis for a model, in bins that are finer around narrow-band terms."""
-    peaks, n, (lines, wanted) = peaks_for(template, x, rate), fast_length(len(x)), lines_of(template)
-    c, found = take_out_lines(x[:n] - x[:n].mean(), rate, wanted)
-    narrow = [p.start for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
-    unknown = iter(peaks)
-    around = [line.frequency for line in found]
-    around += [float(next(unknown, rate / 8.0)) if start is None else start for start in narrow]
-    per_octave = PER_OCTAVE if template.response is None else _FINE
-    bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
-    return AxisSpectrum.of(template, bins, c, found, regressors, peaks)
-
-
 def fit_statistics(
-    bins: Bins,
-    statistics: SpectralStatistics,
-    template: Model,
-    axes: Sequence[Axis],
-    active: Bool[np.ndarray, "axes terms"],
+    bins: Bins, statistics: SpectralStatistics, template: Model, axes: Sequence[Axis], active: InUse
 ) -> tuple[AxisFit, ...]:
-    """Fit every axis by Whittle's likelihood to the statistics [axes, m] of an averaged or joint spectrum.
+    """Fit every axis to the statistics [axes, m] of an averaged or joint spectrum; see `fit_spectrum`.
 
     The model has no lines and transients.
-
-    Raises:
-        FitError: no random term.
     """
     ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
 
@@ -111,11 +77,7 @@ def fit_statistics(
 
 
 def fit_spectrum(
-    template: Model,
-    axis: Axis,
-    spectrum: AxisSpectrum,
-    active: Bool[np.ndarray, " terms"],
-    at_low: bool = False,
+    template: Model, axis: Axis, spectrum: AxisSpectrum, active: InUse, at_low: bool = False
 ) -> AxisFit:
     """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
@@ -153,7 +115,7 @@ def fit_spectrum(
         line = spectrum.lines.get(k)
         others |= deterministic_coefficients(template, k, axis, *estimate, line, bins.n, bool(active[k]))
     coefficients = coefficients.with_values(others, template)
-    degrees = round(projection.estimates) - count_estimated(template, active & random)
+    degrees = projection.estimates - count_estimated(template, active & random)
     result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
     std = np.sqrt(np.diag(projection.covariance)).tolist()
     amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
@@ -167,17 +129,17 @@ def fit_spectrum(
 
 
 def _fit_noise(
-    noise: Model, spectrum: AxisSpectrum, used: Bool[np.ndarray, " columns"], active: np.ndarray
+    noise: Model, spectrum: AxisSpectrum, used: InUse, active: InUse
 ) -> tuple[Arrangement, Projection, LevelFit]:
     """Fit the active random terms, alternating with the projection of the deterministic columns in use."""
-    empty, starts = Arrangement.of(noise, spectrum.bins), list[tuple[np.ndarray, np.ndarray]]()
+    empty, starts = Arrangement.of(noise, spectrum.bins), list[_Start]()
     variance = smooth = smoothed(spectrum.squares, spectrum.bins.size)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
         arrangement = empty.with_data(projection.level, projection.dof)
         # Single coefficients scatter too much for start values.
         rough = np.where(projection.dof < _FEW, smooth, projection.level)
-        starts = starts or _starts(arrangement, rough, active, spectrum.peaks)
+        starts = starts or _starts(arrangement, rough, active, spectrum)
         # The likelihood may have several maxima in a correlation time: all starts are tried.
         fit = best_of([fit_levels(arrangement, active, *start, smooth) for start in starts])
         starts, variance = [fit.solution[:2]], fit.maximum.mean
@@ -185,11 +147,11 @@ def _fit_noise(
 
 
 def _starts(
-    arrangement: Arrangement, level: np.ndarray, active: np.ndarray, peaks: Peaks
-) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
+    arrangement: Arrangement, level: np.ndarray, active: InUse, spectrum: AxisSpectrum
+) -> list[_Start]:
     """Powers and shapes to start from, found in these levels."""
-    noise, bins, dof = arrangement.model, arrangement.bins, 2.0 * arrangement.levels.shape
-    candidates = shape_candidates(noise, bins.n / bins.rate, bins.rate, peaks)
+    noise, bins, dof = arrangement.model, spectrum.bins, 2.0 * arrangement.levels.shape
+    candidates = shape_candidates(noise, bins.n / bins.rate, bins.rate, spectrum.peaks)
     blocks = np.array_split(candidates, -(-len(candidates) // _BLOCK))
     each = (len(noise), len(level))
     unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *each)) for x in blocks])
@@ -204,8 +166,11 @@ def _plateaus(
 
     These include resonances whose oscillator shape the data do not show. See `Arrangement.tangent`.
     """
-    bins, ratio = arrangement.bins, projection.level / fit.maximum.mean
-    found: dict[int, Mapping[str, float]] = {}
+    bins, ratio, found = (
+        arrangement.bins,
+        projection.level / fit.maximum.mean,
+        dict[int, Mapping[str, float]](),
+    )
     for k, term in enumerate(arrangement.fitted_model(fit).terms):
         if isinstance(term, PowerLaw):
             found[k] = {"": 1.0}
@@ -223,15 +188,15 @@ def _plateaus(
     return found
 
 
-def absent(template: Model, active: Bool[np.ndarray, " terms"]) -> list[str]:
+def absent(template: Model, active: InUse) -> list[str]:
     """Labels of the terms that are not among the active ones."""
-    return [label for label, here in zip(template.term_labels, active, strict=True) if not here]
+    return list(itertools.compress(template.term_labels, ~active))
 
 
 def axis_fit(
     axis: Axis,
     template: Model,
-    active: Bool[np.ndarray, " terms"],
+    active: InUse,
     coefficients: Coefficients,
     solution: Solution,
     dof: int,

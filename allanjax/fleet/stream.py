@@ -19,8 +19,8 @@ from allanjax.allan.pyramid import Pyramid
 from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError
 from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, with_curve
-from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen, without_coefficients
-from allanjax.estimate.result import Fit
+from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen
+from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import candidates_of, rank_terms
 from allanjax.estimate.whittle import fit_statistics
 from allanjax.inspection import Ends, Inspection, Windows, look
@@ -258,13 +258,12 @@ class AllanAccumulator:
         check_terms(template, _FROM_RECORD)
         check_count(len(curve.cluster_size), "Allan variances", curve.n, template, self.name)
         notes = selection.ambiguities() if selection else ()
-        if inspection.refusal:
-            return without_coefficients(inspection, curve, template, objective, notes, dead)
-        if objective == "allan":
+        results = tuple(AxisFit(axis, False, inspection.refusal) for axis in axes)
+        if objective == "allan" and not inspection.refusal:
             results = fit_allan(curve, axes, template, active)
             if not all(result.converged for result in results):
                 objective, notes = "whittle", (*notes, _TOO_FINE)
-        if objective == "whittle":
+        if objective == "whittle" and not inspection.refusal:
             results = fit_statistics(*statistics, template, axes, active)
         results, curve = with_curve(curve, template, results)
         fit = Fit(self.name, template, curve, results, notes, objective, selection, dead)
