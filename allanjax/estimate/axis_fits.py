@@ -42,7 +42,7 @@ from allanjax.estimate.inference import (
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, fit_spectrum, with_misfit
+from allanjax.estimate.whittle import axis_fit, fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
@@ -82,9 +82,8 @@ def fit_wavelet(recording: Recording, template: Model, active: InUse, wavelet: s
             )
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
-    design = AllanDesign.of_geometry(
-        template, recording.rate, wavelet_geometry(found, levels, *place), ALLAN_CAPACITY[1]
-    )
+    geometry = wavelet_geometry(found, levels, *place)
+    design = AllanDesign.of_geometry(template, recording.rate, geometry, ALLAN_CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
     return _fit_estimates(design, variance, place, recording.axes, template, active, None)
 
@@ -165,11 +164,7 @@ def solve_and_infer(
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution of each axis over its starts, the inference around it, and its misfit.
 
-    Args:
-        model, design: the model, and its design for these estimates of n samples at `rate` [Hz].
-        variance: the estimates.
-        active: the terms that each axis has.
-        peaks: frequencies [Hz] to start resonances from.
+    The design is for these estimates of n samples at `rate` [Hz]; resonances start from the peaks [Hz].
     """
     from scipy.ndimage import median_filter
 
@@ -243,7 +238,7 @@ def with_curve(
                 # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations
                 # is excessive.
                 if result.misfit is not None and result.measured and misfit.excessive:
-                    result = with_misfit(result, misfit)
+                    result = result.unmeasured(misfit=misfit)
                 else:
                     result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
         found.append(result)

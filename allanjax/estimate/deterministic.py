@@ -258,18 +258,13 @@ class AxisSpectrum(ByValue):
 
     @classmethod
     def in_bins(
-        cls,
-        template: Model,
-        bins: Bins,
-        c: Cosines,
-        found: Sequence[Line],
-        regressors: Regressors | None = None,
+        cls, model: Model, bins: Bins, c: Cosines, found: Sequence[Line], regressors: Regressors | None = None
     ) -> AxisSpectrum:
         """Statistics of coefficients from which the lines found were taken out."""
-        n, rate, lines = bins.n, bins.rate, dict(zip(lines_of(template)[0], found, strict=True))
+        n, rate, lines = bins.n, bins.rate, dict(zip(lines_of(model)[0], found, strict=True))
         columns: list[tuple[str | int, np.ndarray]] = []
         columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
-        for k, term in enumerate(template.terms):
+        for k, term in enumerate(model.terms):
             if isinstance(term, DriftRamp):
                 columns.append((k, term.sign * ramp_column(n, rate)))
             elif term.deterministic and k not in lines:
@@ -335,8 +330,7 @@ def amplitude_quantiles(
     least = np.where(probabilities < 0.5, quantile(0.5, degrees), 0.0)
     squares = np.maximum(square, least)
     if square > 400.0:
-        # Here the law is normal, and the mean of the estimate exceeds the amplitude by (degrees −
-        # 1)/(2·amplitude).
+        # Here the law is normal, and the mean estimate exceeds the amplitude by (degrees − 1)/(2·amplitude).
         root = np.sqrt(squares)
         return root - ndtri(probabilities) - (degrees - 1) / (2.0 * root)
     possible = chndtr(squares, degrees, 1e-12) > probabilities

@@ -177,16 +177,15 @@ def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
 
 def _joined(recording: Recording, template: Model, objective: Objective, regressors: Regressors) -> Recording:
     """The recording with all segments if they can be fitted jointly, else the longest; a note reports it."""
-    of_record = [term.name() for term in template.terms if needs_record(term)]
-    reasons = [
-        f'objective="{objective}" takes a single segment' * (objective not in ("allan", "whittle")),
-        "regressors need a single segment" * bool(regressors),
-        "a response is fitted to a single segment" * (template.response is not None),
-        *(f"{name} is fitted to a single segment" for name in of_record),
-    ]
+    reasons = {
+        f'objective="{objective}" takes a single segment': objective not in ("allan", "whittle"),
+        "regressors need a single segment": bool(regressors),
+        "a response is fitted to a single segment": template.response is not None,
+    }
+    reasons |= {f"{term.name()} is fitted to a single segment": needs_record(term) for term in template.terms}
     others, lengths = recording.others, [recording.n, *map(len, recording.others)]
     note = f"joint fit of {len(lengths)} segments, {sum(lengths):,} samples, by Whittle's likelihood"
-    if why := next(filter(None, reasons), ""):
+    if why := next((reason for reason, holds in reasons.items() if holds), ""):
         others, note = (), f"only the longest segment was fitted: {why}"
     return dataclasses.replace(recording, others=others, notes=(*recording.notes, note))
 

@@ -81,12 +81,8 @@ def fit_spectrum(
 ) -> AxisFit:
     """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
-    Args:
-        template, axis: the terms, and the axis.
-        spectrum: the statistics, with a column for each deterministic term.
-        active: the terms in use; for the others there is an upper limit.
-        at_low: whether N is the density at low frequencies, which includes that of wide resonances and of
-            short processes; the fitted model has them apart.
+    Terms that are not active have an upper limit. `at_low`: N is the density at low frequencies, which
+    includes that of wide resonances and of short processes; the fitted model has them apart.
 
     Raises:
         FitError: there is no random term in the model.
@@ -202,7 +198,7 @@ def axis_fit(
     dof: int,
     misfit: Misfit | None,
 ) -> AxisFit:
-    """Result of one axis from its solution [1]; see `with_misfit`."""
+    """Result of one axis from its solution [1]; without intervals and limits if the misfit is excessive."""
     converged = bool(solution.converged[0])
     result = AxisFit(
         axis=axis,
@@ -215,14 +211,6 @@ def axis_fit(
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,
         _model=fitted_model(template, coefficients.values, absent(template, active)),
+        misfit=misfit if converged else None,
     )
-    return with_misfit(result, misfit)
-
-
-def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
-    """Result with its misfit, if any; if that is excessive, coefficients lose intervals and limits."""
-    if misfit is None or not result.converged:
-        return result
-    if not misfit.excessive:
-        return dataclasses.replace(result, misfit=misfit)
-    return result.unmeasured(misfit=misfit)
+    return result.unmeasured() if result.is_far_off else result
