@@ -20,17 +20,7 @@ from allanjax.estimate.design import (
     moments_behind,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import (
-    AxisSpectrum,
-    InUse,
-    Line,
-    Peaks,
-    Samples,
-    lines_of,
-    needs_record,
-    peaks_for,
-    take_out_lines,
-)
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Line, Peaks, needs_record
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Inference,
@@ -53,21 +43,20 @@ from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 ALLAN_CAPACITY = (96, 6)
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
-_Record: TypeAlias = Float[np.ndarray, "n axes"]
+_Spectra: TypeAlias = Sequence[AxisSpectrum]
 
 
 def fit_allan(
-    curve: AllanDeviation, axes: Sequence[Axis], template: Model, active: InUse, values: _Record | None = None
+    curve: AllanDeviation, spectra: _Spectra, axes: Sequence[Axis], template: Model, active: InUse
 ) -> tuple[AxisFit, ...]:
-    """Fit every axis by generalized least squares of its Allan variances.
-
-    Lines and resonances are found in the record.
-    """
+    """Fit every axis by generalized least squares of its Allan variances; lines are those of its spectrum."""
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
-    return _fit_estimates(design, curve.variance, (curve.n, curve.rate), axes, template, active, values)
+    return _fit_estimates(design, curve.variance, (curve.n, curve.rate), spectra, axes, template, active)
 
 
-def fit_wavelet(recording: Recording, template: Model, active: InUse, wavelet: str) -> tuple[AxisFit, ...]:
+def fit_wavelet(
+    recording: Recording, spectra: _Spectra, template: Model, active: InUse, wavelet: str
+) -> tuple[AxisFit, ...]:
     """Fit every axis of a recording by generalized least squares of its wavelet variances.
 
     Raises:
@@ -85,7 +74,7 @@ def fit_wavelet(recording: Recording, template: Model, active: InUse, wavelet: s
     geometry = wavelet_geometry(found, levels, *place)
     design = AllanDesign.of_geometry(template, recording.rate, geometry, ALLAN_CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
-    return _fit_estimates(design, variance, place, recording.axes, template, active, None)
+    return _fit_estimates(design, variance, place, spectra, recording.axes, template, active)
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
@@ -109,26 +98,22 @@ def _fit_estimates(
     design: AllanDesign,
     variances: Float[np.ndarray, "m axes"],
     place: tuple[int, float],
+    spectra: _Spectra,
     axes: Sequence[Axis],
     template: Model,
     active: InUse,
-    values: _Record | None,
 ) -> tuple[AxisFit, ...]:
     """Fits of every axis to its estimates; see `fit_allan`.
 
     `place`: number of samples and their rate [Hz].
     """
-    indices, wanted = lines_of(template)
-    slots, results, rate = len(design.scatters), [], place[1]
+    results = []
     for k, axis in enumerate(axes):
-        model, lines, here = template, dict[int, Line](), active[[k]]
-        peaks = () if values is None else peaks_for(template, values[:, k], rate)
-        if wanted and values is not None:
+        model, here, lines, peaks = template, active[[k]], spectra[k].lines, spectra[k].peaks
+        if lines:
             # The record determines a line far better than its Allan variances do.
-            x = values[:, k] - values[:, k].mean()
-            lines = dict(zip(indices, take_out_lines(x, rate, wanted)[1], strict=True))
             model = _with_lines(template, lines)
-            design = AllanDesign.of_geometry(model, rate, design.geometry, slots)
+            design = AllanDesign.of_geometry(model, place[1], design.geometry, len(design.scatters))
         variance = variances[:, [k]].T
         solution, inference, (misfit,) = solve_and_infer(model, design, variance, here, *place, peaks)
         coefficients = coefficients_of(model, axis, here, solution, inference, *place)
@@ -192,16 +177,15 @@ def solve_and_infer(
     return solution, infer(tangent, variance, free, active, solution), misfits
 
 
-def judged(x: Samples, rate: float, template: Model, active: InUse, result: AxisFit) -> AxisFit:
+def judged(spectrum: AxisSpectrum, template: Model, active: InUse, result: AxisFit) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
-    spectrum = AxisSpectrum.of(template, x, rate)
     random = np.array([not term.deterministic for term in template.terms])
     sufficient, fits = result.converged and result.discrepancy == 0.0, False
     if sufficient:
-        noise = [term for term in result.model.sampled(rate).terms if not term.deterministic]
+        noise = [term for term in result.model.sampled(spectrum.bins.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
         projection = spectrum.project(mean, spectrum.used(active))

@@ -19,7 +19,15 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
-from allanjax.spectrum.cosine import PER_OCTAVE, Bins, cosine_transform, fast_length, ramp_column, term_column
+from allanjax.spectrum.cosine import (
+    PER_OCTAVE,
+    Bins,
+    SpectralStatistics,
+    cosine_transform,
+    fast_length,
+    ramp_column,
+    term_column,
+)
 
 #: Samples of an axis and their cosine coefficients; frequencies [Hz]; samples of auxiliary channels by name;
 #: the terms in use, of one axis or several.
@@ -255,6 +263,16 @@ class AxisSpectrum(ByValue):
         per_octave = PER_OCTAVE if template.response is None else _FINE
         bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
         return dataclasses.replace(cls.in_bins(template, bins, c, found, regressors), peaks=peaks)
+
+    @classmethod
+    def of_axes(cls, bins: Bins, statistics: SpectralStatistics, template: Model) -> list[AxisSpectrum]:
+        """Statistics of all axes of a joint or averaged spectrum, for a model without lines or transients."""
+        ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
+        columns = (*np.shape(statistics.squares), len(ramps))
+        cross = np.broadcast_to(np.asarray(statistics.cross)[..., None], columns)
+        gram = np.broadcast_to(np.asarray(statistics.gram)[..., None, None], (*columns, len(ramps)))
+        each = zip(statistics.squares, cross, gram, strict=True)
+        return [cls(bins, *own, ramps) for own in each]
 
     @classmethod
     def in_bins(

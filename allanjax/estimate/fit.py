@@ -15,12 +15,12 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
 from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, judged, with_curve
 from allanjax.estimate.design import model_to_fit
-from allanjax.estimate.deterministic import InUse, Regressors, needs_record
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Regressors, needs_record
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension import extended
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
-from allanjax.estimate.whittle import fit_statistics, fit_whittle
+from allanjax.estimate.whittle import fit_spectra
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.model import Model
@@ -216,29 +216,32 @@ def _fitted(
         curve = pending.result()
     template, active = terms_to_fit(model, selection, axes, objective)
     check_count(len(curve.cluster_size), "Allan variances", curve.n, template, name)
-    each = range(len(axes))
-    if joint is not None and recording.others:
-        results, objective = fit_statistics(*joint, template, axes, active), "whittle"
-    elif objective == "whittle":
-        results = tuple(for_each(lambda k: fit_whittle(recording, k, template, active[k], regressors), each))
-    elif objective == "exact":
-        results, notes = _exact(recording, template, active)
-    elif objective == "allan" or octaves:
-        results = fit_allan(curve, axes, template, active, values)
-    else:
+    if objective == "wavelet" and not octaves:
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
         template, active = template.without(unused), active[:, active.any(axis=0)]
-        results = fit_wavelet(recording, template, active, wavelet)
-    if objective in ("allan", "wavelet"):
-        fits = results
-        results = tuple(for_each(lambda k: judged(values[:, k], rate, template, active[k], fits[k]), each))
+    if joint is not None and not regressors:
+        spectra = AxisSpectrum.of_axes(*joint, template)
+        objective = "whittle" if recording.others else objective
+    elif objective != "exact":
+        spectra = for_each(lambda x: AxisSpectrum.of(template, x, rate, regressors), values.T)
+    if objective == "exact":
+        results, notes = _exact(recording, template, active)
+    elif objective == "whittle":
+        results = fit_spectra(template, axes, spectra, active)
+    else:
+        if objective == "allan" or octaves:
+            fits = fit_allan(curve, spectra, axes, template, active)
+        else:
+            fits = fit_wavelet(recording, spectra, template, active, wavelet)
+        each = zip(spectra, active, fits, strict=True)
+        results = tuple(for_each(lambda of: judged(of[0], template, *of[1:]), each))
     results, curve = with_curve(curve, template, results)
     if selection is not None:
         rankings = selection.results
         # Regressors belong to a given model, or to the plain terms.
         if not (plain or regressors):
             # Threads would wait for each other: searches are many short calls.
-            both = [extended(values[:, k], rate, results[k], rankings[k], curve, k) for k in each]
+            both = [extended(values[:, k], rate, results[k], rankings[k], curve, k) for k in range(len(axes))]
             results, rankings = zip(*both, strict=True)
             selection = dataclasses.replace(selection, results=rankings)
         results = tuple(map(with_doubts, results, rankings))

@@ -35,7 +35,7 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, smoothed
+from allanjax.spectrum.cosine import smoothed
 
 # Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
@@ -58,22 +58,12 @@ def fit_whittle(
     return fit_spectrum(template, recording.axes[k], spectrum, active)
 
 
-def fit_statistics(
-    bins: Bins, statistics: SpectralStatistics, template: Model, axes: Sequence[Axis], active: InUse
+def fit_spectra(
+    template: Model, axes: Sequence[Axis], spectra: Sequence[AxisSpectrum], active: InUse
 ) -> tuple[AxisFit, ...]:
-    """Fit every axis to the statistics [axes, m] of an averaged or joint spectrum; see `fit_spectrum`.
-
-    The model has no lines and transients.
-    """
-    ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
-
-    def of(k: int) -> AxisFit:
-        squares, cross, gram = (np.asarray(x[k]) for x in statistics)
-        cross = np.broadcast_to(cross[:, None], (len(squares), len(ramps)))
-        gram = np.broadcast_to(gram[:, None, None], (*cross.shape, len(ramps)))
-        return fit_spectrum(template, axes[k], AxisSpectrum(bins, squares, cross, gram, ramps), active[k])
-
-    return tuple(for_each(of, range(len(axes))))
+    """Fit every axis to its spectral statistics; see `fit_spectrum`."""
+    each = zip(axes, spectra, active, strict=True)
+    return tuple(for_each(lambda of_axis: fit_spectrum(template, *of_axis), each))
 
 
 def fit_spectrum(
