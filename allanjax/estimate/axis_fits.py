@@ -177,7 +177,7 @@ def solve_and_infer(
     return solution, infer(tangent, variance, free, active, solution), misfits
 
 
-def judged(spectrum: AxisSpectrum, template: Model, active: InUse, result: AxisFit) -> AxisFit:
+def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisFit) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.

@@ -148,12 +148,6 @@ def without_lines(c: Cosines, lines: Sequence[Line], rate: float) -> Cosines:
     return c
 
 
-def peaks_for(model: Model, x: Samples, rate: float) -> Peaks:
-    """Frequencies to try for the lines and resonances of a model that come without one."""
-    searched = any(p.parameter.kind == "line" and p.start is None for p in model.parameters)
-    return find_lines(x, rate) if searched else ()
-
-
 def find_lines(
     x: Samples, rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
 ) -> Float[np.ndarray, " peaks"]:
@@ -255,11 +249,13 @@ class AxisSpectrum(ByValue):
         cls, template: Model, x: Samples, rate: float, regressors: Regressors | None = None
     ) -> AxisSpectrum:
         """Statistics of one axis for a model, in bins that are finer around narrow-band terms."""
-        peaks, n, (lines, wanted) = peaks_for(template, x, rate), fast_length(len(x)), lines_of(template)
+        n, (lines, wanted) = fast_length(len(x)), lines_of(template)
         c, found = take_out_lines(x[:n] - x[:n].mean(), rate, wanted)
-        narrow = [p.start for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
+        sharp = [p for p in template.parameters if p.parameter.kind == "line"]
+        peaks = find_lines(x, rate) if any(p.start is None for p in sharp) else ()
         around, unknown = [line.frequency for line in found], iter(peaks)
-        around += [float(next(unknown, rate / 8.0)) if start is None else start for start in narrow]
+        for start in (p.start for p in sharp if p.term not in lines):
+            around.append(float(next(unknown, rate / 8.0)) if start is None else start)
         per_octave = PER_OCTAVE if template.response is None else _FINE
         bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
         return dataclasses.replace(cls.in_bins(template, bins, c, found, regressors), peaks=peaks)

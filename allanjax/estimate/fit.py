@@ -234,7 +234,7 @@ def _fitted(
         else:
             fits = fit_wavelet(recording, spectra, template, active, wavelet)
         each = zip(spectra, active, fits, strict=True)
-        results = tuple(for_each(lambda of: judged(of[0], template, *of[1:]), each))
+        results = tuple(for_each(lambda of_axis: judged(template, *of_axis), each))
     results, curve = with_curve(curve, template, results)
     if selection is not None:
         rankings = selection.results
