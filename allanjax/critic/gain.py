@@ -14,9 +14,8 @@ from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
-from allanjax.estimate.spectral.components import COLUMN
+from allanjax.estimate.spectral.components import COLUMN, WIDE
 from allanjax.estimate.spectral.components import MARKOV as PROCESS
-from allanjax.estimate.structure.search import WIDE
 from allanjax.estimate.structure.structure import FIXED as COLUMNS
 from allanjax.estimate.structure.structure import Structure, term_of
 from allanjax.noise.terms import Markov, basic_terms

@@ -18,7 +18,7 @@ from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import EVERYTHING, Candidate, View
-from allanjax.estimate.deterministic import line_columns, lines_of, take_out_lines
+from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
@@ -306,12 +306,7 @@ def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float
         D = D - D.mean(axis=0)
         y = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
     if lines:
-        c, found = take_out_lines(y, rate, wanted)
-        c = c.copy()
-        for line in found:
-            D = np.asarray(line_columns(line.frequency, line.indices, len(x), rate))
-            c[line.indices - 1] -= D @ np.linalg.lstsq(D, line.coefficients, rcond=None)[0]
-        y = in_time(c)
+        y = in_time(without_lines(*take_out_lines(y, rate, wanted), rate))
     return y + x.mean()
 
 

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
     AllanDesign,
-    Tangent,
     find_starts,
     free_powers,
     geometry_of,
     moments_behind,
     shape_candidates,
 )
-from allanjax.estimate.deterministic import Line, Peaks, lines_of, needs_record, peaks_for, take_out_lines
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Line, Peaks, needs_record
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
     Inference,
@@ -32,7 +32,7 @@ from allanjax.estimate.inference import (
 from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, fit_whittle, spectrum_of, with_misfit
+from allanjax.estimate.whittle import axis_fit, fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
@@ -43,32 +43,19 @@ from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 ALLAN_CAPACITY = (96, 6)
 # Difference of minus twice the log-likelihood below which two solutions are the same.
 _AS_LIKELY = 0.02
+_Spectra: TypeAlias = Sequence[AxisSpectrum]
 
 
 def fit_allan(
-    curve: AllanDeviation,
-    axes: Sequence[Axis],
-    template: Model,
-    active: Bool[np.ndarray, "axes terms"],
-    values: Float[np.ndarray, "n axes"] | None = None,
-) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Fit every axis by generalized least squares; the curve gets its degrees of freedom under the fit.
-
-    Args:
-        curve: the Allan variances.
-        axes: its axes.
-        template: the model.
-        active: the terms that each axis has.
-        values: the record, which is needed to find lines and resonances.
-    """
+    curve: AllanDeviation, spectra: _Spectra, axes: Sequence[Axis], template: Model, active: InUse
+) -> tuple[AxisFit, ...]:
+    """Fit every axis by generalized least squares of its Allan variances; lines are those of its spectrum."""
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
-    place = curve.n, curve.rate
-    results = _fit_estimates(design, curve.variance, place, axes, template, active, values)
-    return results, _under_models(curve, template, results)[0]
+    return _fit_estimates(design, curve.variance, (curve.n, curve.rate), spectra, axes, template, active)
 
 
 def fit_wavelet(
-    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"], wavelet: str
+    recording: Recording, spectra: _Spectra, template: Model, active: InUse, wavelet: str
 ) -> tuple[AxisFit, ...]:
     """Fit every axis of a recording by generalized least squares of its wavelet variances.
 
@@ -84,11 +71,10 @@ def fit_wavelet(
             )
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
-    design = AllanDesign.of_geometry(
-        template, recording.rate, wavelet_geometry(found, levels, *place), ALLAN_CAPACITY[1]
-    )
+    geometry = wavelet_geometry(found, levels, *place)
+    design = AllanDesign.of_geometry(template, recording.rate, geometry, ALLAN_CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
-    return _fit_estimates(design, variance, place, recording.axes, template, active, None)
+    return _fit_estimates(design, variance, place, spectra, recording.axes, template, active)
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
@@ -112,27 +98,23 @@ def _fit_estimates(
     design: AllanDesign,
     variances: Float[np.ndarray, "m axes"],
     place: tuple[int, float],
+    spectra: _Spectra,
     axes: Sequence[Axis],
     template: Model,
-    active: Bool[np.ndarray, "axes terms"],
-    values: Float[np.ndarray, "n axes"] | None,
+    active: InUse,
 ) -> tuple[AxisFit, ...]:
     """Fits of every axis to its estimates; see `fit_allan`.
 
     `place`: number of samples and their rate [Hz].
     """
-    records = [None] * len(axes) if values is None else values.T
-    indices, wanted = lines_of(template)
-    slots, results = len(design.scatters), []
-    for k, (axis, x) in enumerate(zip(axes, records, strict=True)):
-        model, lines = template, dict[int, Line]()
-        peaks = () if x is None else peaks_for(template, x, place[1])
-        if wanted and x is not None:
+    results = []
+    for k, axis in enumerate(axes):
+        model, here, lines, peaks = template, active[[k]], spectra[k].lines, spectra[k].peaks
+        if lines:
             # The record determines a line far better than its Allan variances do.
-            lines = dict(zip(indices, take_out_lines(x - x.mean(), place[1], wanted)[1], strict=True))
             model = _with_lines(template, lines)
-            design = AllanDesign.of_geometry(model, place[1], design.geometry, slots)
-        here, variance = active[[k]], variances[:, [k]].T
+            design = AllanDesign.of_geometry(model, place[1], design.geometry, len(design.scatters))
+        variance = variances[:, [k]].T
         solution, inference, (misfit,) = solve_and_infer(model, design, variance, here, *place, peaks)
         coefficients = coefficients_of(model, axis, here, solution, inference, *place)
         for i, line in lines.items():
@@ -151,10 +133,8 @@ def _with_lines(template: Model, lines: Mapping[int, Line]) -> Model:
     terms = list(template.terms)
     for k, line in lines.items():
         amplitude, frequency = (p.name for p in terms[k].parameters())
-        values = {frequency: line.frequency}
-        if terms[k].has_free_amplitude:
-            values[amplitude] = line.amplitude
-        terms[k] = terms[k].hold(amplitude, frequency, **values)
+        size = {amplitude: float(np.hypot(*line.beta))} if terms[k].has_free_amplitude else {}
+        terms[k] = terms[k].hold(amplitude, **{frequency: line.frequency}, **size)
     return dataclasses.replace(template, terms=tuple(terms))
 
 
@@ -162,18 +142,14 @@ def solve_and_infer(
     model: Model,
     design: AllanDesign,
     variance: Float[np.ndarray, "axes m"],
-    active: Bool[np.ndarray, "axes terms"],
+    active: InUse,
     n: int,
     rate: float,
     peaks: Peaks = (),
 ) -> tuple[Solution, Inference, list[Misfit | None]]:
     """Best solution of each axis over its starts, the inference around it, and its misfit.
 
-    Args:
-        model, design: the model, and its design for these estimates of n samples at `rate` [Hz].
-        variance: the estimates.
-        active: the terms that each axis has.
-        peaks: frequencies [Hz] to start resonances from.
+    The design is for these estimates of n samples at `rate` [Hz]; resonances start from the peaks [Hz].
     """
     from scipy.ndimage import median_filter
 
@@ -191,100 +167,63 @@ def solve_and_infer(
         better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
         both = zip(other, solution, strict=True)
         solution = Solution(*(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in both))
-    tangent = design.tangent(solution.shape)
-    misfits = _misfits(tangent, design.geometry.cluster_time, variance, solution)
+    tangent, misfits = design.tangent(solution.shape), list[Misfit | None]([None] * len(variance))
+    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
+        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
+        mean, scatter = own.mean(power)[0], own.variances(power)[0]
+        ratio, edf = np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter
+        misfits[k] = misfit_of(design.geometry.cluster_time[: len(mean)], ratio, edf, "s")
     solution = widened(solution, misfits)
     return solution, infer(tangent, variance, free, active, solution), misfits
 
 
-def _misfits(
-    tangent: Tangent,
-    cluster_time: Float[np.ndarray, " capacity"],
-    variance: Float[np.ndarray, "axes m"],
-    solution: Solution,
-) -> list[Misfit | None]:
-    """Misfit of each axis's curve; None where the model suffices."""
-    found: list[Misfit | None] = [None] * len(variance)
-    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
-        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
-        mean, scatter = own.mean(power)[0], own.variances(power)[0]
-        ratio = np.sqrt(variance[k] / mean)
-        found[k] = misfit_of(cluster_time[: len(mean)], ratio, 2.0 * mean**2 / scatter, "s")
-    return found
-
-
-def judged(
-    recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"], result: AxisFit
-) -> AxisFit:
+def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisFit) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
     random = np.array([not term.deterministic for term in template.terms])
-    sufficient = result.converged and result.discrepancy == 0.0
+    sufficient, fits = result.converged and result.discrepancy == 0.0, False
     if sufficient:
-        spectrum = spectrum_of(template, recording.values[:, k], recording.rate)
-        noise = [term for term in result.model.sampled(recording.rate).terms if not term.deterministic]
+        noise = [term for term in result.model.sampled(spectrum.bins.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
         projection = spectrum.project(mean, spectrum.used(active))
         chi2 = chi_squared(projection.level / mean, projection.dof)
-        dof = round(projection.estimates) - count_estimated(template, active & random)
-        if chi2 <= beyond_doubt(dof):
-            return _with_verdict(result, chi2, dof)
-    other = fit_whittle(recording, k, template, active)
-    # A doubtful spectrum does not overrule variances that refuse the model.
-    if result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful):
-        return _with_verdict(result, other.chi2, other.dof)
-    return other if other.converged else result
-
-
-def _with_verdict(result: AxisFit, chi2: float, dof: int) -> AxisFit:
+        dof = projection.estimates - count_estimated(template, active & random)
+        fits = bool(chi2 <= beyond_doubt(dof))
+    if not fits:
+        other = fit_spectrum(template, result.axis, spectrum, active)
+        # A doubtful spectrum does not overrule variances that refuse the model.
+        refused = result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful)
+        if not refused:
+            return other if other.converged else result
+        chi2, dof = other.chi2, other.dof
     return dataclasses.replace(result, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof)))
 
 
 def with_curve(
     curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
 ) -> tuple[tuple[AxisFit, ...], AllanDeviation]:
-    """Fits of spectra with the misfit of the Allan deviations, and the curve with its degrees of freedom."""
-    curve, means = _under_models(curve, template, results)
+    """Fits, those of spectra with the misfit of their Allan deviations, and the curve.
+
+    It gets its degrees of freedom 2μ²/Var under the fitted models.
+    """
+    geometry, edf, found = geometry_of(curve, template), np.array(curve.edf), []
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
-    found = []
-    for k, result in enumerate(results):
-        if result.converged and result.spectrum is not None and not (profiled or result.regression):
-            ratio = curve.deviation[:, k] / np.sqrt(means[:, k])
-            misfit = misfit_of(curve.cluster_time, ratio, curve.edf[:, k], "s")
-            # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations is
-            # excessive.
-            if result.misfit is not None and result.measured and misfit.excessive:
-                result = with_misfit(result, misfit)
-            else:
-                result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
-        found.append(result)
-    return tuple(found), curve
-
-
-def _under_models(
-    curve: AllanDeviation, template: Model, results: Sequence[AxisFit]
-) -> tuple[AllanDeviation, Float[np.ndarray, "m axes"]]:
-    """Curve with degrees of freedom 2μ²/Var under the fitted models, and their variances μ, if there are."""
-    geometry = geometry_of(curve, template)
-    edf, means = np.array(curve.edf), np.full(curve.edf.shape, np.nan)
     for k, result in enumerate(results):
         if result.converged:
-            means[:, k], scatter = moments_behind(
-                _with_all_terms(template, result).sampled(curve.rate), geometry
-            )
-            edf[:, k] = 2.0 * means[:, k] ** 2 / scatter * curve.gain
-    return dataclasses.replace(curve, edf=edf), means
-
-
-def _with_all_terms(template: Model, result: AxisFit) -> Model:
-    """The fitted model; absent terms are included with an amplitude of zero and an arbitrary shape."""
-    values = {}
-    for p in template.parameters:
-        value = result[p.label].value if p.label in result.coefficients else p.start
-        absent = 0.0 if p.parameter.is_amplitude else p.parameter.lower + 1.0
-        values[p.label] = absent if value is None or np.isnan(value) else float(value)
-    return template.with_values(**values)
+            mean, scatter = moments_behind(result.model.sampled(curve.rate), geometry)
+            edf[:, k] = 2.0 * mean**2 / scatter * curve.gain
+            if result.spectrum is not None and not (profiled or result.regression):
+                ratio = curve.deviation[:, k] / np.sqrt(mean)
+                misfit = misfit_of(curve.cluster_time, ratio, edf[:, k], "s")
+                # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations
+                # is excessive.
+                if result.misfit is not None and result.measured and misfit.excessive:
+                    result = result.unmeasured(misfit=misfit)
+                else:
+                    result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
+        found.append(result)
+    return tuple(found), dataclasses.replace(curve, edf=edf)

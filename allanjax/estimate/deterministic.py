@@ -8,21 +8,34 @@ the noise is estimated from residuals that do not depend on the amplitudes of th
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import TypeAlias
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
-from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp, NoiseTerm
-from allanjax.spectrum.cosine import Bins, cosine_transform
+from allanjax.spectrum.cosine import (
+    PER_OCTAVE,
+    Bins,
+    SpectralStatistics,
+    cosine_transform,
+    fast_length,
+    ramp_column,
+    term_column,
+)
 
-#: Frequencies [Hz].
+#: Samples of an axis and their cosine coefficients; frequencies [Hz]; samples of auxiliary channels by name;
+#: the terms in use, of one axis or several.
+Samples: TypeAlias = Float[np.ndarray, " n"]
+Cosines: TypeAlias = Float[np.ndarray, " n-1"]
 Peaks: TypeAlias = Sequence[float] | Float[np.ndarray, " peaks"]
+Regressors: TypeAlias = Mapping[str, Samples]
+InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
@@ -33,6 +46,8 @@ _SEARCH, _GRID = 4.0, 4
 _PLACES, _PEAKS = 8, 4
 # Longest spectra, in samples, in which broad peaks are searched for.
 _COARSER = (8192, 512)
+# Bins per octave where the spectrum is not smooth: for filters.
+_FINE = 24
 # Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
 _MEDIAN, _OUTLYING = 0.4549, 16.0
 
@@ -43,19 +58,17 @@ def needs_record(term: NoiseTerm) -> bool:
 
 
 def line_columns(
-    frequency: ArrayLike, j: Int[ArrayLike, " k"], n: ArrayLike, rate: ArrayLike
-) -> Float[Array, "k 2"]:
+    frequency: float | Float[np.ndarray, "b 1"], j: Int[np.ndarray, " k"], n: int, rate: float
+) -> Float[np.ndarray, "*b k 2"]:
     """Cosine coefficients j of cos and sin(2πf·(k + ½)/rate), in closed form: sums of geometric series."""
-    xp = namespace(frequency, j, n, rate)
     w, a = 2.0 * np.pi * frequency / rate, np.pi * j / n
-    cosines, sines = 0.0, 0.0
+    x = np.stack([w + a, w - a])
     # Sums over k = 0 … n−1 of cos and sin of x(k + ½).
-    for x in (w + a, w - a):
-        regular = abs(xp.sin(x / 2.0)) > 1e-13
-        half = xp.where(regular, x, 1.0) / 2.0
-        cosines += xp.where(regular, xp.sin(2.0 * n * half) / (2.0 * xp.sin(half)), 1.0 * n)
-        sines += xp.where(regular, xp.sin(n * half) ** 2 / xp.sin(half), 0.0)
-    return xp.stack([cosines, sines], axis=-1) / xp.sqrt(2.0 * n)
+    regular = abs(np.sin(x / 2.0)) > 1e-13
+    half = np.where(regular, x, 1.0) / 2.0
+    cosines = np.where(regular, np.sin(2.0 * n * half) / (2.0 * np.sin(half)), n)
+    sines = np.where(regular, np.sin(n * half) ** 2 / np.sin(half), 0.0)
+    return np.stack([cosines.sum(axis=0), sines.sum(axis=0)], axis=-1) / np.sqrt(2.0 * n)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +77,7 @@ class Line:
 
     `frequency_std` is 0 if the frequency [Hz] was given; `gain` is in log-likelihood [nats]; `beta` are the
     amplitudes of cosine and sine in the samples, and `amplitude_std` the error of each. `coefficients` are
-    the record's from index `first` on, this line included and other lines subtracted.
+    the record's of these `indices`, this line included and other lines subtracted.
     """
 
     frequency: float
@@ -72,19 +85,15 @@ class Line:
     gain: float
     beta: Float[np.ndarray, " 2"]
     amplitude_std: float
-    first: int
+    indices: Int[np.ndarray, " k"]
     coefficients: Float[np.ndarray, " k"]
 
-    @property
-    def amplitude(self) -> float:
-        return float(np.hypot(*self.beta))
+    def fitted(self, n: int, rate: float) -> Float[np.ndarray, " k"]:
+        """What of them is due to the line, by least squares, in a record of n samples at `rate` [Hz]."""
+        own = line_columns(self.frequency, self.indices, n, rate)
+        return own @ np.linalg.lstsq(own, self.coefficients, rcond=None)[0]
 
-    @property
-    def indices(self) -> Int[np.ndarray, " k"]:
-        """Indices of these coefficients."""
-        return self.first + np.arange(len(self.coefficients))
-
-    def samples(self, angle: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def samples(self, angle: Samples) -> Samples:
         """The line in time, given 2πt."""
         phase = angle * self.frequency
         return self.beta[0] * np.cos(phase) + self.beta[1] * np.sin(phase)
@@ -92,27 +101,17 @@ class Line:
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
     """Indices of a model's lines, with the start of each frequency (or None) and whether it is held."""
-    of = [
-        (k, (getattr(term, p.name), not term.is_free(p)))
-        for k, term in enumerate(model.terms)
-        for p in term.parameters()
-        if term.deterministic and p.kind == "line"
-    ]
-    return [k for k, _ in of], [wanted for _, wanted in of]
+    of = [p for p in model.parameters if p.parameter.kind == "line" and model.terms[p.term].deterministic]
+    return [p.term for p in of], [(p.start, not p.free) for p in of]
 
 
 def take_out_lines(
-    x: Float[np.ndarray, " n"], rate: float, wanted: Sequence[tuple[float | None, bool]]
-) -> tuple[Float[np.ndarray, " n-1"], tuple[Line, ...]]:
+    x: Samples, rate: float, wanted: Sequence[tuple[float | None, bool]]
+) -> tuple[Cosines, tuple[Line, ...]]:
     """Find lines, the strongest first, and subtract them from a record's cosine coefficients.
 
-    Args:
-        x: the samples.
-        rate: sample rate [Hz].
-        wanted: for each line a frequency to start from, or None, and whether it is held there.
-
-    Returns:
-        The coefficients, and the lines in the order wanted. Near a line the coefficients still contain it.
+    `wanted`: for each line a frequency to start from, or None, and whether it is held there. The lines are in
+    this order. Near a line the coefficients still contain it.
     """
     if not wanted:
         return cosine_transform(x), ()
@@ -141,14 +140,16 @@ def take_out_lines(
     return c, tuple(lines)
 
 
-def peaks_for(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Peaks:
-    """Frequencies to try for the lines and resonances of a model that come without one."""
-    searched = any(p.parameter.kind == "line" and p.start is None for p in model.parameters)
-    return find_lines(x, rate) if searched else ()
+def without_lines(c: Cosines, lines: Sequence[Line], rate: float) -> Cosines:
+    """Coefficients of `take_out_lines` without what they still contain of the lines."""
+    c = c.copy()
+    for line in lines:
+        c[line.indices - 1] -= line.fitted(len(c) + 1, rate)
+    return c
 
 
 def find_lines(
-    x: Float[np.ndarray, " samples"], rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
+    x: Samples, rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
 ) -> Float[np.ndarray, " peaks"]:
     """Frequencies [Hz] of the `count` most conspicuous peaks of the spectrum, sharp lines and broad bumps.
 
@@ -175,15 +176,14 @@ def find_lines(
     return np.array(chosen + [rate / 8.0] * (count - len(chosen)))
 
 
-def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: float) -> Line:
+def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     """Best line within `reach` coefficients of a frequency."""
     from scipy.optimize import minimize_scalar
 
     n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
-    first = max(centre - LINE_REACH, 1)
-    indices = np.arange(first, min(centre + LINE_REACH, n - 1) + 1)
+    indices = np.arange(max(centre - LINE_REACH, 1), min(centre + LINE_REACH, n - 1) + 1)
     data = c[indices - 1]
     # The level of the noise: a mean without outliers, such as another line.
     around = c[max(centre - _LEVEL_REACH, 1) - 1 : centre + _LEVEL_REACH] ** 2
@@ -206,11 +206,10 @@ def _refined(c: Float[np.ndarray, " n-1"], start: float, reach: float, rate: flo
         curvature = (left - 2.0 * middle + right) / h**2
         std = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else spacing
     loss, beta, amplitude_std = fitted(f)
-    return Line(f, std, -loss, beta, amplitude_std, first, data)
+    return Line(f, std, -loss, beta, amplitude_std, indices, data)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Projection:
+class Projection(NamedTuple):
     """Levels of the noise after the projection of deterministic parts, and the amplitudes of these.
 
     `level` is the mean square [rate²] per degree of freedom in each bin; amplitudes are by weighted least
@@ -223,9 +222,9 @@ class Projection:
     covariance: Float[np.ndarray, "columns columns"]
 
     @property
-    def estimates(self) -> float:
-        """Number of levels; a level with less than one degree of freedom counts as that fraction."""
-        return float(np.sum(np.minimum(self.dof, 1.0)))
+    def estimates(self) -> int:
+        """Number of levels; one with less than one degree of freedom counts as that fraction."""
+        return round(float(np.sum(np.minimum(self.dof, 1.0))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -233,46 +232,81 @@ class AxisSpectrum(ByValue):
     """Sufficient statistics of one axis: sums over bins of products of cosine coefficients.
 
     These are the record's (`squares`), and those of deterministic columns with the record's (`cross`) and
-    with each other (`gram`); `overlap` is what products of two lines add to the squares. A column's owner is
-    a regressor's name or the index of a term, as of `lines`.
+    with each other (`gram`). A column's owner is a regressor's name or the index of a term, as of `lines`;
+    `peaks` are to be tried for narrow-band terms that have no frequency.
     """
 
     bins: Bins
     squares: Float[np.ndarray, " m"]
-    overlap: Float[np.ndarray, " m"]
     cross: Float[np.ndarray, "m columns"]
     gram: Float[np.ndarray, "m columns columns"]
     owners: tuple[str | int, ...]
-    lines: dict[int, Line]
+    lines: dict[int, Line] = dataclasses.field(default_factory=dict)
+    peaks: Peaks = ()
 
     @classmethod
     def of(
-        cls,
-        bins: Bins,
-        c: Float[np.ndarray, " n-1"],
-        columns: Sequence[tuple[str | int, Float[np.ndarray, " n-1"]]],
-        lines: dict[int, Line],
+        cls, template: Model, x: Samples, rate: float, regressors: Regressors | None = None
     ) -> AxisSpectrum:
-        """Statistics of coefficients c with columns over the whole spectrum and lines, which are local."""
-        everywhere, present, apart = list(columns), np.zeros(bins.n - 1), np.zeros(bins.n - 1)
-        for term, line in lines.items():
-            near, whole = line.indices - 1, np.zeros((bins.n - 1, 2))
-            whole[near] = own = line_columns(line.frequency, line.indices, bins.n, bins.rate)
-            # The rest is due to other lines and is not in a line's own coefficients.
-            fitted = own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
-            apart[near] += fitted**2
-            present[near] += fitted
-            everywhere += [(term, column) for column in whole.T]
-        q = len(everywhere)
-        cross, gram = np.zeros((len(bins.size), q)), np.zeros((len(bins.size), q, q))
-        for a, (_, one) in enumerate(everywhere):
-            cross[:, a] = bins.sums(c * one)
-            for b, (_, other) in enumerate(everywhere[: a + 1]):
-                gram[:, a, b] = gram[:, b, a] = bins.sums(one * other)
-        owners = tuple(owner for owner, _ in everywhere)
-        return cls(bins, bins.sums(c**2), bins.sums(present**2 - apart), cross, gram, owners, lines)
+        """Statistics of one axis for a model, in bins that are finer around narrow-band terms."""
+        n, (lines, wanted) = fast_length(len(x)), lines_of(template)
+        c, found = take_out_lines(x[:n] - x[:n].mean(), rate, wanted)
+        sharp = [p for p in template.parameters if p.parameter.kind == "line"]
+        peaks = find_lines(x, rate) if any(p.start is None for p in sharp) else ()
+        around, unknown = [line.frequency for line in found], iter(peaks)
+        for start in (p.start for p in sharp if p.term not in lines):
+            around.append(float(next(unknown, rate / 8.0)) if start is None else start)
+        per_octave = PER_OCTAVE if template.response is None else _FINE
+        bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
+        return dataclasses.replace(cls.in_bins(template, bins, c, found, regressors), peaks=peaks)
 
-    def used(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " columns"]:
+    @classmethod
+    def of_axes(cls, bins: Bins, statistics: SpectralStatistics, template: Model) -> list[AxisSpectrum]:
+        """Statistics of all axes of a joint or averaged spectrum, for a model without lines or transients."""
+        ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
+        columns = (*np.shape(statistics.squares), len(ramps))
+        cross = np.broadcast_to(np.asarray(statistics.cross)[..., None], columns)
+        gram = np.broadcast_to(np.asarray(statistics.gram)[..., None, None], (*columns, len(ramps)))
+        each = zip(statistics.squares, cross, gram, strict=True)
+        return [cls(bins, *own, ramps) for own in each]
+
+    @classmethod
+    def in_bins(
+        cls, model: Model, bins: Bins, c: Cosines, found: Sequence[Line], regressors: Regressors | None = None
+    ) -> AxisSpectrum:
+        """Statistics of coefficients from which the lines found were taken out."""
+        n, rate, lines = bins.n, bins.rate, dict(zip(lines_of(model)[0], found, strict=True))
+        columns: list[tuple[str | int, np.ndarray]] = []
+        columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
+        for k, term in enumerate(model.terms):
+            if isinstance(term, DriftRamp):
+                columns.append((k, term.sign * ramp_column(n, rate)))
+            elif term.deterministic and k not in lines:
+                columns.append((k, term_column(term, n, rate)))
+        for k, line in lines.items():
+            whole = np.zeros((2, n - 1))
+            whole[:, line.indices - 1] = line_columns(line.frequency, line.indices, n, rate).T
+            columns += [(k, column) for column in whole]
+        every = [c, *(column for _, column in columns)]
+        sums = np.zeros((len(bins.size), len(every), len(every)))
+        for a, b in itertools.combinations_with_replacement(range(len(every)), 2):
+            sums[:, a, b] = sums[:, b, a] = bins.sums(every[a] * every[b])
+        owners = tuple(owner for owner, _ in columns)
+        return cls(bins, sums[:, 0, 0], sums[:, 0, 1:], sums[:, 1:, 1:], owners, lines)
+
+    @property
+    def overlap(self) -> Float[np.ndarray, " m"]:
+        """What products of two lines add to the squares."""
+        if len(self.lines) < 2:
+            return np.zeros(len(self.squares))
+        present, apart = np.zeros((2, self.bins.n - 1))
+        for line in self.lines.values():
+            fitted = line.fitted(self.bins.n, self.bins.rate)
+            present[line.indices - 1] += fitted
+            apart[line.indices - 1] += fitted**2
+        return self.bins.sums(present**2 - apart)
+
+    def used(self, active: InUse) -> Bool[np.ndarray, " columns"]:
         """Which columns are in use if these terms are: theirs, and those of regressors."""
         return np.array([isinstance(owner, str) or active[owner] for owner in self.owners], bool)
 
@@ -302,17 +336,15 @@ def amplitude_quantiles(
     """Amplitudes, in standard deviations, under which a square as small as this has these probabilities.
 
     The square of an estimate with `degrees` components (a ramp has one, a line two), in units of its
-    variance, has a noncentral χ² law. A confidence limit follows for any amplitude, zero included. Upper
-    limits (a probability below one half) never use a square below the median of pure noise: data with less
-    power than noise say nothing about an amplitude.
+    variance, has a noncentral χ² law. Upper limits (a probability below one half) never use a square below
+    the median of pure noise: data with less power than noise say nothing about an amplitude.
     """
     from scipy.special import chndtr, chndtrinc, ndtri
 
     least = np.where(probabilities < 0.5, quantile(0.5, degrees), 0.0)
     squares = np.maximum(square, least)
     if square > 400.0:
-        # Here the law is normal, and the mean of the estimate exceeds the amplitude by (degrees −
-        # 1)/(2·amplitude).
+        # Here the law is normal, and the mean estimate exceeds the amplitude by (degrees − 1)/(2·amplitude).
         root = np.sqrt(squares)
         return root - ndtri(probabilities) - (degrees - 1) / (2.0 * root)
     possible = chndtr(squares, degrees, 1e-12) > probabilities

@@ -12,23 +12,24 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.estimate.deterministic import line_columns, take_out_lines
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    Cosines,
+    InUse,
+    Line,
+    Samples,
+    lines_of,
+    take_out_lines,
+    without_lines,
+)
 from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
 from allanjax.estimate.spectral.components import MARKOV, NONE
-from allanjax.estimate.spectral.model import CLOSE, response_of
-from allanjax.estimate.structure.search import (
-    Record,
-    bins_around,
-    completed,
-    narrow,
-    refitted,
-    searched,
-    with_process,
-)
+from allanjax.estimate.spectral.model import Component, response_of
+from allanjax.estimate.structure import search
+from allanjax.estimate.structure.search import Record
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
@@ -36,9 +37,10 @@ from allanjax.estimate.structure.structure import (
     OUTSIDE,
     QUANTIZATION,
     Structure,
+    resonance,
     term_of,
 )
-from allanjax.estimate.whittle import fit_spectrum, spectrum_of
+from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
@@ -59,15 +61,39 @@ _LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
-    """Components of a spectrum, its lines [Hz], bins that are fine around resonances, and the coefficients.
+    """Components of a spectrum, its lines, bins that are fine around resonances, and the coefficients.
 
-    These are without the lines.
+    These are as `take_out_lines` leaves them.
     """
 
     structure: Structure
-    lines: list[float]
+    lines: tuple[Line, ...]
     bins: Bins
-    c: Float[np.ndarray, " n-1"]
+    c: Cosines
+
+    @classmethod
+    def of(cls, x: Samples, rate: float) -> Content:
+        """Components of the spectrum of these samples."""
+        c, lines = cosine_transform(x), tuple[Line, ...]()
+        for _ in range(_LOOKS):
+            if not (more := _conspicuous(without_lines(c, lines, rate) ** 2, rate)):
+                break
+            c, lines = _with_more_lines(x, rate, lines, more)
+        record = Record(without_lines(c, lines, rate) ** 2, rate)
+        spectrum, found = search.searched(record, Structure.plain(list(range(len(FIXED)))))
+        if sharp := search.narrow(found.structure, len(x)):
+            own, rest = found.structure.components, found.structure.without(*sharp)
+            more = [own[k].frequency * rate / (2.0 * np.pi) for k in sharp]
+            c, lines = _with_more_lines(x, rate, lines, more)
+            record = Record(without_lines(c, lines, rate) ** 2, rate)
+            spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
+        structure = search.completed(spectrum, found).structure
+        return cls(structure.without(*search.narrow(structure, len(x))), lines, spectrum.bins, c)
+
+    @property
+    def rest(self) -> Cosines:
+        """The coefficients without the lines."""
+        return without_lines(self.c, self.lines, self.bins.rate)
 
     @property
     def plain_terms(self) -> list[int]:
@@ -77,28 +103,10 @@ class Content(NamedTuple):
         return [k for k in of.there if k in plain and (of.kind == NONE or of.components[k].inside)]
 
 
-def content_of(x: Float[np.ndarray, " n"], rate: float) -> Content:
-    """Components of the spectrum of these samples."""
-    n, lines, x = len(x), list[float](), x - x.mean()
-    c = cosine_transform(x)
-    for _ in range(_LOOKS):
-        if not (more := _conspicuous(c, rate)):
-            break
-        lines, c = _without_lines(x, rate, lines + more)
-    spectrum, found = searched(Record(c**2, rate), Structure.plain(list(range(len(FIXED)))))
-    if sharp := narrow(found.structure, n):
-        more = [found.structure.components[k].frequency * rate / (2.0 * np.pi) for k in sharp]
-        lines, c = _without_lines(x, rate, lines + more)
-        record, rest = Record(c**2, rate), found.structure.without(*sharp)
-        spectrum, found = searched(record, refitted(record, rest)[1].structure)
-    structure = completed(spectrum, found).structure
-    return Content(structure.without(*narrow(structure, n)), lines, spectrum.bins, c)
-
-
-def _conspicuous(c: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
+def _conspicuous(square: Cosines, rate: float) -> list[float]:
     """Frequencies of peaks that are as narrow as lines and far above their surroundings [Hz]."""
-    n, square = len(c) + 1, c**2
-    blocks = square[: len(c) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
+    n = len(square) + 1
+    blocks = square[: len(square) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
     rough = np.repeat(np.median(blocks, axis=1) / _MEDIAN, _BLOCK)
     sure = 2.0 * (np.log(n) + _SURE)
     found: list[int] = []
@@ -113,38 +121,37 @@ def _conspicuous(c: Float[np.ndarray, " n-1"], rate: float) -> list[float]:
     return [(j + 1) * rate / (2.0 * n) for j in found]
 
 
-def _without_lines(
-    x: Float[np.ndarray, " n"], rate: float, lines: Sequence[float]
-) -> tuple[list[float], Float[np.ndarray, " n-1"]]:
-    """Lines near these frequencies [Hz], and the coefficients without them."""
-    c, taken = take_out_lines(x, rate, [(f, False) for f in lines])
-    for line in taken:
-        own = line_columns(line.frequency, line.indices, len(x), rate)
-        c[line.indices - 1] -= own @ np.linalg.lstsq(own, line.coefficients, rcond=None)[0]
-    return [line.frequency for line in taken], c
+def _with_more_lines(
+    x: Samples, rate: float, lines: Sequence[Line], more: Sequence[float]
+) -> tuple[Cosines, tuple[Line, ...]]:
+    """Coefficients and lines, of which there are more near these frequencies [Hz]; see `take_out_lines`."""
+    return take_out_lines(x, rate, [(f, False) for f in (*(line.frequency for line in lines), *more)])
 
 
 def extended(
-    x: Float[np.ndarray, " n"], rate: float, plain: AxisFit, curve: AllanDeviation, k: int
-) -> tuple[AxisFit, AxisSelection] | None:
+    x: Samples, rate: float, plain: AxisFit, selection: AxisSelection, curve: AllanDeviation, k: int
+) -> tuple[AxisFit, AxisSelection]:
     """Fit of one axis with components besides the plain terms, and the ranking of these.
 
-    None if the components explain little. Samples are at a rate [Hz]; the axis is k of the Allan deviations.
+    They are the given ones if the plain terms fit, or if the components explain little. Samples are at a rate
+    [Hz]; the axis is k of the Allan deviations.
     """
-    if len(x) < _SHORTEST:
-        return None
+    as_given = plain, selection
+    if len(x) < _SHORTEST or (plain.converged and not plain.discrepancy > 0.0):
+        return as_given
     x = x[: fast_length(len(x))]
-    content = content_of(x, rate)
+    x = x - x.mean()
+    content = Content.of(x, rate)
     of = content.structure
     besides = of.kind != NONE or of.oscillators or of.of_kind(MARKOV) or content.lines
     # Without plain terms nothing is to be corrected.
     if not besides or not content.plain_terms:
-        return None
+        return as_given
     selection = _selection(content, plain.axis)
     content = content._replace(structure=_with_terms(content, selection))
-    template, result = _detected(*_template(content, selection), plain.axis, x, rate)
+    template, result = _detected(content, *_template(content, selection), plain.axis, x)
     if not result.converged:
-        return None
+        return as_given
     deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
     misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / deviation, curve.edf[:, k], "s")
     # Deep in a stop band levels may be far off that no Allan deviation notices.
@@ -152,26 +159,22 @@ def extended(
     if (plain.converged and left > _LESS * plain.discrepancy) or (
         result.misfit is not None and misfit.excessive
     ):
-        return None
+        return as_given
     own, misfit_beside = _with_values(template, result), misfit.beside(result.misfit)
-    result = dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit_beside)
-    return result, selection
+    return dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit_beside), selection
 
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:
     """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
-    structure, fine = content.structure, content.bins
-    bins = Bins.of(fine.n, fine.rate)
-    f, response = fine.frequency, response_of(structure, fine.rate)
+    structure, fine, there = content.structure, content.bins, content.structure.there
+    bins, f, response = Bins.of(fine.n, fine.rate), fine.frequency, response_of(structure, fine.rate)
+    density = np.array([term_of(structure, k, fine.rate).sampled_psd(f, fine.rate) for k in there])
     passed = 1.0 if response is None else np.asarray(response.power(f, fine.rate))
-    total, terms = np.zeros(len(f)), np.zeros(len(f))
-    for k in structure.there:
-        density = np.asarray(term_of(structure, k, fine.rate).sampled_psd(f, fine.rate))
-        total += density * (passed if structure.components[k].inside else 1.0)
-        terms += density if k in content.plain_terms else 0.0
+    total = np.sum(density * np.where(structure.inside[there][:, None], passed, 1.0), axis=0)
+    terms = np.sum(density[np.isin(there, content.plain_terms)], axis=0)
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
-    corrected = content.c / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
+    corrected = content.rest / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
     basic = basic_terms() + Markov()
     candidates = candidates_of(basic + Markov() if len(structure.of_kind(MARKOV)) > 1 else basic, fine.rate)
     statistics = bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
@@ -190,15 +193,15 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     structure = structure.without(*own, *map(structure.place, range(len(FIXED))))
     for k, label in enumerate(FIXED):
         structure = structure.with_column(k, 0.0) if label in chosen else structure
-    spectrum = Record(content.c**2, content.bins.rate).binned(structure)
+    spectrum = Record(content.rest**2, content.bins.rate).binned(structure)
     for _ in range(count):
-        structure = min(with_process(spectrum, structure), key=lambda fit: fit.loss).structure
+        structure = min(search.with_process(spectrum, structure), key=lambda fit: fit.loss).structure
     # What follows the response is as the search found it.
     processes = [structure.components[k] for k in structure.of_kind(MARKOV)]
     return content.structure.without(*own).plus(*processes)
 
 
-def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[np.ndarray, " terms"]]:
+def _template(content: Content, selection: AxisSelection) -> tuple[Model, InUse]:
     """Model of the content with the chosen terms, and the terms in use; the others get a limit."""
     structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
     after = structure.kind != NONE and not structure.column(QUANTIZATION).inside
@@ -212,77 +215,72 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, Bool[n
     terms += [(term_of(structure, k, rate), structure.components[k].inside, True) for k in components]
     if structure.place(OUTSIDE) is not None:
         terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))
-    terms += [(Sinusoid(frequency=f), False, True) for f in content.lines]
+    terms += [(Sinusoid(frequency=line.frequency), False, True) for line in content.lines]
     each, inside, active = zip(*terms, strict=True)
     response = response_of(structure, rate)
     return Model(each, response, () if response is None else inside), np.array(active)
 
 
 def _detected(
-    template: Model, active: Bool[np.ndarray, " terms"], axis: Axis, x: Float[np.ndarray, " n"], rate: float
+    content: Content, template: Model, active: InUse, axis: Axis, x: Samples
 ) -> tuple[Model, AxisFit]:
     """Model without what its fit does not detect, and its fit."""
+    rate, c, lines, n = content.bins.rate, content.c, content.lines, len(x)
     last: tuple[Model, AxisFit] | None = None
     for _ in range(_ROUNDS):
-        spectrum = spectrum_of(template, x, rate, bins=bins_around(_resonances(template), len(x), rate))
+        if len(wanted := lines_of(template)[1]) != len(lines):
+            c, lines = take_out_lines(x, rate, wanted)
+        peaks = [term for term in template.terms if isinstance(term, Resonance)]
+        around = [(float(term.frequency or 0.0), float(term.quality_factor or 1.0)) for term in peaks]
+        spectrum = AxisSpectrum.in_bins(template, search.bins_around(around, n, rate), c, lines)
         result = fit_spectrum(template, axis, spectrum, active, at_low=True)
         if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
             # What was taken out was needed, though its size is not known.
-            return last
-        last = template, result
-        if not result.converged or (tidied := _tidied(template, active, result, spectrum.bins)) is None:
             break
-        template, active = tidied
+        last = template, result
+        template, active = _tidied(template, active, result, rate / (2.0 * n))
+        if template is last[0]:
+            break
     assert last is not None
     return last
 
 
-def _resonances(model: Model) -> list[tuple[float, float]]:
-    """Frequency and quality factor of each resonance of a model with values."""
-    found = [term for term in model.terms if isinstance(term, Resonance)]
-    return [(float(term.frequency or 0.0), float(term.quality_factor or 1.0)) for term in found]
+def _tidied(template: Model, active: InUse, result: AxisFit, spacing: float) -> tuple[Model, InUse]:
+    """Model without resonances and lines that its fit does not detect, if there are any.
 
-
-def _tidied(
-    template: Model, active: Bool[np.ndarray, " terms"], result: AxisFit, bins: Bins
-) -> tuple[Model, Bool[np.ndarray, " terms"]] | None:
-    """Model without resonances and lines that its fit does not detect; None if it detects all.
-
-    A resonance that has become as narrow as a line becomes a line.
+    A resonance that has become as narrow as a line becomes a line. Coefficients have a `spacing` [Hz].
     """
-    spacing, found = bins.rate / (2.0 * bins.n), result.coefficients
-    of = {label: type(term) for label, term in zip(template.term_labels, template.terms, strict=True)}
-    further = [label for label, kind in of.items() if kind in (PowerLaw, Resonance, Sinusoid)]
-
-    def value(label: str, name: str) -> float:
-        return found[f"{label}_{name}"].value
-
-    amplitude = {c.term: c for c in found.values() if c.is_amplitude and c.term in further}
-    middle = {k: value(k, "frequency") for k in further if of[k] is not PowerLaw}
-    width = {k: middle[k] / value(k, "quality_factor") for k in further if of[k] is Resonance}
-    gone = narrow = [k for k in width if width[k] < LINE * spacing]
+    if not result.converged:
+        return template, active
+    model, peaks, lines = _with_values(template, result), dict[str, Component](), list[float]()
+    every = dict(zip(model.term_labels, model.terms, strict=True))
+    for label, term in every.items():
+        if isinstance(term, Resonance):
+            peaks[label] = resonance(
+                float(term.frequency or 0.0), float(term.quality_factor or 1.0), 0.0, False
+            )
+        elif isinstance(term, Sinusoid):
+            lines.append(float(term.frequency or 0.0))
     # Too narrow a resonance spoils its neighbours; these are judged once it is a line.
-    if not narrow:
+    gone = sharp = [label for label, peak in peaks.items() if peak.width < LINE * spacing]
+    if not sharp:
+        further = [k for k, term in every.items() if type(term) in (PowerLaw, Resonance, Sinusoid)]
+        unseen = [c for c in result.coefficients.values() if c.is_amplitude and not c.detected]
         gone = []
-        unseen = (k for k in further if not amplitude[k].detected)
         # Overlapping resonances may be detected only together, not singly: the weakest goes first.
-        for k in sorted(unseen, key=lambda k: amplitude[k].value):
-            beside = (i for i in gone if {k, i} <= width.keys())
-            if all(abs(middle[k] - middle[i]) >= CLOSE * 0.5 * (width[k] + width[i]) for i in beside):
-                gone.append(k)
+        for c in sorted((c for c in unseen if c.term in further), key=lambda c: c.value):
+            beside = [peaks[k] for k in gone if {k, c.term} <= peaks.keys()]
+            if not any(peaks[c.term].is_close_to(other) for other in beside):
+                gone.append(c.term)
     if not gone:
-        return None
-    lines = [middle[k] for k in further if of[k] is Sinusoid and k not in gone]
-    new: list[NoiseTerm] = []
-    for k in narrow:
-        if all(abs(middle[k] - line) > _APART * spacing for line in lines):
-            lines.append(middle[k])
-            new.append(Sinusoid(frequency=middle[k]))
-    stays = np.array([label not in gone for label in template.term_labels])
-    rest = _with_values(template, result).without(gone)
-    inside = (*rest.inside, *[False] * len(new)) if rest.inside else ()
-    model = Model((*rest.terms, *new), rest.response, inside)
-    return model, np.append(active[stays], np.ones(len(new), bool))
+        return template, active
+    active = active[[label not in gone for label in every]]
+    model = model.without(gone)
+    for frequency in (peaks[k].frequency for k in sharp):
+        if all(abs(frequency - line) > _APART * spacing for line in lines):
+            lines.append(frequency)
+            model, active = model + Sinusoid(frequency=frequency), np.append(active, True)
+    return model, active
 
 
 def _with_values(template: Model, result: AxisFit) -> Model:

@@ -8,26 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float
 
-from allanjax.allan.deviation import AllanDeviation, allan_deviation
+from allanjax.allan.deviation import allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
-from allanjax.estimate.axis_fits import (
-    check_count,
-    fit_allan,
-    fit_wavelet,
-    judged,
-    with_curve,
-)
+from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, judged, with_curve
 from allanjax.estimate.design import model_to_fit
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Regressors, needs_record
 from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.extension import extended
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.segments import joined, with_quiet_others
 from allanjax.estimate.selection import AxisSelection, TermSelection, ranked
-from allanjax.estimate.whittle import fit_spectrum, fit_whittle, statistics_of
+from allanjax.estimate.whittle import fit_spectra
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.model import Model
@@ -37,8 +30,8 @@ from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
-from allanjax.record.recording import Axis, DeadAxis, Recording
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
+from allanjax.record.recording import Axis, Recording
+from allanjax.spectrum.cosine import joint_statistics
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
 _PER_OCTAVE = 4
@@ -69,18 +62,17 @@ def fit(
 
     `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
     per octave, weighted with their full covariance under the fitted model (see `gls`).
-    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`), which uses all spectral
-    information: more efficient where terms have similar Allan curves, and far more for lines. Ramps, lines
-    and regressors are profiled out exactly.
+    `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`): more efficient where
+    terms have similar Allan curves, and far more for lines. Ramps, lines and regressors are profiled out.
     `objective="wavelet"`: generalized least squares of the wavelet variances of all levels (see
     `wavelet_variance`). With "haar" these are half the Allan variances at octaves.
-    `objective="exact"`: maximum of the Gaussian likelihood of the samples, by a Kalman filter. For a given
-    model and records of up to 100,000 samples, in which the lowest frequencies matter; missing samples are
-    left out, not filled in. An axis that the model does not fit has the result of Whittle's likelihood.
+    `objective="exact"`: maximum of the Gaussian likelihood of the samples, by a Kalman filter, for a given
+    model and up to 100,000 samples, of which the lowest frequencies matter; missing samples are not filled
+    in. An axis that the model does not fit has the result of Whittle's likelihood.
 
     The segments of a recording with gaps (`gaps="segments"`) are fitted jointly by Whittle's likelihood, each
-    less its own mean; `objective` is then "whittle". Filters, resonances and lines are searched for in the
-    longest segment only, and whatever needs a single record is fitted to that segment; a note reports it.
+    less its own mean; `objective` is then "whittle". Whatever needs a single record is fitted to the longest
+    segment, in which filters, resonances and lines are searched for; a note reports it.
 
     Args:
         recording: a result of `read`; or samples [samples, axes], a data frame, or the path of a file.
@@ -132,29 +124,31 @@ def fit_inspected(
     if objective not in get_args(Objective):
         told = ", ".join(f'"{name}"' for name in get_args(Objective))
         raise AllanjaxError(f"the objective must be one of {told}, not {objective!r}")
-    # Errors in the regressors are raised before anything is computed.
-    _regressors(recording, regressors, objective)
-    if not seen.refusal:
-        quiet = seen.quiet(recording)
-        # The record is fitted as if complete (not by the exact likelihood); intervals are widened later.
-        exact = objective == "exact"
-        whole = quiet if exact else dataclasses.replace(quiet, missing=None)
-        whole = joined(with_quiet_others(recording, whole, as_is), model, objective, regressors)
-        found = _fitted(whole, model, objective, regressors, plain, wavelet)
-        if quiet.missing is not None and not exact:
-            found = _with_missing(found, widening(quiet.missing))
-        return with_what_was_seen(found, seen)
-    template, _ = terms_to_fit(model, None, recording.axes, objective)
-    curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
-    return without_coefficients(seen, curve, template, objective, recording.notes, recording.dead)
+    model = None if model is None else model_to_fit(model, recording.axes, with_response=True)
+    quiet = recording if seen.refusal else seen.quiet(recording)
+    channels = _regressors(quiet, regressors, objective)
+    if seen.refusal:
+        template, _ = terms_to_fit(model, None, recording.axes, objective)
+        curve = allan_deviation(recording, cluster_times=_PER_OCTAVE)
+        none = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
+        fit = Fit(seen.name, template, curve, none, recording.notes, objective, dead=recording.dead)
+        return with_what_was_seen(fit, seen)
+    if recording.others and not as_is:
+        quiet = _with_quiet_segments(quiet, len(recording.others))
+    if quiet.others:
+        quiet = _joined(quiet, model or Model(()), objective, channels)
+    if quiet.missing is None or objective == "exact":
+        return with_what_was_seen(_fitted(quiet, model, objective, channels, plain, wavelet), seen)
+    # The record is fitted as if complete; then intervals are widened.
+    complete, by = dataclasses.replace(quiet, missing=None), widening(quiet.missing)
+    fit = _fitted(complete, model, objective, channels, plain, wavelet)
+    curve = dataclasses.replace(fit.curve, edf=fit.curve.edf / by**2)
+    results = tuple(map(AxisFit.widened, fit.results, by.tolist()))
+    return with_what_was_seen(dataclasses.replace(fit, curve=curve, results=results), seen)
 
 
 def inspected(
-    recording: Recording,
-    model: ModelLike | None,
-    regressors: Sequence[str],
-    as_is: bool,
-    vibrating: bool,
+    recording: Recording, model: ModelLike | None, regressors: Sequence[str], as_is: bool, vibrating: bool
 ) -> Inspection:
     """Inspection of a recording for a fit of this model, under which the mean may move."""
     terms = () if model is None else model_to_fit(model, recording.axes, with_response=True).terms
@@ -164,131 +158,107 @@ def inspected(
     return inspect(recording, as_is=as_is or timed, vibrating=vibrating, may_move=may_move)
 
 
+def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
+    """The quiet part of a recording, of whose other segments, so many, only undisturbed parts stay."""
+    kept, touched = [], 0
+    for x in quiet.others[:count]:
+        segment = Recording(x, quiet.rate, quiet.axes)
+        look = inspect(segment, vibrating=True)
+        touched += bool(look.parts or look.refusal)
+        part = segment if look.refusal else look.quiet(segment)
+        if not look.refusal and part.names == segment.names:
+            kept += [part.values, *part.others]
+    notes = quiet.notes
+    if touched:
+        note = "parts in which the sensor was touched are left out"
+        notes += (f"{touched} of {count + 1} segments: {note}",)
+    return dataclasses.replace(quiet, others=(*kept, *quiet.others[count:]), notes=notes)
+
+
+def _joined(recording: Recording, template: Model, objective: Objective, regressors: Regressors) -> Recording:
+    """The recording with all segments if they can be fitted jointly, else the longest; a note reports it."""
+    reasons = {
+        f'objective="{objective}" takes a single segment': objective not in ("allan", "whittle"),
+        "regressors need a single segment": bool(regressors),
+        "a response is fitted to a single segment": template.response is not None,
+    }
+    reasons |= {f"{term.name()} is fitted to a single segment": needs_record(term) for term in template.terms}
+    others, lengths = recording.others, [recording.n, *map(len, recording.others)]
+    note = f"joint fit of {len(lengths)} segments, {sum(lengths):,} samples, by Whittle's likelihood"
+    if why := next((reason for reason, holds in reasons.items() if holds), ""):
+        others, note = (), f"only the longest segment was fitted: {why}"
+    return dataclasses.replace(recording, others=others, notes=(*recording.notes, note))
+
+
 def _fitted(
     recording: Recording,
-    model: ModelLike | None,
+    model: Model | None,
     objective: Objective,
-    regressors: Sequence[str],
+    regressors: Regressors,
     plain: bool,
     wavelet: str,
 ) -> Fit:
     """Fit of all samples of a recording."""
-    given, axes = _regressors(recording, regressors, objective), range(len(recording.axes))
-    notes: tuple[str, ...] = ()
+    name, rate, axes, values = recording.name, recording.rate, recording.axes, recording.values
     if objective == "exact":
-        check_exact(None if model is None else model_to_fit(model, recording.axes, True), recording)
+        check_exact(model, recording)
     release_programs(0.75)
     # Haar wavelet variances are half the Allan variances at octaves.
     octaves = objective == "wavelet" and wavelet == "haar"
-    joint, selection = None, None
+    joint, selection, notes = None, None, recording.notes
     with ThreadPoolExecutor(1) as pool:
         pending = pool.submit(allan_deviation, recording, cluster_times="octave" if octaves else _PER_OCTAVE)
         if model is None or recording.others:
             # Segments are taken to be independent.
-            joint = joint_statistics((recording.values, *recording.others), recording.rate)
+            joint = joint_statistics((values, *recording.others), rate)
         if model is None:
             selection = ranked(recording, None, joint)
         curve = pending.result()
-    template, active = terms_to_fit(model, selection, recording.axes, objective)
-    check_length(curve, template, recording.name)
-    if joint is not None and recording.others:
-        results, objective = fit_statistics(*joint, template, recording.axes, active), "whittle"
-    elif objective == "allan" or octaves:
-        results, curve = fit_allan(curve, recording.axes, template, active, recording.values)
-    elif objective == "wavelet":
+    template, active = terms_to_fit(model, selection, axes, objective)
+    check_count(len(curve.cluster_size), "Allan variances", curve.n, template, name)
+    if objective == "wavelet" and not octaves:
         unused = [label for label, used in zip(template.term_labels, active.T, strict=True) if not used.any()]
         template, active = template.without(unused), active[:, active.any(axis=0)]
-        results = fit_wavelet(recording, template, active, wavelet)
-    elif objective == "exact":
+    if joint is not None and not regressors:
+        spectra = AxisSpectrum.of_axes(*joint, template)
+        objective = "whittle" if recording.others else objective
+    elif objective != "exact":
+        spectra = for_each(lambda x: AxisSpectrum.of(template, x, rate, regressors), values.T)
+    if objective == "exact":
         results, notes = _exact(recording, template, active)
+    elif objective == "whittle":
+        results = fit_spectra(template, axes, spectra, active)
     else:
-        results = tuple(for_each(lambda k: fit_whittle(recording, k, template, active[k], given), axes))
-    if objective in ("allan", "wavelet"):
-        fits = results
-        results = tuple(for_each(lambda k: judged(recording, k, template, active[k], fits[k]), axes))
-    # Fitted Allan variances have their degrees of freedom already.
-    if not (objective == "allan" or octaves) or any(result.spectrum is not None for result in results):
-        results, curve = with_curve(curve, template, results)
-    # Regressors belong to a given model, or to the plain terms.
-    if selection is not None and not (plain or given):
-        results, selection = _extended(recording, results, curve, selection)
+        if objective == "allan" or octaves:
+            fits = fit_allan(curve, spectra, axes, template, active)
+        else:
+            fits = fit_wavelet(recording, spectra, template, active, wavelet)
+        each = zip(spectra, active, fits, strict=True)
+        results = tuple(for_each(lambda of_axis: judged(template, *of_axis), each))
+    results, curve = with_curve(curve, template, results)
     if selection is not None:
-        results = tuple(with_doubts(result, selection[result.axis.name]) for result in results)
-    notes = (*recording.notes, *notes, *(selection.ambiguities() if selection else ()))
-    return Fit(recording.name, template, curve, results, notes, objective, selection, recording.dead)
-
-
-def fit_statistics(
-    bins: Bins,
-    statistics: SpectralStatistics,
-    template: Model,
-    axes: Sequence[Axis],
-    active: Bool[np.ndarray, "axes terms"],
-) -> tuple[AxisFit, ...]:
-    """Fit every axis by Whittle's likelihood to the statistics [axes, m] of an averaged or joint spectrum.
-
-    Raises:
-        FitError: no random term; fewer than 64 samples.
-    """
-
-    def of(k: int) -> AxisFit:
-        spectrum = statistics_of(bins, statistics, k, template)
-        return fit_spectrum(template, axes[k], spectrum, active[k])
-
-    return tuple(for_each(of, range(len(axes))))
+        rankings = selection.results
+        # Regressors belong to a given model, or to the plain terms.
+        if not (plain or regressors):
+            # Threads would wait for each other: searches are many short calls.
+            both = [extended(values[:, k], rate, results[k], rankings[k], curve, k) for k in range(len(axes))]
+            results, rankings = zip(*both, strict=True)
+            selection = dataclasses.replace(selection, results=rankings)
+        results = tuple(map(with_doubts, results, rankings))
+        notes = (*notes, *selection.ambiguities())
+    return Fit(name, template, curve, results, notes, objective, selection, recording.dead)
 
 
 def _exact(
-    recording: Recording, template: Model, active: Bool[np.ndarray, "axes terms"]
+    recording: Recording, template: Model, active: InUse
 ) -> tuple[tuple[AxisFit, ...], tuple[str, ...]]:
-    """Results by the exact likelihood, and a note on axes with Whittle's, which is widened for missing
-    samples."""
-    by = np.ones(len(active)) if recording.missing is None else widening(recording.missing)
-    results, names = [], []
-    for k, factor in enumerate(by.tolist()):
-        result, exact = fit_exact(recording, k, template, active[k])
-        results.append(result if exact else result.widened(factor))
-        names += [] if exact else [result.axis.name]
-    note = f"{', '.join(names)}: fitted by Whittle's likelihood instead, as the model does not fit"
-    return tuple(results), (note,) if names else ()
-
-
-def _extended(
-    recording: Recording, results: Sequence[AxisFit], curve: AllanDeviation, selection: TermSelection
-) -> tuple[tuple[AxisFit, ...], TermSelection]:
-    """Results and selection, in which axes that no set of terms fits have their extension."""
-
-    def of(k: int) -> tuple[AxisFit, AxisSelection]:
-        result, own = results[k], selection.results[k]
-        incomplete = not result.converged or result.discrepancy > 0.0
-        found = extended(recording.values[:, k], recording.rate, result, curve, k) if incomplete else None
-        return found or (result, own)
-
-    # Threads would wait for each other: searches are many short calls.
-    fits, rankings = zip(*map(of, range(len(results))), strict=True)
-    return fits, dataclasses.replace(selection, results=rankings)
-
-
-def _with_missing(found: Fit, factors: Float[np.ndarray, " axes"]) -> Fit:
-    """Fit of a record with missing samples: wider intervals, fewer degrees of freedom."""
-    results = zip(found.results, factors, strict=True)
-    curve = dataclasses.replace(found.curve, edf=found.curve.edf / factors**2)
-    return dataclasses.replace(
-        found, curve=curve, results=tuple(result.widened(float(by)) for result, by in results)
-    )
-
-
-def without_coefficients(
-    seen: Inspection,
-    curve: AllanDeviation,
-    template: Model,
-    objective: Objective,
-    notes: tuple[str, ...],
-    dead: tuple[DeadAxis, ...],
-) -> Fit:
-    """A fit without coefficients: the curve of a recording, and the reason."""
-    results = tuple(AxisFit(axis, False, seen.refusal) for axis in seen.axes)
-    return with_what_was_seen(Fit(seen.name, template, curve, results, notes, objective, None, dead), seen)
+    """Results by the exact likelihood, and notes; axes with Whittle's are widened for missing samples."""
+    fits = [fit_exact(recording, k, template, of_axis) for k, of_axis in enumerate(active)]
+    by = np.ones(len(fits)) if recording.missing is None else widening(recording.missing)
+    results = [r if exact else r.widened(x) for (r, exact), x in zip(fits, by.tolist(), strict=True)]
+    names = ", ".join(r.axis.name for r, exact in fits if not exact)
+    note = f"{names}: fitted by Whittle's likelihood instead, as the model does not fit"
+    return tuple(results), (*recording.notes, *([note] if names else []))
 
 
 def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
@@ -310,22 +280,19 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
 
 
 def _left(fact: Fact, found: Fit) -> Fact:
-    """A fact about lines, which widens the intervals if no term of the axis's model describes them; others as
-    is."""
-    if fact.kind != "lines" or not found[fact.axes[0]].converged:
+    """The fact; one about lines widens the intervals if no term of the axis's model describes them."""
+    result = found[fact.axes[0]] if fact.kind == "lines" else None
+    if result is None or not result.converged:
         return fact
-    if any(term.narrow_band or isinstance(term, Sinusoid) for term in found[fact.axes[0]].model.terms):
+    if any(term.narrow_band or isinstance(term, Sinusoid) for term in result.model.terms):
         return fact
     text = f"{fact.text}: no term of the model describes it; the intervals are widened accordingly"
     return dataclasses.replace(fact, consequence="widened", text=text)
 
 
 def terms_to_fit(
-    model: ModelLike | None,
-    selection: TermSelection | None,
-    axes: Sequence[Axis],
-    objective: Objective,
-) -> tuple[Model, Bool[np.ndarray, "axes terms"]]:
+    model: ModelLike | None, selection: TermSelection | None, axes: Sequence[Axis], objective: Objective
+) -> tuple[Model, InUse]:
     """Model to fit, given or chosen, and the terms that each axis has.
 
     Raises:
@@ -334,53 +301,40 @@ def terms_to_fit(
     if selection is None:
         spectral = objective != "allan"
         template = basic_terms() if model is None else model_to_fit(model, axes, with_response=spectral)
-        template = _with_known_transients(template, objective)
-        _check_distinct(template)
-        return template, np.ones((len(axes), len(template)), bool)
+        return _checked(template, objective), np.ones((len(axes), len(template)), bool)
     sets = [axis.chosen.terms for axis in selection.results]
     # A Markov process is in the template only if it is needed, as it costs time.
     template = basic_terms() + Markov() if any("markov" in s for s in sets) else basic_terms()
     return template, np.array([[label in s for label in template.term_labels] for s in sets])
 
 
-def check_length(curve: AllanDeviation, template: Model, name: str) -> None:
-    """Raise FitError unless there are more Allan variances than parameters."""
-    check_count(len(curve.cluster_size), "Allan variances", curve.n, template, name)
+def _checked(template: Model, objective: Objective) -> Model:
+    """The model with the shapes of its steps and warm-ups held, as a record is not searched for them.
 
-
-def _check_distinct(template: Model) -> None:
-    """Raise FitError for two terms that differ only in free amplitudes."""
-    seen = set()
+    Raises FitError for two terms that differ only in free amplitudes.
+    """
+    terms, seen = list(template.terms), set()
     for k, term in enumerate(template.terms):
+        if isinstance(term, Transient):
+            if objective != "whittle":
+                raise FitError(f'{term.name()} has no Allan variance of its own; use objective="whittle"')
+            shapes = [p.name for p in term.parameters()[1:]]
+            for name in shapes:
+                if getattr(term, name) is None:
+                    raise FitError(
+                        f"a fit does not estimate the {name} of a {term.name()}; give its value, e.g. "
+                        f'{type(term).__name__}({name}=120.0).hold("{name}"); allanjax.critique estimates it'
+                    )
+            terms[k] = term = term.hold(*shapes)
         shape = [getattr(term, p.name) for p in term.parameters() if not term.is_free(p)]
         if len(term.parameters()) == len(shape) + 1:
             if (key := (type(term), *shape, template.inside[k : k + 1])) in seen:
                 raise FitError(f"the model has {term.name()} twice; leave one of them out")
             seen.add(key)
-
-
-def _with_known_transients(template: Model, objective: Objective) -> Model:
-    """The model with the shapes of its steps and warm-ups held, as a record is not searched for them."""
-    terms = list(template.terms)
-    for k, term in enumerate(template.terms):
-        if not isinstance(term, Transient):
-            continue
-        if objective != "whittle":
-            raise FitError(f'{term.name()} has no Allan variance of its own; use objective="whittle"')
-        shapes = [p.name for p in term.parameters()[1:]]
-        for shape in shapes:
-            if getattr(term, shape) is None:
-                raise FitError(
-                    f"a fit does not estimate the {shape} of a {term.name()}; give its value, e.g. "
-                    f'{type(term).__name__}({shape}=120.0).hold("{shape}"); allanjax.critique estimates it'
-                )
-        terms[k] = term.hold(*shapes)
     return dataclasses.replace(template, terms=tuple(terms))
 
 
-def _regressors(
-    recording: Recording, names: Sequence[str], objective: Objective
-) -> dict[str, Float[np.ndarray, " n"]]:
+def _regressors(recording: Recording, names: Sequence[str], objective: Objective) -> Regressors:
     """Auxiliary channels of these names, their means subtracted."""
     if names and objective != "whittle":
         raise AllanjaxError(

@@ -8,22 +8,18 @@ with the levels in their place. Lines, ramps and regressors are estimated alongs
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
+from allanjax.base.threads import for_each
 from allanjax.estimate.design import find_starts, free_powers, shape_candidates
-from allanjax.estimate.deterministic import (
-    AxisSpectrum,
-    Peaks,
-    Projection,
-    lines_of,
-    peaks_for,
-    take_out_lines,
-)
+from allanjax.estimate.deterministic import AxisSpectrum, InUse, Projection, Regressors
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import (
     Coefficients,
@@ -33,109 +29,50 @@ from allanjax.estimate.inference import (
     infer,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
+from allanjax.estimate.spectral.components import QUICK, WIDE
 from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.record.recording import Axis, Recording
-from allanjax.spectrum.cosine import (
-    PER_OCTAVE,
-    Bins,
-    SpectralStatistics,
-    cosine_transform,
-    fast_length,
-    term_column,
-)
+from allanjax.spectrum.cosine import smoothed
 
 # Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
 _ROUNDS = 3
 # Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
-# Bins per octave where the spectrum is not smooth: for resonances, and for filters.
-_FINE = 24
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
-#: Quality factor below which a resonance may be white noise behind a filter.
-WIDE = 4.0
-# Correlation time [samples] below which a Markov process is filtered white noise.
-_SHORT = 20.0
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # shown to be the oscillator's shape: a judgement.
 _SHAPED, _AROUND = 0.05, 1.5
-
-
-def spectrum_of(
-    template: Model,
-    x: Float[np.ndarray, " n"],
-    rate: float,
-    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-    peaks: Peaks = (),
-    bins: Bins | None = None,
-) -> AxisSpectrum:
-    """Spectral statistics of one axis for a model: lines found, known columns transformed, bins summed.
-
-    Bins that are not given are finer around narrow-band terms; `peaks` are the frequencies [Hz] of those
-    without one.
-    """
-    n, (lines, wanted) = fast_length(len(x)), lines_of(template)
-    x = x[:n]
-    c, found = take_out_lines(x - x.mean(), rate, wanted)
-    columns: list[tuple[str | int, np.ndarray]] = []
-    columns += [(name, cosine_transform(z[:n])) for name, z in (regressors or {}).items()]
-    for k, term in enumerate(template.terms):
-        if term.deterministic and k not in lines:
-            columns.append((k, term_column(term, n, rate)))
-    if bins is None:
-        narrow = [p for p in template.parameters if p.parameter.kind == "line" and p.term not in lines]
-        unknown = iter(peaks)
-        around = [line.frequency for line in found]
-        around += [p.start if p.start is not None else float(next(unknown, rate / 8.0)) for p in narrow]
-        per_octave = PER_OCTAVE if template.response is None else _FINE
-        bins = Bins.of(n, rate, [(frequency, 0.0) for frequency in around], per_octave)
-    return AxisSpectrum.of(bins, c, columns, dict(zip(lines, found, strict=True)))
-
-
-def statistics_of(bins: Bins, statistics: SpectralStatistics, k: int, template: Model) -> AxisSpectrum:
-    """Spectral statistics of axis k among those of several, for a model without lines and transients."""
-    squares, cross, gram = (np.asarray(x[k]) for x in statistics)
-    ramps = tuple(k for k, term in enumerate(template.terms) if term.deterministic)
-    columns = (len(squares), len(ramps))
-    cross = np.broadcast_to(cross[:, None], columns)
-    gram = np.broadcast_to(gram[:, None, None], (*columns, len(ramps)))
-    return AxisSpectrum(bins, squares, np.zeros(len(squares)), cross, gram, ramps, {})
+# Powers and shapes.
+_Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
 
 
 def fit_whittle(
-    recording: Recording,
-    k: int,
-    template: Model,
-    active: Bool[np.ndarray, " terms"],
-    regressors: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+    recording: Recording, k: int, template: Model, active: InUse, regressors: Regressors | None = None
 ) -> AxisFit:
     """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
-    x, rate = recording.values[:, k], recording.rate
-    peaks = peaks_for(template, x, rate)
-    spectrum = spectrum_of(template, x, rate, regressors, peaks)
-    return fit_spectrum(template, recording.axes[k], spectrum, active, peaks)
+    spectrum = AxisSpectrum.of(template, recording.values[:, k], recording.rate, regressors)
+    return fit_spectrum(template, recording.axes[k], spectrum, active)
+
+
+def fit_spectra(
+    template: Model, axes: Sequence[Axis], spectra: Sequence[AxisSpectrum], active: InUse
+) -> tuple[AxisFit, ...]:
+    """Fit every axis to its spectral statistics; see `fit_spectrum`."""
+    each = zip(axes, spectra, active, strict=True)
+    return tuple(for_each(lambda of_axis: fit_spectrum(template, *of_axis), each))
 
 
 def fit_spectrum(
-    template: Model,
-    axis: Axis,
-    spectrum: AxisSpectrum,
-    active: Bool[np.ndarray, " terms"],
-    peaks: Peaks = (),
-    at_low: bool = False,
+    template: Model, axis: Axis, spectrum: AxisSpectrum, active: InUse, at_low: bool = False
 ) -> AxisFit:
     """Fit a model to the spectral statistics of one axis by maximum likelihood.
 
-    Args:
-        template, axis: the terms, and the axis.
-        spectrum: the statistics, with a column for each deterministic term.
-        active: the terms in use; for the others there is an upper limit.
-        peaks: frequencies [Hz] to try for narrow-band terms without one.
-        at_low: whether N is the density at low frequencies, which includes that of wide resonances and of
-            short processes; the fitted model has them apart.
+    Terms that are not active have an upper limit. `at_low`: N is the density at low frequencies, which
+    includes that of wide resonances and of short processes; the fitted model has them apart.
 
     Raises:
         FitError: there is no random term in the model.
@@ -146,26 +83,25 @@ def fit_spectrum(
             "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
         )
     noise, here, used = template.without(absent(template, random)), active[random], spectrum.used(active)
-    arrangement, projection, fit = _fit_noise(noise, spectrum, used, here, peaks)
-    bins, level, dof = spectrum.bins, projection.level, projection.dof
-    mean, misfit = np.asarray(fit.maximum.mean)[: len(level)], None
+    arrangement, projection, fit = _fit_noise(noise, spectrum, used, here)
+    bins, level, mean, misfit = spectrum.bins, projection.level, fit.maximum.mean, None
     if fit.solution.converged and fit.solution.power_error > 0.0:
-        misfit = spectral_misfit(bins.frequency, level, mean, dof)
+        misfit = spectral_misfit(bins.frequency, level, mean, projection.dof)
     white = noise.term_labels.index("angle_random_walk") if at_low else 0
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
     tangent, found = arrangement.tangent(fit, plateaus, white)
     solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit])
     inference = infer(tangent, level[None], free_powers(noise), here[None], solution)
-    coefficients = coefficients_of(noise, axis, here[None], solution, inference, int(bins.n), bins.rate)
+    coefficients = coefficients_of(noise, axis, here[None], solution, inference, bins.n, bins.rate)
     others: dict[str, Estimate] = {}
     for k in np.flatnonzero(~random).tolist():
         own = np.array([owner == k for owner in spectrum.owners])
         joint = spectrum.project(mean, own | used)
         estimate = joint.amplitude[own], joint.covariance[np.ix_(own, own)]
         line = spectrum.lines.get(k)
-        others |= deterministic_coefficients(template, k, axis, *estimate, line, int(bins.n), bool(active[k]))
+        others |= deterministic_coefficients(template, k, axis, *estimate, line, bins.n, bool(active[k]))
     coefficients = coefficients.with_values(others, template)
-    degrees = round(projection.estimates) - count_estimated(template, active & random)
+    degrees = projection.estimates - count_estimated(template, active & random)
     result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
     std = np.sqrt(np.diag(projection.covariance)).tolist()
     amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
@@ -179,35 +115,29 @@ def fit_spectrum(
 
 
 def _fit_noise(
-    noise: Model, spectrum: AxisSpectrum, used: np.ndarray, active: np.ndarray, peaks: Peaks
+    noise: Model, spectrum: AxisSpectrum, used: InUse, active: InUse
 ) -> tuple[Arrangement, Projection, LevelFit]:
     """Fit the active random terms, alternating with the projection of the deterministic columns in use."""
-    window = np.ones(7)
-    size, squares = (np.convolve(x, window, "same") for x in (spectrum.bins.size, spectrum.squares))
-    smooth = np.where(size > 0, squares / np.maximum(size, 1.0), spectrum.squares.sum() / spectrum.bins.n)
-    empty, variance, fit = Arrangement.of(noise, spectrum.bins), smooth, None
+    empty, starts = Arrangement.of(noise, spectrum.bins), list[_Start]()
+    variance = smooth = smoothed(spectrum.squares, spectrum.bins.size)
     for _ in range(_ROUNDS if used.any() else 1):
         projection = spectrum.project(variance, used)
         arrangement = empty.with_data(projection.level, projection.dof)
-        if fit is None:
-            # Single coefficients scatter too much for start values.
-            rough = np.where(projection.dof < _FEW, smooth, projection.level)
-            starts = _starts(arrangement, rough, active, peaks)
-        else:
-            starts = [(np.asarray(fit.solution.power), np.asarray(fit.solution.shape))]
+        # Single coefficients scatter too much for start values.
+        rough = np.where(projection.dof < _FEW, smooth, projection.level)
+        starts = starts or _starts(arrangement, rough, active, spectrum)
         # The likelihood may have several maxima in a correlation time: all starts are tried.
         fit = best_of([fit_levels(arrangement, active, *start, smooth) for start in starts])
-        variance = np.asarray(fit.maximum.mean)[: len(smooth)]
-    assert fit is not None
+        starts, variance = [fit.solution[:2]], fit.maximum.mean
     return arrangement, projection, fit
 
 
 def _starts(
-    arrangement: Arrangement, level: np.ndarray, active: np.ndarray, peaks: Peaks
-) -> list[tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]]:
+    arrangement: Arrangement, level: np.ndarray, active: InUse, spectrum: AxisSpectrum
+) -> list[_Start]:
     """Powers and shapes to start from, found in these levels."""
-    noise, bins, dof = arrangement.model, arrangement.bins, 2.0 * arrangement.levels.shape
-    candidates = shape_candidates(noise, float(bins.n / bins.rate), bins.rate, peaks)
+    noise, bins, dof = arrangement.model, spectrum.bins, 2.0 * arrangement.levels.shape
+    candidates = shape_candidates(noise, bins.n / bins.rate, bins.rate, spectrum.peaks)
     blocks = np.array_split(candidates, -(-len(candidates) // _BLOCK))
     each = (len(noise), len(level))
     unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *each)) for x in blocks])
@@ -222,19 +152,21 @@ def _plateaus(
 
     These include resonances whose oscillator shape the data do not show. See `Arrangement.tangent`.
     """
-    bins, model, rows = arrangement.bins, arrangement.fitted_model(fit), len(projection.level)
-    weight, ratio = 0.5 * fit.degrees[:rows], projection.level / np.asarray(fit.maximum.mean)[:rows]
-    found: dict[int, Mapping[str, float]] = {}
-    for k, term in enumerate(model.terms):
+    bins, ratio, found = (
+        arrangement.bins,
+        projection.level / fit.maximum.mean,
+        dict[int, Mapping[str, float]](),
+    )
+    for k, term in enumerate(arrangement.fitted_model(fit).terms):
         if isinstance(term, PowerLaw):
             found[k] = {"": 1.0}
         elif isinstance(term, Markov):
             T = float(term.correlation_time or 0.0)
-            if T * bins.rate < _SHORT:
+            if T * bins.rate < QUICK:
                 found[k] = {"": T**2, "correlation_time": 2.0}
         elif isinstance(term, Resonance):
             f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
-            w = np.where(abs(np.log(bins.frequency / f)) < np.log(_AROUND), weight, 0.0)
+            w = np.where(abs(np.log(bins.frequency / f)) < np.log(_AROUND), 0.5 * fit.degrees, 0.0)
             beyond_chance = w @ (ratio - 1.0) ** 2 - np.count_nonzero(w)
             if Q < WIDE or beyond_chance > _SHAPED**2 * w.sum():
                 slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
@@ -242,21 +174,21 @@ def _plateaus(
     return found
 
 
-def absent(template: Model, active: Bool[np.ndarray, " terms"]) -> list[str]:
+def absent(template: Model, active: InUse) -> list[str]:
     """Labels of the terms that are not among the active ones."""
-    return [label for label, here in zip(template.term_labels, active, strict=True) if not here]
+    return list(itertools.compress(template.term_labels, ~active))
 
 
 def axis_fit(
     axis: Axis,
     template: Model,
-    active: Bool[np.ndarray, " terms"],
+    active: InUse,
     coefficients: Coefficients,
     solution: Solution,
     dof: int,
     misfit: Misfit | None,
 ) -> AxisFit:
-    """Result of one axis from its solution [1]; see `with_misfit`."""
+    """Result of one axis from its solution [1]; without intervals and limits if the misfit is excessive."""
     converged = bool(solution.converged[0])
     result = AxisFit(
         axis=axis,
@@ -269,14 +201,6 @@ def axis_fit(
         _coefficients=coefficients.values,
         _covariance=coefficients.covariance,
         _model=fitted_model(template, coefficients.values, absent(template, active)),
+        misfit=misfit if converged else None,
     )
-    return with_misfit(result, misfit)
-
-
-def with_misfit(result: AxisFit, misfit: Misfit | None) -> AxisFit:
-    """Result with its misfit, if any; if that is excessive, coefficients lose intervals and limits."""
-    if misfit is None or not result.converged:
-        return result
-    if not misfit.excessive:
-        return dataclasses.replace(result, misfit=misfit)
-    return result.unmeasured(misfit=misfit)
+    return result.unmeasured() if result.is_far_off else result

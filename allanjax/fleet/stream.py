@@ -18,17 +18,12 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.pyramid import Pyramid
 from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError
-from allanjax.estimate.axis_fits import check_terms, fit_allan, with_curve
-from allanjax.estimate.fit import (
-    Objective,
-    check_length,
-    fit_statistics,
-    terms_to_fit,
-    with_what_was_seen,
-    without_coefficients,
-)
-from allanjax.estimate.result import Fit
+from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, with_curve
+from allanjax.estimate.deterministic import AxisSpectrum
+from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen
+from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import candidates_of, rank_terms
+from allanjax.estimate.whittle import fit_spectra
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
@@ -255,26 +250,24 @@ class AllanAccumulator:
         if objective in ("wavelet", "exact"):
             raise FitError(f'objective="{objective}" needs the samples themselves; use "allan" or "whittle"')
         living, dead = self._living(), self.dead
-        curve, axes, spectra = living.result(), living.axes, living._spectra
-        choose = model is None and not inspection.refusal
-        statistics, selection = spectra.statistics(), None
-        if choose:
+        curve, axes, statistics = living.result(), living.axes, living._spectra.statistics()
+        selection = None
+        if model is None and not inspection.refusal:
             selection = rank_terms(candidates_of(None, self.rate), *statistics, axes, self.name)
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template, _FROM_RECORD)
-        check_length(curve, template, self.name)
+        check_count(len(curve.cluster_size), "Allan variances", curve.n, template, self.name)
         notes = selection.ambiguities() if selection else ()
-        if inspection.refusal:
-            return without_coefficients(inspection, curve, template, objective, notes, dead)
-        if objective == "allan":
-            results, fitted = fit_allan(curve, axes, template, active)
-            if all(result.converged for result in results):
-                fit = Fit(self.name, template, fitted, results, notes, objective, selection, dead)
-                return with_what_was_seen(fit, inspection)
-            notes += (_TOO_FINE,)
-        results = fit_statistics(*statistics, template, axes, active)
+        results = tuple(AxisFit(axis, False, inspection.refusal) for axis in axes)
+        spectra = AxisSpectrum.of_axes(*statistics, template)
+        if objective == "allan" and not inspection.refusal:
+            results = fit_allan(curve, spectra, axes, template, active)
+            if not all(result.converged for result in results):
+                objective, notes = "whittle", (*notes, _TOO_FINE)
+        if objective == "whittle" and not inspection.refusal:
+            results = fit_spectra(template, axes, spectra, active)
         results, curve = with_curve(curve, template, results)
-        fit = Fit(self.name, template, curve, results, notes, "whittle", selection, dead)
+        fit = Fit(self.name, template, curve, results, notes, objective, selection, dead)
         return with_what_was_seen(fit, inspection)
 
     def snapshot(self, path: str | os.PathLike[str]) -> None:

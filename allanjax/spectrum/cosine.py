@@ -187,6 +187,12 @@ class Bins(ByValue):
         return inside.sum(axis=1).astype(float)
 
 
+def smoothed(squares: Float[np.ndarray, " m"], size: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """Mean squares in seven bins around each, from sums over bins of so many coefficients."""
+    total, count = (np.convolve(x, np.ones(7), "same") for x in (squares, size))
+    return np.maximum(total / np.maximum(count, 1e-9), 1e-300)
+
+
 def bin_edges(first: int, stop: int, bins: int) -> Int[np.ndarray, " bins+1"]:
     """Edges of logarithmic bins of the coefficients first … stop−1; if first is 1, single ones up to 64."""
     single = np.arange(1, _SINGLE + 1) if first == 1 else np.zeros(0, int)

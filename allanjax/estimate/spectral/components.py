@@ -44,6 +44,9 @@ from allanjax.noise.response import (
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
+#: Quality factor below which a resonance, and correlation time [samples] below which a Markov process, may be
+#: white noise behind a filter.
+WIDE, QUICK = 4.0, 20.0
 # Lags are padded to a multiple of this, so that compiled functions are reused.
 _LAGS = 256
 # Step of a difference, relative to the scale on which a function changes: its error is 10⁻¹⁰.

@@ -69,12 +69,8 @@ _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
-# Correlation time [samples] below which a Markov process may stand for what a response does.
-_QUICK = 20.0
 # Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
-#: Quality factor below which a resonance may be white noise behind a filter.
-WIDE = 4.0
 # Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
 _EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
 # Difference of the logarithms of correlation times below which two processes are alike.
@@ -298,7 +294,9 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     sure = [new for peak, new in found if peak.slimness > _NARROW and peak.gain > _SURE]
     proposals += _oscillators(spectrum.n, inside) if resonances else []
     if processes:
-        proposals += [markov(time, 1.0) for time in np.geomspace(_QUICK, spectrum.n / 4.0, _TIMES).tolist()]
+        proposals += [
+            markov(time, 1.0) for time in np.geomspace(kinds.QUICK, spectrum.n / 4.0, _TIMES).tolist()
+        ]
     if inside and structure.place(OUTSIDE) is None:
         proposals.append(Component(kinds.COLUMN, 1.0, which=OUTSIDE))
     gain, power = _promised(spectrum, now, spectrum.units(structure, proposals))
@@ -425,7 +423,7 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         yield from _others(structure, width)
         yield from _moved(structure, [rounded, *structure.oscillators])
     rests = []
-    if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < _QUICK]:
+    if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < kinds.QUICK]:
         rests.append((structure.without(*quick), width))
     if filtered and rounded is not None and own[rounded].power > 0.0:
         rest = structure.without(rounded)
@@ -433,7 +431,7 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _BROAD]
         yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
-        if own[k].quality < WIDE:
+        if own[k].quality < kinds.WIDE:
             w, rest, power = own[k].frequency, structure.without(k), own[k].power
             rests.append((rest, width if filtered else w))
             yield [rest.plus(markov(1.0 / w, power))]
@@ -467,7 +465,7 @@ def _keeps_white(now: Fitted, other: Fitted) -> bool:
     structure = other.structure
     if structure.column(WHITE).power > 0.0:
         return True
-    narrow = all(structure.components[k].quality > WIDE for k in structure.oscillators)
+    narrow = all(structure.components[k].quality > kinds.WIDE for k in structure.oscillators)
     return narrow and structure.kind == now.structure.kind
 
 
@@ -515,7 +513,7 @@ def _slow(spectrum: Spectrum, now: Fitted) -> Fitted:
 def with_process(spectrum: Spectrum, structure: Structure) -> list[Fitted]:
     """Fits with another Markov process, slower than filtered white noise, from the best start values."""
     level = float(np.median(spectrum.rough))
-    starts = [[structure.plus(markov(max(spectrum.n**p, _QUICK), level))] for p in _SLOW_TIMES]
+    starts = [[structure.plus(markov(max(spectrum.n**p, kinds.QUICK), level))] for p in _SLOW_TIMES]
     return [spectrum.fit(s) for s in _ranked(spectrum, starts)[:2]]
 
 

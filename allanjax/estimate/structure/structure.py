@@ -24,7 +24,7 @@ from allanjax.estimate.spectral.model import (
 )
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
-from allanjax.spectrum.cosine import Bins
+from allanjax.spectrum.cosine import Bins, smoothed
 
 #: Terms without a free shape, in the first columns; the white noise that is added after a response.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
@@ -200,10 +200,8 @@ class Spectrum:
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
-        around, sums = (np.convolve(x, np.ones(7), "same") for x in (count, level * count))
-        rough = np.maximum(sums / np.maximum(around, 1e-9), 1e-300)
         levels = Levels.of(bins, columns_of(terms, bins))._replace(level=level)
-        return cls(bins, levels, rough, count).with_error(_ERROR**2)
+        return cls(bins, levels, smoothed(level * count, count), count).with_error(_ERROR**2)
 
     def with_error(self, error: Any) -> Spectrum:
         """Copy for models with these squares of relative errors, of which models are to be compared only."""
