@@ -18,7 +18,7 @@ sys.path.append(str(ROOT))
 
 #: Most programs that a run of the default tests may compile: each costs its process about a second. It is as
 #: many as the package needs while every length and every kind of fit has programs of its own; 80 is the aim.
-PROGRAMS = 420
+PROGRAMS = 320
 
 
 def _faster() -> str:
