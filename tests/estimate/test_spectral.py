@@ -80,8 +80,7 @@ def test_expected_levels_and_their_derivatives_are_those_of_dense_covariances(re
 
 def test_the_maximum_is_that_of_a_general_minimizer():
     """White noise, flicker and a resonance behind a filter: the same loss, and the same standard errors."""
-    # Levels are of fifty records, so that every parameter is determined. Errors are those of the general
-    # minimizer's place, which is off by 10⁻³ of them.
+    # Levels of fifty records determine every parameter; the general minimizer is off by 10⁻³ of its error.
     truth = aj.LowPass1(1.5) * (WHITE + aj.BiasInstability(0.2) + aj.Resonance(0.3, 2.0, 6.0))
     dense, labels = Dense(truth, 50, 3), [p.label for p in truth.parameters if p.free]
     start = truth.with_values(**{k: 1.3 * v for k, v in truth.values.items()})
@@ -104,28 +103,22 @@ def test_the_maximum_is_that_of_a_general_minimizer():
 
 
 def test_a_moving_average_of_whole_samples_is_found():
-    """Its duration is where the slope of the likelihood jumps: nothing near it is more likely."""
-    # By a general minimizer of all other parameters, at durations on either side.
-    noise = WHITE + aj.Resonance(0.3, 2.0, 6.0)
+    """There the slope of the likelihood jumps; by a general minimizer nothing beside it is more likely."""
+    noise, start = WHITE + aj.Resonance(0.3, 2.0, 6.0), aj.AngleRandomWalk(0.13) + aj.Resonance(0.4, 2.2, 9.0)
     dense = Dense(aj.MovingAverage.of(3.0 / RATE) * noise, 50, 4)
-    start = aj.MovingAverage.of(2.4 / RATE) * (aj.AngleRandomWalk(0.13) + aj.Resonance(0.4, 2.2, 9.0))
-    arrangement, joint, theta = prepared(start, dense, True)
+    arrangement, joint, theta = prepared(aj.MovingAverage.of(2.4 / RATE) * start, dense, True)
     found = maximize(theta, joint, arrangement.levels, arrangement.levels.level)
-    assert found.converged
-    filtered = aj.MovingAverage(float(np.exp(found.theta[-2])) * RATE / (2.0 * np.pi))
-    assert filtered.duration * RATE == pytest.approx(3.0, abs=1e-9)
+    duration = aj.MovingAverage(float(np.exp(found.theta[-2])) * RATE / (2.0 * np.pi)).duration
+    assert (found.converged, duration * RATE) == (True, pytest.approx(3.0, abs=1e-9))
     for samples in (2.99, 3.0, 3.01):
-        model = aj.MovingAverage.of(samples / RATE) * noise
-        move = mover(model, [p.label for p in noise.parameters])
-        best = minimize(lambda z, move=move: dense.value(move(move.start + z)), np.zeros(4))
-        assert best.fun > found.loss - 1e-6
-        assert (best.fun == pytest.approx(found.loss, abs=1e-4)) == (samples == 3.0)
+        move = mover(aj.MovingAverage.of(samples / RATE) * noise, [p.label for p in noise.parameters])
+        best = minimize(lambda z, move=move: dense.value(move(move.start + z)), np.zeros(4)).fun
+        assert best == pytest.approx(found.loss, abs=1e-4) if samples == 3.0 else best > found.loss + 1e-4
 
 
 def test_powers_are_those_of_a_bounded_minimizer():
     """Three batches, of models with a term that is not there, whose power ends at zero, or without one."""
-    # To 10⁻³ nats, of which the search decides about one: models that do not describe the levels are allowed
-    # no more than the usual steps.
+    # To 10⁻³ nats: models that do not describe the levels are allowed no more than the usual steps.
     rng, f = np.random.default_rng(4), np.geomspace(1e-3, 0.5, 60)
     every, shape, at_zero = np.stack([f**k for k in (0.0, -1.0, -2.0, 2.0)]), np.geomspace(0.5, 200.0, 60), 0
     used = np.array([[1, 1, 0, 0], [1, 0, 1, 0], [1, 1, 1, 0], [1, 1, 1, 1]], bool)
@@ -158,6 +151,5 @@ def test_a_search_takes_few_joint_fits(monkeypatch):
     place = "allanjax.estimate.structure.structure.maximize"
     monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
     (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
-    labels = {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"}
-    assert labels <= {*result.coefficients}
+    assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= {*result.coefficients}
     assert 5 < len(calls) <= 35
