@@ -51,7 +51,7 @@ SCHEMA_VERSION = 1
 #: Relative standard deviation at which a coefficient counts as known, and the coefficients of interest.
 TARGET, _ASKED = 0.2, ("N", "B", "K")
 _TARGET_WORDS = f"±{100.0 * TARGET:.0f} %"
-#: Longest recording that is proposed [s]: a month. The fewest samples of a recording whose length is told.
+#: Longest recording that is proposed [s], a month; and the fewest samples of a recording for which it is.
 LONGEST, _FEWEST = 30.0 * 86400.0, 64
 # Lengths that are tried, and levels an octave that stand for all of them above the lowest 64.
 _LENGTHS, _PER_OCTAVE = 40, 32

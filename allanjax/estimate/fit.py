@@ -159,7 +159,7 @@ def inspected(
 
 
 def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
-    """The quiet part of a recording, of whose other segments, so many, only undisturbed parts stay."""
+    """The quiet part of a recording, with the undisturbed parts of its first `count` other segments."""
     kept, touched = [], 0
     for x in quiet.others[:count]:
         segment = Recording(x, quiet.rate, quiet.axes)

@@ -421,7 +421,7 @@ class _Candidates(NamedTuple):
     def sets(self) -> TermSets:
         """All sets with at most one free time."""
         sets = term_sets(self.plain, len(self.levels) - self.plain, self.ramp is not None)
-        # Of the place for a second time none makes use.
+        # No set uses the place of a second time.
         more = ((0, 0), (0, len(self.owner) - sets.columns.shape[1]))
         return TermSets(np.pad(sets.columns, more), np.pad(sets.used, more), sets.ramp)
 
