@@ -49,7 +49,7 @@ _Spectra: TypeAlias = Sequence[AxisSpectrum]
 def fit_allan(
     curve: AllanDeviation, spectra: _Spectra, axes: Sequence[Axis], template: Model, active: InUse
 ) -> tuple[AxisFit, ...]:
-    """Fit every axis by generalized least squares of its Allan variances; lines are those of its spectrum."""
+    """Fit every axis by generalized least squares of its Allan variances, with the lines of its spectrum."""
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
     return _fit_estimates(design, curve.variance, (curve.n, curve.rate), spectra, axes, template, active)
 

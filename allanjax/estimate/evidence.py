@@ -33,7 +33,6 @@ _QUADRATURE = 48
 # Sets fitted together, which bounds the memory, and how far behind the best of them a fit is not finished.
 _BLOCK, _FAR = 128, 200.0
 
-
 _PerSet: TypeAlias = Float[np.ndarray, " sets"]
 _Places: TypeAlias = Float[np.ndarray, "sets places"]
 _Flags: TypeAlias = Bool[np.ndarray, "sets places"]

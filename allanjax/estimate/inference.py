@@ -77,8 +77,8 @@ def infer(
 class _Axes(NamedTuple):
     """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
-    `V` are the estimates, `active` the terms in use, `fitted` those of them whose power is estimated, and
-    `has_shape` the shapes that the data determine; a term without power has none.
+    `V` holds the estimates. `active` marks the terms in use, `fitted` those whose power is estimated, and
+    `has_shape` the shapes that the data determine, which a term without power does not have.
     """
 
     tangent: Tangent
@@ -257,9 +257,9 @@ def count_estimated(model: Model, active: Bool[np.ndarray, " terms"]) -> int:
 class Estimates(NamedTuple):
     """The coefficients of several axes in SI, in the order of `reported`, and their covariance.
 
-    `value` and `std` are NaN for the shape of an absent term; `ends` are those of the 95 % and of the 68 %
-    interval, and the one-sided 95 % limit, which is NaN except for amplitudes; `detected` tells whether the
-    term's amplitude excludes zero.
+    `value` and `std` are NaN for the shape of an absent term. `ends` has the lower and the upper end of the
+    95 % and of the 68 % interval, and the one-sided 95 % limit, which is NaN except for amplitudes.
+    `detected` tells whether the interval of the term's amplitude excludes zero.
     """
 
     value: Float[np.ndarray, "axes params"]

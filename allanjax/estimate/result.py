@@ -162,7 +162,7 @@ def deviation(relative: float) -> str:
 class AxisEstimates:
     """Base of the fit and of the posterior of one axis: estimates by name, as a table, and as text.
 
-    `COLUMNS` are those of the table, and `ERROR` is raised for an unknown coefficient.
+    `COLUMNS` names the columns of the table; `ERROR` is the exception raised for an unknown coefficient.
     """
 
     COLUMNS: ClassVar[tuple[str, ...]] = ()

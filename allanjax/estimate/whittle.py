@@ -152,11 +152,8 @@ def _plateaus(
 
     These include resonances whose oscillator shape the data do not show. See `Arrangement.tangent`.
     """
-    bins, ratio, found = (
-        arrangement.bins,
-        projection.level / fit.maximum.mean,
-        dict[int, Mapping[str, float]](),
-    )
+    bins, ratio = arrangement.bins, projection.level / fit.maximum.mean
+    found: dict[int, Mapping[str, float]] = {}
     for k, term in enumerate(arrangement.fitted_model(fit).terms):
         if isinstance(term, PowerLaw):
             found[k] = {"": 1.0}

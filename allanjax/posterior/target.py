@@ -42,7 +42,7 @@ _Logs: TypeAlias = Float[np.ndarray, " b"]
 
 
 class _Density:
-    """Places of a model's amplitudes, of those of the terms that have levels (`own`), and of shapes."""
+    """Indices of all amplitudes of a model, of those of some `terms` (`own`), and of the free shapes."""
 
     def __init__(self, model: Model, terms: Sequence[int]) -> None:
         self.amplitude = np.array([k for k, p in enumerate(model.parameters) if p.parameter.is_amplitude])
@@ -185,7 +185,8 @@ class Target:
     priors by label.
 
     Attributes:
-        parameters: all parameters of the model; `priors` are those of the free ones, by their index.
+        parameters: all parameters of the model.
+        priors: the priors of the free parameters, by their index.
         sampled: indices of the sampled ones.
         base: values of all [SI], where amplitudes that are not sampled are 0.
         std, origin: rough standard deviations [SI], and origins of the coordinates.

@@ -216,8 +216,8 @@ class Joint:
 def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
     """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
 
-    Then those of the sum of all components by bandwidth and quality factor of the response, and half the jump
-    of the first.
+    Also the derivatives of the sum of all components by the bandwidth and by the quality factor of the
+    response, and half the jump of the derivative by the bandwidth.
     """
     count, m = len(of.components), levels.angle.shape[1]
     rows = np.empty((count + len(of.owner), 2, m))
