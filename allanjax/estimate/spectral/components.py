@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.numerics import averaged_lags, mean_lags
+from allanjax.noise.numerics import averaged_lags
 from allanjax.noise.response import (
     HALF_POWER,
     LARGEST_BANDWIDTH,
@@ -53,6 +53,8 @@ _LAGS = 256
 _STEP = 1e-5
 # Relative distance from whole samples at which a moving average has as many.
 _SAME = 1e-9
+# Share of an oscillation that is left at the end of a record below which nothing is left.
+_NOTHING = 1e-18
 # Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
 _NEARLY_CONSTANT = 0.01
 
@@ -154,69 +156,75 @@ def columns_of(terms: Sequence[NoiseTerm], bins: Bins) -> Float[np.ndarray, "ter
     return found
 
 
-def _sums(levels: Levels, pole: Any) -> tuple[Any, Any, Any]:
-    """1 − Q and 1/D, and what the ends contribute times D², of values with Q = e^{pole·interval}."""
-    M, n, s = levels.interval, levels.length, levels.square
-    y = -np.expm1(pole * M)
-    ends = y**2 * (1.0 - levels.parity * np.exp(pole * M * n)) * (4.0 / n * (1.0 - s))
-    return y, 1.0 / (y**2 + 4.0 * (1.0 - y) * s), ends
-
-
-def _squares(levels: Levels, pole: Any, sloped: bool) -> tuple[Any, Any]:
-    """Expected squares at the nodes of e^{pole·|t|}, and their derivative by the pole if it is wanted.
-
-    It is averaged over samples if the pole is real, else read at them.
-    """
-    M, (y, inverse, ends) = levels.interval, _sums(levels, pole)
-    r_0, r_1 = mean_lags(pole, M)[:2] if np.iscomplexobj(pole) else averaged_lags(-pole * M)
-    own, of_ends = 2.0 * (y - 2.0 * levels.square), ends * inverse
-    both = (own - of_ends) * inverse
-    if not sloped:
-        return r_0 + r_1 * both, None
-    # Derivatives of y, of the ends, and of D over D.
-    of_y, last = -M * (1.0 - y), y**2 * np.exp(pole * M * levels.length) * levels.parity
-    more = ends * (2.0 * of_y / y) - (4.0 * M) * (1.0 - levels.square) * last
-    of_D = of_y * own * inverse
-    slope = (2.0 * of_y - more * inverse - of_D * (own - 2.0 * of_ends)) * inverse
-    by_0, by_1 = _slopes_of_lags(pole, M, r_0, r_1)
-    return r_0 + r_1 * both, by_0 + by_1 * both + r_1 * slope
-
-
-def _slopes_of_lags(pole: Any, M: Any, r_0: Any, r_1: Any) -> tuple[Any, Any]:
-    """Derivatives of r_0 and r_1 by the pole."""
-    near = np.abs(pole * M) < 1e-3
-    if not np.iscomplexobj(pole):
-        x = -pole * M
-        by_0 = np.where(near, x / 6.0 - 1.0 / 3.0, -2.0 * (np.expm1(-x) / x + r_0) / x)
-        return -M * by_0, -2.0 * M * r_1 * np.where(near, x / 12.0 - 0.5, 1.0 / np.expm1(x) - 1.0 / x)
-    q, y, z = np.exp(pole), -np.expm1(pole), -np.expm1(pole * M)
-    later = M * (1.0 - z)
-    by_0 = 2.0 * q / (M * y) ** 2 * (M - z + later - 2.0 * q * z / y)
-    series = (M**2 - 1.0) * (1.0 / (3.0 * M) + pole / 6.0)
-    return np.where(near, series, by_0), r_1 * (1.0 + 2.0 * (q / y - later / z))
-
-
 def markov(levels: Levels, shapes: Float[np.ndarray, "... k 1"], sloped: bool = False) -> tuple[Any, Any]:
     """Expected squares at the nodes of Markov processes of variance 1 [..., k, 2, m], by ln T_c.
 
     If it is wanted, also their derivatives by the shapes [..., k, shapes, 2, m].
     """
-    pole = -np.exp(-shapes[..., None])
-    value, slope = _squares(levels, pole, sloped)
-    return value, (-pole * slope)[..., None, :, :] if sloped else None
+    x, s = levels.interval * np.exp(-shapes[..., None]), levels.square
+    y, at_end = -np.expm1(-x), levels.parity * np.exp(-x * levels.length)
+    inverse, own = 1.0 / (y**2 + 4.0 * (1.0 - y) * s), 2.0 * (y - 2.0 * s)
+    ends = y**2 * (1.0 - at_end) * (4.0 / levels.length * (1.0 - s))
+    (r_0, r_1), of_ends = averaged_lags(x), ends * inverse
+    both = (own - of_ends) * inverse
+    value = r_0 + r_1 * both
+    if not sloped:
+        return value, None
+    # Derivatives by x of y, of the ends, and of D over D; then of the two lags.
+    of_y = 1.0 - y
+    of_them = ends * (2.0 * of_y / y) + 4.0 * (1.0 - s) * y**2 * at_end
+    slope = (2.0 * of_y - of_them * inverse - of_y * own * inverse * (own - 2.0 * of_ends)) * inverse
+    near = x < 1e-3
+    by_0 = np.where(near, x / 6.0 - 1.0 / 3.0, -2.0 * (np.expm1(-x) / x + r_0) / x)
+    by_1 = 2.0 * r_1 * np.where(near, x / 12.0 - 0.5, 1.0 / np.expm1(x) - 1.0 / x)
+    return value, -x[..., None, :, :] * (by_0 + by_1 * both + r_1 * slope)[..., None, :, :]
 
 
 def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: bool = False) -> tuple[Any, Any]:
-    """As `markov`, for oscillators of variance 1 by ln ω_0 and ln(Q − ½)."""
-    w, excess = np.moveaxis(np.exp(shapes), -1, 0)[..., None, None]
+    """As `markov`, for oscillators of variance 1 by ln ω_0 and ln(Q − ½), in a record.
+
+    Since s is linear in D, the expectation is the real part of a polynomial in z = 1/D without a constant,
+    and so are its derivatives: that of z by the pole is (A·z − 1)·z, A = y(2 − y).
+    """
+    w, excess = np.exp(shapes[..., 0]), np.exp(shapes[..., 1])
     Q, root = 0.5 + excess, 2.0 * np.sqrt(excess * (1.0 + excess))
-    decay, weight = w / (2.0 * Q), 1.0 - 1j / root
-    pole = decay * (-1.0 + 1j * root)
-    value, slope = _squares(levels, pole, sloped)
-    if not sloped:
-        return np.real(weight * value), None
-    by_Q = np.real(4j * Q / root**3 * value + weight * decay * (1.0 + 1j / root) / Q * slope)
-    return np.real(weight * value), np.stack([np.real(weight * pole * slope), by_Q * excess], axis=-3)
+    pole, weight, powers = w / (2.0 * Q) * (-1.0 + 1j * root), 1.0 - 1j / root, 3 if sloped else 2
+    q, y, at_end = np.exp(pole), -np.expm1(pole), np.exp(pole * levels.length)
+    A, square, s = y * (2.0 - y), y * y, levels.square.ravel()
+
+    def coefficients(parity: float) -> Float[np.ndarray, "... k rows 2*powers"]:
+        """Of the real and imaginary parts of z, z² …, for the value and if wanted its derivatives."""
+        more, left = parity * at_end, (1.0 - parity * at_end) / levels.length
+        value = np.array([A + left * square, -left * A * A, 0.0 * y][:powers])
+        rows = [weight * value]
+        if sloped:
+            cubic = 2.0 * A * value[1]
+            by_pole = np.array([A * (1.0 - left) - 2.0 - more * square, 0.0 * y, cubic])
+            by_pole[1] = A * (A * (1.0 + more) + left * (4.0 * q + 3.0 * square))
+            turned = 2j * Q / root
+            by_Q = 2.0 * excess / root**2 * (turned * value + w * by_pole)
+            rows += [w * turned * by_pole, by_Q]
+        parts = np.concatenate([np.real(rows), -np.imag(rows)], axis=1)
+        return np.ascontiguousarray(np.moveaxis(parts, (0, 1), (-2, -1)))
+
+    # In real arithmetic, which is faster.
+    above, slope = square[..., None], (4.0 * q)[..., None]
+    real, imaginary = above.real + slope.real * s, above.imag + slope.imag * s
+    inverse = 1.0 / (real**2 + imaginary**2)
+    z = np.empty((*w.shape, 2, powers, len(s)))
+    re, im = z[..., 0, :, :], z[..., 1, :, :]
+    re[..., 0, :], im[..., 0, :] = real * inverse, -imaginary * inverse
+    for k in range(1, powers):
+        re[..., k, :] = re[..., 0, :] * re[..., k - 1, :] - im[..., 0, :] * im[..., k - 1, :]
+        im[..., k, :] = re[..., 0, :] * im[..., k - 1, :] + im[..., 0, :] * re[..., k - 1, :]
+    z = z.reshape(*w.shape, 2 * powers, len(s))
+    found = coefficients(0.0) @ z
+    # The parity matters for oscillators that last as long as the record.
+    for sign in (-1.0, 1.0) if np.any(abs(at_end) > _NOTHING) else ():
+        at = np.flatnonzero(np.tile(levels.parity == sign, 2))
+        found[..., at] = coefficients(sign) @ z[..., at]
+    found = found.reshape(*found.shape[:-1], *levels.square.shape)
+    return found[..., 0, :, :], found[..., 1:, :, :] if sloped else None
 
 
 #: Kinds of components: without a free shape, so that their levels are columns; with closed forms of their
@@ -275,49 +283,56 @@ def _poles(kind: int, wc: Any, Q: Any) -> Poles:
 def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
     """Expected squares at the nodes of white noise of unit power after a filter, of a bandwidth [..., 1, 1].
 
-    That is its power response, and what the ends add if the filter has settled when the record begins: about
-    1/n of the noise in the pass band, and most of what is left deep in the stop band. The filtered noise has
-    r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1.
+    That is its power response, and what the ends of a record add if the filter has settled when it begins:
+    about 1/n of the noise in the pass band, and most of what is left deep in the stop band. The filtered
+    noise has r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1.
     """
     if kind == MOVING_AVERAGE:
-        return _averaged(levels, 2.0 * np.pi * HALF_POWER / wc)
+        samples = np.clip(2.0 * np.pi * HALF_POWER / wc, 1.0, LONGEST)
+        whole = np.floor(samples)
+        numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
+        sums = _of_sums(levels, numbers)[at.reshape(2, *whole.shape[:-2])]
+        return _between(samples, whole, sums)[0]
     w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim)) for x in _poles(kind, wc, Q))
-    s = np.sin(levels.angle / 2.0) ** 2
-    D = (1.0 - w) ** 2 + 4.0 * w * s
+    s, y = levels.square, 1.0 - w
+    z = 1.0 / (y**2 + 4.0 * w * s)
     if kind == TWO_POLES:
-        power = np.sum(np.real(c * (1.0 - w**2) / D), axis=0)
+        power = np.sum(np.real(c * (1.0 - w**2) * z), axis=0)
     else:
         # Exact deep in the stop band; the bilinear transformation puts zeros at half the sample rate.
-        power = np.real(np.prod((1.0 - w) ** 2 * (1.0 if kind == ONE_POLE else 1.0 - s) / D, axis=0))
-    y, inverse, ends = _sums(levels, np.log(w))
-    # Of means of M samples the first lag is that of samples times the square of (1 − w^M)/(M(1 − w)).
-    first = c * w * (y / (levels.interval * (1.0 - w))) ** 2
-    return power - np.sum(np.real(first * ends * inverse**2), axis=0)
+        power = np.real(np.prod(y**2 * (1.0 if kind == ONE_POLE else 1.0 - s) * z, axis=0))
+    ends = c * w * y**2 * (1.0 - levels.parity * w**levels.length) * (4.0 / levels.length)
+    return power - np.sum(np.real(ends * z**2), axis=0) * (1.0 - s)
 
 
-def _averaged(levels: Levels, samples: Any, whole: Any = None) -> Float[np.ndarray, "... 2 m"]:
-    """`passed` of a moving average, with the ends −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)].
+def _of_sums(levels: Levels, numbers: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 2 m"]:
+    """Expected squares at the nodes of sums of m successive values of white noise, for several m.
 
-    The sum over the r_d = m − d of a mean of m samples is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s. The
-    transform of a stream's means does not notice the ends of a filter that is shorter than those. The average
-    lies between those of whole samples and of one sample more; beyond them it is continued.
+    That is the power, and what the ends add, −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)]. The sum over the
+    r_d = m − d is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s.
     """
-    samples = np.clip(samples, 1.0, LONGEST) if whole is None else samples
-    whole = np.floor(samples) if whole is None else np.broadcast_to(whole, samples.shape)
-    numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
-    m, n = numbers[:, None, None], levels.length
+    m, s = numbers[:, None, None], levels.square
+    # Where it changes nothing, the frequency is not so small that the sums cancel.
     small = levels.angle * LONGEST < _NEARLY_CONSTANT
-    a = np.where(small, 1.0, levels.angle)
-    s, sine, turned = np.sin(a / 2.0) ** 2, np.sin(a), np.sin(m * a)
-    apart = m * sine - turned
-    slope = m * (np.cos(a) - np.cos(m * a)) / (4.0 * s) - apart * sine / (8.0 * s**2)
+    sine = np.where(small, 1.0, 2.0 * np.sqrt(s * (1.0 - s)))
+    half = m * levels.angle / 2.0
+    turned, of_half = np.sin(half), np.cos(half)
+    power = turned**2
+    apart = m * sine - 2.0 * turned * of_half
+    slope = (m * (power - s) - apart * sine / (4.0 * s)) / (2.0 * s)
     total = np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * sine))
-    power = (np.sin(m * levels.angle / 2.0) / np.sin(levels.angle / 2.0)) ** 2
-    lower, upper = (power + np.where(levels.interval == 1.0, -2.0 / n, 0.0) * total)[
-        at.reshape(2, *whole.shape[:-2])
-    ]
-    more = samples - whole
-    return ((1.0 - more) * lower + more * upper) / ((1.0 - more) * whole**2 + more * (whole + 1.0) ** 2)
+    return power / s - 2.0 / levels.length * total
+
+
+def _between(samples: Any, whole: Any, sums: Any) -> tuple[Any, Any]:
+    """A moving average of so many samples and its derivative by these, from sums of `whole` and one more.
+
+    The average lies between those of whole samples; beyond them it is continued.
+    """
+    (lower, upper), more = sums, samples - whole
+    size = (1.0 - more) * whole**2 + more * (whole + 1.0) ** 2
+    value = ((1.0 - more) * lower + more * upper) / size
+    return value, (upper - lower - (2.0 * whole + 1.0) * value) / size
 
 
 def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int) -> tuple[Any, Any]:
@@ -328,15 +343,16 @@ def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int)
     slopes = np.zeros((3, *levels.angle.shape))
     if kind == NONE:
         return np.ones_like(levels.angle), slopes
+    if kind == MOVING_AVERAGE:
+        samples = 2.0 * math.pi * HALF_POWER * math.exp(-shape[0])
+        wider, narrower = _pieces(samples)
+        pieces = dict.fromkeys((wider, narrower or wider))
+        both = [_between(samples, whole, _of_sums(levels, np.array([whole, whole + 1.0]))) for whole in pieces]
+        (value, first), (_, last) = both[0], both[-1]
+        slopes[0], slopes[2] = -samples * (first + last) / 2.0, -samples * (last - first) / 2.0
+        return value, slopes
     moves = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     wc, excess = np.exp(shape + _STEP * moves[: 5 if kind in SHAPED else 3]).T[:, :, None, None]
-    if kind == MOVING_AVERAGE:
-        samples = 2.0 * np.pi * HALF_POWER / wc
-        wider, narrower = _pieces(float(samples[0, 0, 0]))
-        both = [_averaged(levels, samples, whole) for whole in dict.fromkeys((wider, narrower or wider))]
-        sides = [(around[1] - around[2]) / (2.0 * _STEP) for around in both]
-        slopes[0], slopes[2] = (sides[0] + sides[-1]) / 2.0, (sides[-1] - sides[0]) / 2.0
-        return both[0][0], slopes
     around = passed(levels, kind, wc, 0.5 + excess)
     slopes[: len(around) // 2] = (around[1::2] - around[2::2]) / (2.0 * _STEP)
     return around[0], slopes
