@@ -107,11 +107,11 @@ def _conspicuous(square: Cosines, rate: float) -> list[float]:
     """Frequencies of peaks that are as narrow as lines and far above their surroundings [Hz]."""
     n = len(square) + 1
     blocks = square[: len(square) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
-    rough = np.repeat(np.median(blocks, axis=1) / _MEDIAN, _BLOCK)
+    ratio = (blocks / (np.median(blocks, axis=1) / _MEDIAN)[:, None]).ravel()
     sure = 2.0 * (np.log(n) + _SURE)
-    found: list[int] = []
-    for j in np.argsort(square[: len(rough)] / rough)[::-1][:_TRIED].tolist():
-        if square[j] < sure * rough[j] or j < LOWEST or any(abs(j - k) <= _CORE for k in found):
+    places, found = np.flatnonzero(ratio >= sure), list[int]()
+    for j in places[np.argsort(-ratio[places])][:_TRIED].tolist():
+        if j < LOWEST or any(abs(j - k) <= _CORE for k in found):
             continue
         around = square[max(j - _LINE_AROUND, 0) : j + _LINE_AROUND + 1]
         level = float(np.median(around)) / _MEDIAN

@@ -347,7 +347,9 @@ def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int)
         samples = 2.0 * math.pi * HALF_POWER * math.exp(-shape[0])
         wider, narrower = _pieces(samples)
         pieces = dict.fromkeys((wider, narrower or wider))
-        both = [_between(samples, whole, _of_sums(levels, np.array([whole, whole + 1.0]))) for whole in pieces]
+        both = [
+            _between(samples, whole, _of_sums(levels, np.array([whole, whole + 1.0]))) for whole in pieces
+        ]
         (value, first), (_, last) = both[0], both[-1]
         slopes[0], slopes[2] = -samples * (first + last) / 2.0, -samples * (last - first) / 2.0
         return value, slopes

@@ -137,6 +137,25 @@ class Arrangement(NamedTuple):
         free[np.append(np.arange(count), self.parameter)] = estimated
         return Joint(of, free, lower, upper, 0.0 * lower, 0.0 * lower)
 
+    def start(
+        self,
+        active: Bool[np.ndarray, " terms"],
+        power: Float[np.ndarray, " terms"],
+        shape: Float[np.ndarray, " shapes"],
+    ) -> tuple[Float[np.ndarray, " parameters"], Joint]:
+        """Parameters to start from, and the joint model of these terms, with bounds around the start."""
+        start, joint, of = self.parameters(shape), self.joint(self.estimated(active)), self.composition
+        count = len(self.model)
+        start[:count] = np.where(active, power * self.unit_power(start), _NOTHING)
+        for k, u, p in zip(self.parameter, self.offset, free_shapes(self.model), strict=True):
+            reach, top = REACH[p.parameter.kind], p.parameter.upper
+            if k == of.first[-1]:
+                top = bandwidths(of.kind)[1] * self.bins.rate / (2.0 * np.pi)
+            end = np.log(top - p.parameter.lower) - INSIDE + u
+            joint.lower[k] = max(joint.lower[k], start[k] - reach)
+            joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
+        return start, joint
+
     def fitted_model(self, fit: LevelFit) -> Model:
         """The model with the shapes of a fit, and unit amplitudes."""
         values = zip(free_shapes(self.model), np.exp(fit.solution.shape), strict=True)
@@ -275,14 +294,13 @@ def _kind(term: NoiseTerm) -> int:
 
 
 class LevelFit(NamedTuple):
-    """Maximum of the likelihood of a model's levels, and whether that follows them within their scatter.
+    """Maximum of the likelihood of a model's levels.
 
     The levels' degrees of freedom are reduced to allow for the model's uncertainty.
     """
 
     solution: Solution
     maximum: Maximum
-    sufficient: bool
     degrees: Float[np.ndarray, " m"]
 
 
@@ -335,71 +353,57 @@ def fit_levels(
     noise: Float[np.ndarray, " m"],
 ) -> LevelFit:
     """Maximum of the likelihood of one axis from a start, in noise of these rough levels [rate²]."""
-    dof, per_octave = 2.0 * arrangement.levels.shape, arrangement.bins.per_octave()
-    degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(arrangement.estimated(active)), 1.0)
+    levels, per_octave = arrangement.levels, arrangement.bins.per_octave()
+    theta, joint = arrangement.start(active, np.asarray(power), np.asarray(shape))
+    dof = 2.0 * levels.shape
+    degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(joint.free), 1.0)
 
-    def fitted(power: Any, shape: Any, share: Any, tolerance: float = _ROUGH) -> LevelFit:
-        start = np.asarray(power), np.asarray(shape)
-        solution, maximum = _maximum(arrangement, active, *start, noise, share, tolerance)
-        enough = bool(solution.converged and solution.chi2 < beyond_doubt(degrees))
-        return LevelFit(solution, maximum, enough, share * dof)
+    def fitted(theta: Any, share: Any, tolerance: float = _ROUGH) -> tuple[Maximum, bool]:
+        """Maximum for levels that keep this share of their weight, and whether it does not suffice."""
+        found = maximize(theta, joint, levels._replace(shape=levels.shape * share), noise, tolerance)
+        off = chi_squared(np.maximum(levels.level, 1e-300) / found.mean, dof) >= beyond_doubt(degrees)
+        return found, bool(np.isfinite(found.loss) and (off or not found.converged))
 
     own, error, share = np.ones(len(dof)), 0.0, np.ones(len(dof))
-    fit = fitted(power, shape, own)
-    if not fit.sufficient and np.isfinite(fit.solution.cost):
-        own = share = share_with_error(
-            dof, model_error(arrangement.composition, fit.maximum, arrangement.bins)
-        )
-        fit = fitted(*fit.solution[:2], share) if np.any(share < 1.0) else fit
-    for _ in range(_ROUNDS if np.isfinite(fit.solution.cost) and not fit.sufficient else 0):
-        wanted = error_of_powers(arrangement.levels.level / fit.maximum.mean, dof, per_octave, degrees)
+    found, insufficient = fitted(theta, own)
+    if insufficient:
+        own = share = share_with_error(dof, model_error(arrangement.composition, found, arrangement.bins))
+        found, insufficient = fitted(found.theta, share) if np.any(share < 1.0) else (found, True)
+    for _ in range(_ROUNDS if insufficient else 0):
+        wanted = error_of_powers(levels.level / found.mean, dof, per_octave, degrees)
         if abs(wanted - error) <= _SETTLED * wanted:
             break
         error = wanted
         share = own * share_with_error(own * dof, per_octave * error**2)
-        fit = fitted(*fit.solution[:2], share)
-    fit, final = fitted(*fit.solution[:2], share, TOLERANCE), np.asarray(error)
-    solution: Any = fit.solution._replace(power_error=final)
-    return fit._replace(solution=solution, degrees=own * dof)
+        found, _ = fitted(found.theta, share)
+    found, _ = fitted(found.theta, share, TOLERANCE)
+    return LevelFit(_solution(arrangement, active, found, share, error), found, own * dof)
 
 
-def _maximum(
+def _solution(
     arrangement: Arrangement,
     active: Bool[np.ndarray, " terms"],
-    power: Float[np.ndarray, " terms"],
-    shape: Float[np.ndarray, " shapes"],
-    noise: Float[np.ndarray, " m"],
-    share: Any,
-    tolerance: float,
-) -> tuple[Solution, Maximum]:
-    """Maximum of the likelihood of levels that keep this share of their weight."""
+    found: Maximum,
+    share: Float[np.ndarray, " m"],
+    error: float,
+) -> Solution:
+    """Solution of a model whose levels keep this share of their weight."""
     from scipy.special import gammaln
 
-    of, levels, count = arrangement.composition, arrangement.levels, len(arrangement.model)
-    start, joint = arrangement.parameters(shape), arrangement.joint(arrangement.estimated(active))
-    start[:count] = np.where(active, power * arrangement.unit_power(start), _NOTHING)
-    parameter, offset = arrangement.parameter, arrangement.offset
-    for k, u, p in zip(parameter, offset, free_shapes(arrangement.model), strict=True):
-        reach, top = REACH[p.parameter.kind], p.parameter.upper
-        if k == of.first[-1]:
-            top = bandwidths(of.kind)[1] * arrangement.bins.rate / (2.0 * np.pi)
-        end = np.log(top - p.parameter.lower) - INSIDE + u
-        joint.lower[k] = max(joint.lower[k], start[k] - reach)
-        joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
-    found: Any = maximize(start, joint, levels._replace(shape=levels.shape * share), noise, tolerance)
-    theta, k = found.theta, np.maximum(levels.shape * share, 1e-300)
-    ratio = np.maximum(levels.level, 1e-300) / found.mean
+    levels, theta, count = arrangement.levels, found.theta, len(arrangement.model)
+    k, ratio = levels.shape * share, np.maximum(levels.level, 1e-300) / found.mean
     # Gamma laws, normalized, so that solutions with different errors of the model can be compared.
-    densities = k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(ratio * found.mean)
+    some = k > 0.0
+    densities = (k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(ratio * found.mean))[some]
     values: Any = (
         np.where(active, theta[:count] / arrangement.unit_power(theta), 0.0),
-        theta[parameter] - offset,
+        theta[arrangement.parameter] - arrangement.offset,
         np.asarray(chi_squared(ratio, 2.0 * levels.shape)),
-        np.asarray(0.0),
+        np.asarray(error),
         np.asarray(found.converged & np.isfinite(found.loss)),
-        np.asarray(-2.0 * np.sum(densities[levels.shape > 0.0])),
+        np.asarray(-2.0 * np.sum(densities)),
     )
-    return Solution(*values), found
+    return Solution(*values)
 
 
 def best_of(fits: Sequence[LevelFit]) -> LevelFit:

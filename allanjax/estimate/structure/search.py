@@ -164,7 +164,7 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     """The best of fits with some response, and without any, to all peaks that stand out."""
     structure, bins = plain.structure, Bins.of(record.n, record.rate, (), 2 * _PER_OCTAVE)
     level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
-    around = [_beside(level, f - g) for g in f]
+    around = _beside(level, f)
     for peak in _peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
         if peak.gain > _CLEAR_PEAK and peak.slimness > _SLIM and len(structure.oscillators) < _PEAKS:
             structure = structure.plus(peak.resonance)
@@ -177,10 +177,14 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     return finer, _settled(finer, now, now.structure.oscillators, now.structure.kind != plain.structure.kind)
 
 
-def _beside(level: Float[np.ndarray, " m"], away: Float[np.ndarray, " m"]) -> float:
-    """The higher one of the medians of the levels on either side of a place: an edge is no peak."""
-    sides = [level[(side * away >= 0.0) & (abs(away) <= _AROUND)] for side in (-1.0, 1.0)]
-    return max(float(np.median(x)) for x in sides)
+def _beside(level: Float[np.ndarray, " m"], place: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    """The higher one of the medians of the levels on either side of each place: an edge is no peak."""
+    away, medians = place - place[:, None], []
+    for inside in ((away >= 0.0) & (away <= _AROUND), (away <= 0.0) & (away >= -_AROUND)):
+        ordered, count = np.sort(np.where(inside, level, np.inf), axis=1), inside.sum(axis=1)
+        middle = np.stack([(count - 1) // 2, count // 2], axis=1)
+        medians.append(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
+    return np.maximum(*medians)
 
 
 def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
