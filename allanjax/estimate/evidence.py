@@ -30,8 +30,9 @@ LOG_PRIOR_RANGE = np.log1p(PRIOR_RANGE)
 _STEPS = 60
 # Points of the integral over one amplitude: within 10⁻⁷ nats.
 _QUADRATURE = 48
-# Sets fitted together, which bounds the memory, and how far behind the best of them a fit is not finished.
-_BLOCK, _FAR = 128, 200.0
+# Sets fitted together, which bounds the memory; how far behind the best of them a fit is not finished; and
+# what a step gains at the end of the others [nats].
+_BLOCK, _FAR, _TOLERANCE = 512, 50.0, 1e-5
 
 _PerSet: TypeAlias = Float[np.ndarray, " sets"]
 _Places: TypeAlias = Float[np.ndarray, "sets places"]
@@ -91,7 +92,9 @@ def evidence(
     for begin in range(0, len(sets.ramp), _BLOCK):
         some = sets.of(slice(begin, begin + _BLOCK))
         unit, ramps = columns[some.columns], Ramps(statistics.cross, statistics.gram, some.ramp)
-        power, _ = power_fits(level, shape, smooth, unit, some.power, some.used, _STEPS, ramps, _FAR)
+        power, _ = power_fits(
+            level, shape, smooth, unit, some.power, some.used, _STEPS, ramps, _FAR, _TOLERANCE
+        )
         mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
         left, freedom, _ = ramps.removed(level, shape, mean)
         slope = ((unit / mean[:, None]) @ (freedom * (left / mean - 1.0))[..., None])[..., 0]

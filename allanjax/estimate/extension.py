@@ -25,7 +25,7 @@ from allanjax.estimate.deterministic import (
     without_lines,
 )
 from allanjax.estimate.result import AxisFit, misfit_of
-from allanjax.estimate.selection import AxisSelection, candidates_of, rank_terms
+from allanjax.estimate.selection import AxisSelection, candidates_in_record, rank_terms
 from allanjax.estimate.spectral.components import MARKOV, NONE
 from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.structure import search
@@ -42,7 +42,7 @@ from allanjax.estimate.structure.structure import (
 )
 from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
-from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
+from allanjax.noise.terms import NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_column
 
@@ -167,7 +167,7 @@ def extended(
 def _selection(content: Content, axis: Axis) -> AxisSelection:
     """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
     structure, fine, there = content.structure, content.bins, content.structure.there
-    bins, f, response = Bins.of(fine.n, fine.rate), fine.frequency, response_of(structure, fine.rate)
+    f, response = fine.frequency, response_of(structure, fine.rate)
     density = np.array([term_of(structure, k, fine.rate).sampled_psd(f, fine.rate) for k in there])
     passed = 1.0 if response is None else np.asarray(response.power(f, fine.rate))
     total = np.sum(density * np.where(structure.inside[there][:, None], passed, 1.0), axis=0)
@@ -175,10 +175,9 @@ def _selection(content: Content, axis: Axis) -> AxisSelection:
     every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
     corrected = content.rest / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
-    basic = basic_terms() + Markov()
-    candidates = candidates_of(basic + Markov() if len(structure.of_kind(MARKOV)) > 1 else basic, fine.rate)
-    statistics = bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
-    return rank_terms(candidates, bins, statistics, [axis], axis.name).results[0]
+    candidates = candidates_in_record(fine.n, fine.rate, 2 if len(structure.of_kind(MARKOV)) > 1 else 1)
+    statistics = candidates.bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
+    return rank_terms(candidates, statistics, [axis], axis.name).results[0]
 
 
 def _with_terms(content: Content, selection: AxisSelection) -> Structure:

@@ -7,9 +7,10 @@ at the maximum of their likelihood: where the data cannot distinguish two terms,
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -351,37 +352,42 @@ def ranked(
     joint: tuple[Bins, SpectralStatistics] | None = None,
 ) -> TermSelection:
     """Ranking of the terms for a whole recording; see `select_terms`. `joint`: its statistics, if known."""
-    model = candidates_of(candidates, recording.rate)
     if recording.n < 64:
         raise FitError(
             f"{recording.name or 'the recording'}: {recording.n} samples are too few to choose terms; "
             "record at least 64 samples, or fit given terms (--terms)"
         )
-    joint = joint or joint_statistics((recording.values, *recording.others), recording.rate)
-    return rank_terms(model, *joint, recording.axes, recording.name)
+    bins, statistics = joint or joint_statistics((recording.values, *recording.others), recording.rate)
+    model = basic_candidates() if candidates is None else model_to_fit(candidates)
+    return rank_terms(Candidates.of(model, bins), statistics, recording.axes, recording.name)
 
 
-def candidates_of(candidates: ModelLike | None, rate: float) -> Model:
-    """Candidate terms as sampled at `rate` [Hz]: those given, or the basic ones and a Markov process."""
-    return (basic_terms() + Markov() if candidates is None else model_to_fit(candidates)).sampled(rate)
+def basic_candidates(processes: int = 1) -> Model:
+    """The basic terms and one or two Markov processes."""
+    return basic_terms() + Model((Markov(),) * processes)
+
+
+@functools.lru_cache(maxsize=4)
+def candidates_in_record(n: int, rate: float, processes: int) -> Candidates:
+    """Basic candidates for the spectrum of n samples at `rate` [Hz]."""
+    return Candidates.of(basic_candidates(processes), Bins.of(n, rate))
 
 
 def rank_terms(
-    model: Model, bins: Bins, statistics: SpectralStatistics, axes: Sequence[Axis], name: str
+    candidates: Candidates, statistics: SpectralStatistics, axes: Sequence[Axis], name: str
 ) -> TermSelection:
     """Rank every set of noise terms by its evidence, from the statistics [axes, m] of a spectrum.
 
-    The ramp's statistics are those of unit slope. Raises AllanjaxError as `select_terms` does.
+    The ramp's statistics are those of unit slope.
     """
     values = [np.asarray(x) for x in statistics]
     own = [SpectralStatistics(*(x[k] for x in values)) for k in range(len(axes))]
-    candidates = _Candidates.of(model, bins, statistics)
     results = for_each(lambda k: candidates._replace(statistics=own[k]).ranked_for(axes[k]), range(len(axes)))
     return TermSelection(name, tuple(results))
 
 
-class _Candidates(NamedTuple):
-    """Candidate terms, and the spectrum of an axis by which sets of them are ranked.
+class Candidates(NamedTuple):
+    """Candidate terms, and the statistics of an axis by which sets of them are ranked.
 
     A set has a place for each of the `plain` terms without a free shape, and for each term with a free time;
     `owner` is the term of each place. The columns, of unit amplitude, are of the plain terms, and of the
@@ -399,12 +405,12 @@ class _Candidates(NamedTuple):
     time: Float[np.ndarray, " t"]
     variances: Float[np.ndarray, "columns t"]
     size: Float[np.ndarray, " m"]
-    statistics: SpectralStatistics
+    statistics: Any = None
 
     @classmethod
-    def of(cls, model: Model, bins: Bins, statistics: SpectralStatistics) -> _Candidates:
-        """Candidates as sampled. Raises AllanjaxError as `_sorted_terms` does."""
-        fixed, shaped, ramps = _sorted_terms(model)
+    def of(cls, model: Model, bins: Bins) -> Candidates:
+        """Candidates without data. Raises AllanjaxError as `select_terms` does."""
+        fixed, shaped, ramps = _sorted_terms(model := model.sampled(bins.rate))
         units = [model.terms[k] for k in fixed]
         for term in (model.terms[k] for k in shaped[:1]):
             times = correlation_times(bins.n / bins.rate, bins.rate)
@@ -415,7 +421,7 @@ class _Candidates(NamedTuple):
         variances = np.array([term.with_unit_amplitude().allan_variance(time) for term in units])
         ramp, owner, size = ramps[0] if ramps else None, np.array(fixed + shaped), bins.size.astype(float)
         levels = columns_of(units, bins).mean(axis=1)
-        return cls(model, bins, ramp, len(fixed), owner, levels, time, variances, size, statistics)
+        return cls(model, bins, ramp, len(fixed), owner, levels, time, variances, size)
 
     @property
     def sets(self) -> TermSets:

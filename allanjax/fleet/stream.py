@@ -22,7 +22,7 @@ from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, wit
 from allanjax.estimate.deterministic import AxisSpectrum
 from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import candidates_of, rank_terms
+from allanjax.estimate.selection import Candidates, basic_candidates, rank_terms
 from allanjax.estimate.whittle import fit_spectra
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
@@ -253,7 +253,8 @@ class AllanAccumulator:
         curve, axes, statistics = living.result(), living.axes, living._spectra.statistics()
         selection = None
         if model is None and not inspection.refusal:
-            selection = rank_terms(candidates_of(None, self.rate), *statistics, axes, self.name)
+            candidates = Candidates.of(basic_candidates(), statistics[0])
+            selection = rank_terms(candidates, statistics[1], axes, self.name)
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template, _FROM_RECORD)
         check_count(len(curve.cluster_size), "Allan variances", curve.n, template, self.name)
