@@ -233,14 +233,15 @@ class Spectrum:
             if new := [c.shape for c in components if c.kind == kind and c.shape not in self.known]:
                 self.known.update(zip(new, function(self.levels, np.array(new))[0], strict=True))
         columns = self.levels.columns
-        squares = [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
+        squares = np.array(
+            [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
+        )
         if structure.kind != kinds.NONE:
             key = (structure.kind, *structure.response)
             if key not in self.known:
                 self.known[key] = passed(self.levels, structure.kind, *structure.bandwidth)
-            response = self.known[key]
-            squares = [x * response if c.inside else x for x, c in zip(squares, components, strict=True)]
-        return 0.5 * np.add(*np.swapaxes(squares, 0, 1))
+            squares[[c.inside for c in components]] *= self.known[key]
+        return 0.5 * (squares[:, 0] + squares[:, 1])
 
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
         """Fit all components jointly."""
