@@ -5,10 +5,10 @@ cluster sizes on one block of chunks before the next, so that a record is read f
 """
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any, Literal, TypeVar, get_args
 
 import jax
@@ -233,7 +233,11 @@ def allan_variance_estimates(
     with ThreadPoolExecutor(cores) as pool:
         for first in range(0, axes, _TOGETHER):
             rows = np.ascontiguousarray(table[:, first : first + _TOGETHER].T)
-            list(pool.map(lambda x, into: _integrate(x, into, data_type), rows, phases))
+            if len(rows) < cores:
+                for x, into in zip(rows, phases, strict=False):
+                    _integrate(x, into, data_type, pool.map, len(shares))
+            else:
+                list(pool.map(lambda x, into: _integrate(x, into, data_type, map, 1), rows, phases))
             parts += pool.map(sums_of, product(range(len(rows)), shares))
     sums = np.reshape(parts, (axes, len(shares), -1)).sum(axis=1).T[: len(sizes)]
     sums = sums * (rate**2 if data_type == "phase" else 1.0)
@@ -242,23 +246,36 @@ def allan_variance_estimates(
 
 
 def _integrate(
-    x: Float[np.ndarray, " samples"], phases: Float[np.ndarray, " capacity"], data_type: DataType
+    x: Float[np.ndarray, " samples"],
+    phases: Float[np.ndarray, " capacity"],
+    data_type: DataType,
+    each: Callable[..., Iterable[Any]],
+    stretches: int,
 ) -> None:
-    """Write the phases of an axis, with meaningless values after them.
+    """Write the phases of an axis, with meaningless values after them; `each` maps over so many stretches.
 
     A straight line is subtracted, about the one through the ends: it changes no variance, and the differences
     keep more digits without it.
     """
-    x = x.astype(float)
+    n = len(x)
+    edges = np.linspace(0, n, stretches + 1).astype(int).tolist()
+    parts = [slice(*of) for of in pairwise(edges)]
+
     # Samples may be infinite; all phases are NaN then.
+    @np.errstate(invalid="ignore")
+    def add_up(part: slice) -> None:
+        np.subtract(x[part], mean, out=phases[1:][part])
+        np.cumsum(phases[1:][part], out=phases[1:][part])
+
     with np.errstate(invalid="ignore"):
         if data_type == "phase":
-            slope = (x[-1] - x[0]) / (len(x) - 1)
-            np.subtract(x - x[0], slope * np.arange(len(x)), out=phases[: len(x)])
-        else:
-            x -= x.mean()
-            phases[0] = 0.0
-            np.cumsum(x, out=phases[1 : len(x) + 1])
+            slope = (x[-1] - x[0]) / (n - 1)
+            np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
+            return
+        mean, phases[0] = sum(each(lambda part: np.sum(x[part], dtype=float), parts)) / n, 0.0
+        list(each(add_up, parts))
+        for part in parts[1:]:
+            phases[1:][part] += phases[part.start]
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))
