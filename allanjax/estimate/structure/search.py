@@ -416,7 +416,7 @@ def _settled(spectrum: Spectrum, now: Fitted, new: Sequence[int], other: bool) -
 
 
 def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
-    """Structures with another response, one component elsewhere, or one component as something else.
+    """Structures with another response or none, one component elsewhere, or one as something else.
 
     A wide resonance may be a Markov process, white noise after the response, or the response itself, which a
     quick process may be, too; quantization behind a filter, the shape of that filter, or of a resonance.
@@ -424,6 +424,7 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
     own, rounded = structure.components, structure.place(QUANTIZATION)
     if filtered:
+        yield [structure.without_response()]
         yield from _others(structure, width)
         yield from _moved(structure, [rounded, *structure.oscillators])
     rests = []

@@ -116,6 +116,10 @@ class Structure(Composition):
         response = math.log(bandwidth), math.log(quality - 0.5)
         return dataclasses.replace(self, kind=kind, response=response)
 
+    def without_response(self) -> Structure:
+        """Structure without a response, and without the white noise after it."""
+        return dataclasses.replace(self.without(self.place(OUTSIDE)), kind=kinds.NONE)
+
     def with_shape_of(self, other: Structure) -> Structure:
         """Structure with another one's response, its resonances and its white noise after the response."""
         mine = (c for c in self.components if not _is_shape(c))
