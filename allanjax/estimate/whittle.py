@@ -44,8 +44,8 @@ _FEW = 8.0
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
-# shown to be the oscillator's shape: a judgement.
-_SHAPED, _AROUND = 0.05, 1.5
+# the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.
+_SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 3.0
 # Powers and shapes.
 _Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
 
@@ -150,24 +150,27 @@ def _plateaus(
 ) -> dict[int, Mapping[str, float]]:
     """Terms that are white at low frequencies, where nothing distinguishes them from white noise.
 
-    These include resonances whose oscillator shape the data do not show. See `Arrangement.tangent`.
+    These include resonances of which the data show another shape than the oscillator's. See
+    `Arrangement.tangent`.
     """
     bins, ratio = arrangement.bins, projection.level / fit.maximum.mean
     found: dict[int, Mapping[str, float]] = {}
-    for k, term in enumerate(arrangement.fitted_model(fit).terms):
+    for place, term in enumerate(arrangement.fitted_model(fit).terms):
         if isinstance(term, PowerLaw):
-            found[k] = {"": 1.0}
+            found[place] = {"": 1.0}
         elif isinstance(term, Markov):
             T = float(term.correlation_time or 0.0)
             if T * bins.rate < QUICK:
-                found[k] = {"": T**2, "correlation_time": 2.0}
+                found[place] = {"": T**2, "correlation_time": 2.0}
         elif isinstance(term, Resonance):
             f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
-            w = np.where(abs(np.log(bins.frequency / f)) < np.log(_AROUND), 0.5 * fit.degrees, 0.0)
-            beyond_chance = w @ (ratio - 1.0) ** 2 - np.count_nonzero(w)
-            if Q < WIDE or beyond_chance > _SHAPED**2 * w.sum():
+            near = (abs(np.log(bins.frequency / f)) < np.log(_AROUND)) & (projection.dof > 0.5)
+            w, k = 0.5 * fit.degrees[near], 0.5 * projection.dof[near]
+            # Squared relative deviations of gamma laws have means 1/k and variances (2 + 6/k)/k².
+            chance = np.sum(w / k) + _CERTAIN * np.sqrt(np.sum((w / k) ** 2 * (2.0 + 6.0 / k)))
+            if Q < WIDE or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
                 slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
-                found[k] = {"": 1.0 / (np.pi * f * Q), **slopes}
+                found[place] = {"": 1.0 / (np.pi * f * Q), **slopes}
     return found
 
 
