@@ -149,6 +149,9 @@ class Model(eqx.Module):
     inside: tuple[bool, ...] = eqx.field(static=True, default=())
     rate: float = eqx.field(static=True, default=0.0)
 
+    # Plain methods, as those of terms.
+    __getattribute__ = object.__getattribute__
+
     def __check_init__(self) -> None:
         for term in self.terms:
             if not isinstance(term, NoiseTerm):

@@ -86,6 +86,9 @@ class Parametrized(eqx.Module):
 
     held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
 
+    # Plain methods, which are ten times as fast as Equinox's that are PyTrees.
+    __getattribute__ = object.__getattribute__
+
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Declared parameters, in order."""
