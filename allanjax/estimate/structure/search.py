@@ -171,8 +171,10 @@ def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     spectrum = record.binned(structure)
     tried = _ranked(spectrum, _responses(spectrum, structure))
     fits = [spectrum.fit(s, _GLANCE) for s in (structure, *tried[:2])]
-    finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
-    best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
+    best = max(fits, key=lambda f: f.evidence)
+    finer = spectrum.weighing(best)
+    near = [f for f in fits if f.evidence > best.evidence - _HOPELESS]
+    best = max((finer.fit(f.structure) for f in near), key=lambda f: f.evidence)
     now = pruned(finer, best)
     return finer, _settled(finer, now, now.structure.oscillators, now.structure.kind != plain.structure.kind)
 
