@@ -31,7 +31,7 @@ from allanjax.calibration.result import (
     six_positions,
     unit_of,
 )
-from allanjax.estimate.likely_models import likely_models
+from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -90,14 +90,10 @@ def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
         AllanjaxError: the axis is not in the fit; a step or a warm-up.
         FitError: the axis has no result.
     """
-    sets = likely_models(fit, axis, _DRAWS, np.random.default_rng(seed))
-    averaged = []
-    for likely in sets:
-        parts = parts_of_model(likely.model, fit.curve.rate)
-        known = len(parts) - likely.limited
-        power = likely.power.sum(axis=0) / sum(len(s.power) for s in sets)
-        averaged += [Part(float(p), part.process) for p, part in zip(power[:known], parts, strict=False)]
-    return tuple(averaged)
+    likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(seed)))
+    parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
+    known = np.flatnonzero(likely.detected).tolist()
+    return tuple(Part(float(likely.power[:, k].mean()), parts[k].process) for k in known)
 
 
 def covariance_of_means(

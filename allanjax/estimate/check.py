@@ -20,7 +20,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -60,6 +60,7 @@ _LENGTHS, _PER_OCTAVE = 40, 32
 _ROUNDS, _LINE = 3, 6.0
 # Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
+_Trial: TypeAlias = tuple[float, Float[np.ndarray, "terms m"], Float[np.ndarray, " m"]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,7 +128,7 @@ def _lengths(
     """Yield how long to record for N, B and K of each axis, by rough fits to its spectrum."""
     terms = [term for term in basic_terms().terms if not term.deterministic]
     bins, statistics = joint_statistics((quiet.values,), quiet.rate)
-    columns, trials = columns_of(terms, bins).mean(axis=1), _Trials.of(terms, quiet.rate, quiet.n)
+    columns, trials = columns_of(terms, bins).mean(axis=1), [*_trials(terms, quiet.rate, quiet.n)]
     for row, axis in enumerate(quiet.axes):
         # Up to half of its bandwidth a filter passes nearly everything.
         width = widths[axis.name]
@@ -139,7 +140,7 @@ def _lengths(
         for k, c in enumerate(found):
             if c.symbol in _ASKED:
                 c = c.unmeasured() if inspection.why_not(axis.name) else c
-                yield trials.needed(c, k, detected, fits)
+                yield _needed(c, k, detected, fits, trials)
 
 
 def _rough_fit(
@@ -170,47 +171,41 @@ def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate
     return estimate_of(Model((term,)).parameters[0], axis, value, std, ends, detected)
 
 
-class _Trials(NamedTuple):
-    """Lengths of records that are tried, after that of the recording [s], with what the bounds there need.
+def _trials(terms: Sequence[NoiseTerm], rate: float, n: int) -> Iterator[_Trial]:
+    """Yield the recording's length [s] and others, each with levels of terms of unit power there.
 
-    These are the levels of terms of unit power, and how many levels each stands for.
+    Last comes how many levels each of these stands for.
     """
+    longest = max(LONGEST * rate, 2.0 * _FEWEST)
+    units = [term.sampled(rate).with_unit_amplitude() for term in terms]
+    for samples in [n, *np.geomspace(_FEWEST, longest, _LENGTHS)]:
+        bins = Bins.of(round(samples), rate, per_octave=_PER_OCTAVE)
+        levels = np.array([unit.sampled_psd(bins.frequency, rate) for unit in units])
+        yield samples / rate, levels, bins.size.astype(float)
 
-    seconds: Float[np.ndarray, " lengths"]
-    units: list[Float[np.ndarray, "terms m"]]
-    sizes: list[Float[np.ndarray, " m"]]
 
-    @classmethod
-    def of(cls, terms: Sequence[NoiseTerm], rate: float, n: int) -> _Trials:
-        longest = max(LONGEST * rate, 2.0 * _FEWEST)
-        samples = [n, *np.geomspace(_FEWEST, longest, _LENGTHS)]
-        every = [Bins.of(round(count), rate, per_octave=_PER_OCTAVE) for count in samples]
-        unit = [term.sampled(rate).with_unit_amplitude() for term in terms]
-        units = [np.array([one.sampled_psd(bins.frequency, rate) for one in unit]) for bins in every]
-        return cls(np.array(samples) / rate, units, [np.asarray(bins.size, float) for bins in every])
-
-    def needed(self, c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool) -> NeededLength:
-        """How long to record for one coefficient of an axis, given the powers of its detected terms."""
-        now, std = float(self.seconds[0]), c.std / c.value if c.detected and c.measured else math.nan
-        if not c.measured:
-            return NeededLength(c, std, now, None, "the fit does not describe this sensor")
-        if std <= TARGET:
-            return NeededLength(c, std, now, now)
-        if c.detected and not fits:
-            reason = "the length is unknown as the model does not fit the data"
-            return NeededLength(c, std, now, None, reason)
-        if not c.detected:
-            power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
-        pairs = zip(self.units, self.sizes, strict=True)
-        every = [bounds(information(unit, power @ unit, size / 2.0), power > 0.0)[k] for unit, size in pairs]
-        bound = np.array(every) / (2.0 * power[k])
-        # The fit cannot be better than the bound.
-        target = TARGET * min(bound[0] / std, 1.0) if c.detected else TARGET
-        if bound[-1] > target:
-            return NeededLength(c, std, now, None)
-        # The bound falls with the length.
-        log, known = np.log(self.seconds[1:]), -np.log(np.minimum.accumulate(bound[1:]))
-        return NeededLength(c, std, now, float(np.exp(np.interp(-np.log(target), known, log))))
+def _needed(
+    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, trials: Sequence[_Trial]
+) -> NeededLength:
+    """How long to record for one coefficient of an axis, given the powers of its detected terms."""
+    now, std = trials[0][0], c.std / c.value if c.detected and c.measured else math.nan
+    if not c.measured:
+        return NeededLength(c, std, now, None, "the fit does not describe this sensor")
+    if std <= TARGET:
+        return NeededLength(c, std, now, now)
+    if c.detected and not fits:
+        return NeededLength(c, std, now, None, "the length is unknown as the model does not fit the data")
+    if not c.detected:
+        power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
+    of_powers = (information(unit, power @ unit, size / 2.0) for _, unit, size in trials)
+    bound = np.array([bounds(F, power > 0.0)[k] for F in of_powers]) / (2.0 * power[k])
+    # The fit cannot be better than the bound.
+    target = TARGET * min(bound[0] / std, 1.0) if c.detected else TARGET
+    if bound[-1] > target:
+        return NeededLength(c, std, now, None)
+    # The bound falls with the length.
+    log, known = np.log([seconds for seconds, *_ in trials[1:]]), -np.log(np.minimum.accumulate(bound[1:]))
+    return NeededLength(c, std, now, float(np.exp(np.interp(-np.log(target), known, log))))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -40,8 +40,8 @@ from allanjax.estimate.likely_models import Likely, exact_model, likely_models, 
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.model import Model, NoiseTerm
-from allanjax.noise.state_space import Block, StateSpace, filtered_block, settled
+from allanjax.noise.model import Model
+from allanjax.noise.state_space import Block, StateSpace, settled
 from allanjax.noise.terms import DriftRamp, Markov
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
@@ -99,9 +99,7 @@ class _Filters:
     def variance(self, model: Model, duration: float) -> Float[np.ndarray, "g t"]:
         """True variance of the integral [rad² or (m/s)²] for a model of one term, of this duration [s]."""
         (term,), gain, steps = model.terms, self.gain[:, None], self.steps.astype(int).tolist()
-        block = _states(term, self.rate, duration)
-        if model.response is not None:
-            block = filtered_block(block, *model.response.sampled(self.rate).transfer(self.rate), "")
+        block = _states(model, self.rate, duration)
         A, H, n = block.transition, block.observation, block.size
         space = StateSpace.of(block, self.rate, "gyro", "")
         sums, states, followed = [space.sum_covariance(n) for n in steps], np.arange(n), gain * (H @ A)
@@ -133,9 +131,9 @@ class _Filters:
 
 
 @functools.lru_cache(maxsize=64)
-def _states(term: NoiseTerm, rate: float, duration: float) -> Block:
-    """States of a term before its response; those of bias instability are found by a fit."""
-    return term.sampled(rate).state_block(rate, duration)
+def _states(model: Model, rate: float, duration: float) -> Block:
+    """States of a model, kept for other axes, since those of bias instability are found by a fit."""
+    return model.state_block(rate, duration)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -425,18 +423,18 @@ class _Question(NamedTuple):
     def answered(self, noise: _Noise) -> AxisHorizon:
         """Horizon of one axis."""
         axis, coefficients, model, sets = noise
-        labels = ("angle_random_walk", "rate_random_walk")
-        N, K = (max(coefficients[x].value, 0.0) if x in coefficients else 0.0 for x in labels)
+        raw = (coefficients.get(x) for x in ("angle_random_walk", "rate_random_walk"))
+        N, K = (0.0 if c is None else max(c.value, 0.0) for c in raw)
         last = max(round(self.seconds * self.rate), 1)
         # From a hundredth of the horizon on.
         steps = np.unique(np.round(np.geomspace(max(last / 100.0, 1.0), last, 13)))
         # The last filter is that of the raw coefficients; without N, the walk over its memory.
         filters = _Filters(self.pairs(N, K, model), steps, self.rate)
         memory, time, unit = filters.memory, filters.time, filters.unit
-        terms, power, detected = side_by_side(sets)
+        labels, terms, power, detected = side_by_side(sets)
         # Sets share terms.
         variance = functools.cache(lambda one: filters.variance(one, self.record))
-        V = np.stack([variance(one) for _, one in terms])
+        V = np.stack([variance(one) for one in terms])
         draws = np.tensordot(power[:, detected], V[detected], axes=1)
         # The prediction must be right on average over the likely coefficients.
         mean = draws.mean(axis=0)
@@ -450,7 +448,7 @@ class _Question(NamedTuple):
         white, chosen, best = np.exp(ratio[each, place, -1] / 2.0), good[place], good[place[0]]
         shares: Any = Counter()
         for k in np.flatnonzero(detected).tolist():
-            shares[terms[k][0]] += float(power[:, k].mean() * V[k, best, -1] / mean[best, -1])
+            shares[labels[k]] += float(power[:, k].mean() * V[k, best, -1] / mean[best, -1])
         # The bound is nowhere below the truth, and least in mean logarithm. It includes undetected terms,
         # which have limits only.
         upper = np.quantile(np.tensordot(power, V[:, :-1], axes=1), self.probability, axis=0)

@@ -25,39 +25,36 @@ _WIDEST, _TIMES = 1.5, 15
 
 
 class Likely(NamedTuple):
-    """A set of terms with unit amplitudes, their names, and draws of their squared amplitudes [SI].
+    """A set of terms with unit amplitudes, and draws of their squared amplitudes [SI].
 
-    The last `limited` columns are those of terms that are known only to be below a limit.
+    Attributes:
+        labels: names of the terms.
+        terms: a model of each term by itself, with the response if the term passes it.
+        power: the draws.
+        detected: which terms are; the others are only known to be below a limit.
     """
 
-    model: Model
     labels: tuple[str, ...]
+    terms: tuple[Model, ...]
     power: Float[np.ndarray, "draws terms"]
-    limited: int
+    detected: Bool[np.ndarray, " terms"]
 
 
-def exact_model(model: Model) -> Likely:
-    """A model whose own amplitudes are the only draw."""
-    amplitude = [float(getattr(term, term.amplitude_parameter().name)) for term in model.terms]
+def exact_model(model: Model, *others: Model) -> Likely:
+    """A model whose own amplitudes are a draw; so are those of others that differ from it in them only."""
+    labels, names = model.term_labels, [term.amplitude_parameter().name for term in model.terms]
     unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
-    return Likely(unit, model.term_labels, np.square([amplitude]), 0)
+    alone = tuple(unit.without([other for other in labels if other != label]) for label in labels)
+    amplitudes = [[float(getattr(*x)) for x in zip(of.terms, names, strict=True)] for of in (model, *others)]
+    return Likely(labels, alone, np.square(amplitudes), np.ones(len(labels), bool))
 
 
-def one_by_one(model: Model) -> list[Model]:
-    """Models of one term each, with the response if the term passes it."""
-    labels = model.term_labels
-    return [model.without([other for other in labels if other != label]) for label in labels]
-
-
-def side_by_side(
-    sets: Sequence[Likely],
-) -> tuple[list[tuple[str, Model]], Float[np.ndarray, "draws terms"], Bool[np.ndarray, " terms"]]:
-    """The terms of all sets, each with its label; draws of their powers; and which of them are detected."""
+def side_by_side(sets: Sequence[Likely]) -> Likely:
+    """The terms of all sets together, of which each draw has those of one set."""
     from scipy.linalg import block_diag
 
-    terms = [pair for s in sets for pair in zip(s.labels, one_by_one(s.model), strict=True)]
-    detected = [np.arange(len(s.labels)) < len(s.labels) - s.limited for s in sets]
-    return terms, block_diag(*(s.power for s in sets)), np.concatenate(detected)
+    labels, terms, power, detected = zip(*sets, strict=True)
+    return Likely(sum(labels, ()), sum(terms, ()), block_diag(*power), np.concatenate(detected))
 
 
 def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTerm]:
@@ -81,7 +78,7 @@ def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> 
 
 def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
     """The fitted model, with the terms below a limit on request."""
-    (unit, labels, power, _), classes = exact_model(found.model), term_classes()
+    (labels, terms, power, detected), classes = exact_model(found.model), term_classes()
     amplitudes = {k: c for k, c in enumerate(found.coefficients.values()) if c.is_amplitude}
     rows = [k for k, c in amplitudes.items() if c.term in labels]
     fitted = np.array([amplitudes[k].value for k in rows])
@@ -93,12 +90,15 @@ def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: b
         if c.upper_limit and np.isfinite(c.upper_limit)
         if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"
     ]
-    for c in below:
-        unit = unit + _unit(classes[c.term])
     limits = np.array([c.upper_limit for c in below], float) / TWO_SIDED_95
     known = power * _factors(covariance, draws, rng)
     extra = (rng.standard_normal((draws, len(below))) * limits) ** 2
-    return Likely(unit, (*labels, *(c.term for c in below)), np.hstack([known, extra]), len(below))
+    return Likely(
+        (*labels, *(c.term for c in below)),
+        (*terms, *(Model((classes[c.term]().with_unit_amplitude(),)) for c in below)),
+        np.hstack([known, extra]),
+        np.append(detected, np.zeros(len(below), bool)),
+    )
 
 
 def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np.random.Generator) -> Likely:
@@ -108,12 +108,11 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     time, variance = curve.cluster_time[octaves], curve.deviation[octaves, column] ** 2
     shape = np.maximum(curve.edf[octaves, column], 1.0) / 2.0
     # A Markov process of any time between ten samples and the longest cluster.
-    times = np.geomspace(10.0 / curve.rate, time[-1], _TIMES).tolist()
+    markov = [Markov(1.0, T) for T in np.geomspace(10.0 / curve.rate, time[-1], _TIMES).tolist()]
     kinds = [class_of(name, classes) for name in terms]
-    tried = [[Markov(1.0, T) for T in times] if kind is Markov else [_unit(kind)] for kind in kinds]
-    unit = np.empty((max(map(len, tried)), len(tried), len(time)))
-    for k, units in enumerate(tried):
-        unit[:, k] = [term.sampled(curve.rate).allan_variance(time) for term in units]
+    tried = [markov if kind is Markov else [kind().with_unit_amplitude()] for kind in kinds]
+    curves = [[term.sampled(curve.rate).allan_variance(time) for term in each] for each in tried]
+    unit = np.stack(np.broadcast_arrays(*curves), axis=1)
     powers, loss = power_fits(variance, shape, variance, unit)
     best = int(np.argmin(loss))
     value, there = powers[best], powers[best] > 0.0
@@ -123,9 +122,8 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     detected = value[there] * _factors(np.linalg.inv(precision), draws, rng)
     power = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(F))
     power[:, there] = detected
-    order = np.argsort(~there, kind="stable")
-    model = Model(tuple(tried[k][best % len(tried[k])] for k in order))
-    return Likely(model, tuple(terms[k] for k in order), power[:, order], int((~there).sum()))
+    alone = tuple(Model((each[best % len(each)],)) for each in tried)
+    return Likely(terms, alone, power, there)
 
 
 def _factors(
@@ -134,7 +132,3 @@ def _factors(
     """Draws of factors with this covariance of their logarithms, whose standard deviations are limited."""
     scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
-
-
-def _unit(term: type[NoiseTerm]) -> NoiseTerm:
-    return term(**{term.amplitude_parameter().name: 1.0})  # type: ignore[arg-type]

@@ -15,7 +15,6 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
-from allanjax.estimate.likely_models import one_by_one
 from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -244,11 +243,10 @@ def _of_axis(
     size = np.unique(np.rint(2.0 ** np.arange(0.0, octaves, 1.0 / _PER_OCTAVE)).astype(int))
     half = size / rate
 
-    def variances(model: Model) -> Float[np.ndarray, "terms t"]:
-        alone = [one.sampled(rate) for one in one_by_one(model)]
-        return np.array([np.asarray(one.allan_variance(half)) / 2.0 for one in alone]).reshape(-1, len(half))
+    def variance(term: Model) -> Float[np.ndarray, " t"]:
+        return np.asarray(term.sampled(rate).allan_variance(half)) / 2.0
 
-    drawn, time = noise.drawn(variances), 2.0 * half
+    drawn, time = noise.drawn(variance), 2.0 * half
 
     def angle(variance: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
         return np.sqrt(variance + bias**2) / per_angle

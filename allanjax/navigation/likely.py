@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.likely_models import Likely, exact_model, likely_models
+from allanjax.estimate.likely_models import Likely, exact_model, likely_models, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import title_of
@@ -56,31 +55,27 @@ class AxisNoise(NamedTuple):
     axis: Axis
     sets: Sequence[Likely]
 
-    def drawn(self, of_terms: Callable[[Model], Float[np.ndarray, "terms ..."]]) -> Drawn:
-        """Draws of a quantity, given its value for each term of unit amplitude by itself."""
-        mean: dict[str, np.ndarray] = {}
-        known: dict[tuple[str, ...], list[np.ndarray]] = {}
-        upper: dict[tuple[str, ...], list[np.ndarray]] = {}
-        draws = sum(len(s.power) for s in self.sets)
-        for likely in self.sets:
-            each = of_terms(likely.model)
-            count = len(each) - likely.limited
-            for k, label in enumerate(likely.labels[:count]):
-                title = f"{self.axis.name} {title_of(label, self.axis.sensor)}"
-                mean[title] = mean.get(title, 0.0) + likely.power[:, k].sum() / draws * each[k]
-            detected = np.tensordot(likely.power[:, :count], each[:count], axes=1)
-            known.setdefault(likely.labels, []).append(detected)
-            more = np.tensordot(likely.power[:, count:], each[count:], axes=1)
-            upper.setdefault(likely.labels, []).append(detected + more)
-        return Drawn(mean, _outermost(known, 0.025), _outermost(upper, 0.975))
+    def drawn(self, of_term: Callable[[Model], Float[np.ndarray, ...]]) -> Drawn:
+        """Draws of a quantity, given its value for a term of unit amplitude by itself."""
+        labels, terms, power, detected = side_by_side(self.sets)
+        each, mean = np.stack([of_term(term) for term in terms]), dict[str, np.ndarray]()
+        for k in np.flatnonzero(detected).tolist():
+            title = f"{self.axis.name} {title_of(labels[k], self.axis.sensor)}"
+            mean[title] = mean.get(title, 0.0) + power[:, k].mean() * each[k]
+        # Models that differ in their shapes only are one set.
+        names = [likely.labels for likely in self.sets]
+        of = np.repeat([names.index(own) for own in names], [len(likely.power) for likely in self.sets])
+        known = np.tensordot(power[:, detected], each[detected], axes=1)
+        upper = np.tensordot(power, each, axes=1)
+        return Drawn(mean, _outermost(known, of, 0.025), _outermost(upper, of, 0.975))
 
 
 def _outermost(
-    by_terms: Mapping[tuple[str, ...], Sequence[np.ndarray]], probability: float
+    draws: Float[np.ndarray, "draws ..."], of: Int[np.ndarray, " draws"], probability: float
 ) -> Float[np.ndarray, "draws ..."]:
     """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
-    sets = [np.concatenate(parts) for parts in by_terms.values()]
-    least = min(_LIKELY * sum(map(len, sets)), max(map(len, sets)))
+    sets = [draws[of == k] for k in np.unique(of)]
+    least = min(_LIKELY * len(draws), max(map(len, sets)))
     sets = [own for own in sets if len(own) >= least]
     ends = np.stack([np.quantile(own, probability, axis=0) for own in sets])
     best = ends.argmin(axis=0) if probability < 0.5 else ends.argmax(axis=0)
@@ -137,26 +132,26 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
 
     Raises:
         FitError: no axis of the fit has a measurement.
-        AllanjaxError: models without a rate, or a fit with one; a parameter without a value.
+        AllanjaxError: models without a rate, or a fit with one; a model without terms; a parameter without a
+            value.
     """
     if isinstance(data, Fit | Posterior):
         if rate is not None:
             raise AllanjaxError("rate= is for models only, as a fit has its own sample rate; leave it out")
-        sampled = data if isinstance(data, Posterior) else None
-        data = data.fit if isinstance(data, Posterior) else data
-        good = [r for r in data.values() if r.measured and (sampled is None or r.axis.name in sampled)]
-        if not good:
+        fit, rng = data.fit if isinstance(data, Posterior) else data, np.random.default_rng(seed)
+        noise = {}
+        for own in (data[name] for name, r in fit.items() if r.measured and name in data):
+            if isinstance(own, AxisPosterior):
+                sets = _sampled(own)
+            else:
+                sets = likely_models(fit, own.axis.name, _DRAWS, rng)
+            noise[own.axis.name] = AxisNoise(own.axis, sets)
+        if not noise:
             raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")
-        rng = np.random.default_rng(seed)
-        axes = {
-            name: likely_models(data, name, _DRAWS, rng) if sampled is None else _sampled(sampled[name])
-            for name in (r.axis.name for r in good)
-        }
-        notes = tuple(
-            f"{r.axis.name} is left out: {r.verdict}" for r in data.values() if not r.measured
-        ) + tuple(f"{dead.axis.name} is left out: {dead.reason}" for dead in data.dead)
-        noise = {name: AxisNoise(data[name].axis, sets) for name, sets in axes.items()}
-        return Sensors(data.name, data.curve.rate, data.curve.n / data.curve.rate, noise, notes)
+        others = [(r.axis, r.verdict) for r in fit.values() if not r.measured]
+        others += [(dead.axis, dead.reason) for dead in fit.dead]
+        left_out = tuple(f"{axis.name} is left out: {why}" for axis, why in others)
+        return Sensors(fit.name, fit.curve.rate, fit.curve.n / fit.curve.rate, noise, left_out)
     name, notes = "", tuple[str, ...]()
     if isinstance(data, DataSheet):
         name, notes, rate = data.name, data.statements, RATE if rate is None else rate
@@ -180,19 +175,16 @@ def _exact(name: str, model: ModelLike) -> AxisNoise:
         raise AllanjaxError(f"{name!r} is not an axis of a gyro or accelerometer; use names such as gyro_x")
     complete = as_model(model, [column])
     complete.check_complete()
+    if not complete.terms:
+        raise AllanjaxError(f"{name}: a model without terms has no errors; leave the axis out")
     return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(complete)])
 
 
 def _sampled(posterior: AxisPosterior) -> list[Likely]:
-    """Draws of a posterior, grouped by equal shapes; terms that were not sampled are left out."""
-    has_shapes = any(not posterior.coefficients[label].is_amplitude for label in posterior.labels)
-    groups: list[list[Likely]] = []
-    for likely in map(exact_model, posterior.models(_SHAPES if has_shapes else _DRAWS)):
-        if groups and eqx.tree_equal(groups[-1][0].model, likely.model):
-            groups[-1].append(likely)
-        else:
-            groups.append([likely])
-    return [same[0]._replace(power=np.concatenate([x.power for x in same])) for same in groups]
+    """Draws of a posterior, with equal shapes in one set; terms that were not sampled are left out."""
+    if any(not posterior.coefficients[label].is_amplitude for label in posterior.labels):
+        return [exact_model(model) for model in posterior.models(_SHAPES)]
+    return [exact_model(*posterior.models(_DRAWS))]
 
 
 def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:

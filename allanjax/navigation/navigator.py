@@ -18,7 +18,6 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
-from allanjax.estimate.likely_models import one_by_one
 from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, in_si, sensors_of, together
 from allanjax.noise.model import Model
 from allanjax.record.units import SI
@@ -296,7 +295,7 @@ class ErrorVariances:
             rate: sample rate [Hz].
             stiffness: see `bias_response`.
         """
-        self._orders, self._steps, self._rate = orders, steps, rate
+        self._rate = rate
         self._functionals = [
             [_functional(order, int(n), calibration, rate, stiffness) for n in steps] for order in orders
         ]
@@ -306,12 +305,7 @@ class ErrorVariances:
         #: Errors after the steps from a unit bias, by order.
         self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
 
-    def __call__(self, model: Model) -> Float[np.ndarray, "terms orders t"]:
-        """Variances for each term of the model by itself."""
-        variances = [self._of_term(one) for one in one_by_one(model)]
-        return np.array(variances).reshape(-1, len(self._orders), len(self._steps))
-
-    def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
+    def __call__(self, one: Model) -> Float[np.ndarray, "orders t"]:
         """Variances for a model of one term, kept for other axes and sets of terms with the same."""
         for model, variance in self._known:
             if eqx.tree_equal(model, one):

@@ -42,6 +42,11 @@ _INTEGRAL = {"gyro": ("deg", "angle"), "accel": ("m/s", "velocity")}
 _QUANTILES = (0.5, 0.16, 0.84, 0.025, 0.975, 0.68, 0.95)
 
 
+def spaced(draws: Float[np.ndarray, "draws params"], count: int) -> Float[np.ndarray, "count params"]:
+    """Evenly spaced draws; some repeat if there are fewer."""
+    return draws[np.linspace(0, len(draws) - 1, count).round().astype(int)]
+
+
 def summary(draws: Float[np.ndarray, " draws"], from_zero: bool = False) -> dict[str, Any]:
     """Median, σ and intervals (perhaps from zero) of posterior draws [SI], as fields of an `Estimate`."""
     median, low_68, high_68, low, high, below_68, below = np.quantile(draws, _QUANTILES).tolist()
@@ -162,17 +167,13 @@ class AxisPosterior(ByValue, AxisEstimates):
         model = self._template.with_values(**dict(zip(self.labels, values, strict=True)))
         return model.without([p.term_label for p in free if p.label not in self.labels])
 
-    def _some_draws(self, count: int) -> Float[np.ndarray, "count params"]:
-        """Evenly spaced draws; some repeat if there are fewer."""
-        return self.draws[np.linspace(0, len(self.draws) - 1, count).round().astype(int)]
-
     def _curves(self, at: ArrayLike, count: int, is_psd: bool) -> Float[np.ndarray, "count points"]:
-        models = self._model_of(jnp.asarray(self._some_draws(count).T))
+        models = self._model_of(jnp.asarray(spaced(self.draws, count).T))
         return np.asarray(_curves(models, np.atleast_1d(np.asarray(at, float)), self.rate, is_psd))
 
     def models(self, count: int = 100) -> list[Model]:
         """Models of `count` evenly spaced draws, without the terms that were not sampled."""
-        return [self._model_of(draw) for draw in self._some_draws(count).tolist()]
+        return [self._model_of(draw) for draw in spaced(self.draws, count).tolist()]
 
     def deviation_curves(
         self, cluster_time: ArrayLike, count: int = 300

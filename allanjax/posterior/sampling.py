@@ -34,7 +34,7 @@ from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.priors import Prior
-from allanjax.posterior.result import AxisPosterior, PosteriorWarning, summary
+from allanjax.posterior.result import AxisPosterior, PosteriorWarning, spaced, summary
 from allanjax.posterior.target import Target
 
 # Steps in which the proposals adapt, in how many rounds, steps before convergence is first checked, and
@@ -189,7 +189,6 @@ def posterior_of(
         )
         warnings.warn(complaint, PosteriorWarning, stacklevel=3)
     y = chain[:: max(1, int(np.nan_to_num(tau).max() / 2.0))].reshape(-1, len(labels))
-    few = y[np.linspace(0, len(y) - 1, options.absent_draws).round().astype(int)]
     # The density per SI unit, instead of per unit of the coordinates.
     found["log_probability"] = found["log_probability"] - chain.sum(axis=-1)
     return AxisPosterior(
@@ -197,7 +196,7 @@ def posterior_of(
         labels=labels,
         draws=target.drawn(y),
         chain=target.drawn(chain),
-        coefficients=_marginals(target, result, y, few, random),
+        coefficients=_marginals(target, result, y, spaced(y, options.absent_draws), random),
         priors={target.parameters[k].label: prior for k, prior in target.priors.items()},
         rate=fit.curve.rate,
         duration=fit.curve.n / fit.curve.rate,

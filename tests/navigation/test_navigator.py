@@ -199,6 +199,7 @@ def test_what_a_result_is_good_for_is_noted():
 
 REFUSED = [
     ({"rate": None}, "rate"), ({"data": {}}, "models"), ({"data": {"gyro_q": QUIET}}, "gyro_q"),
+    ({"data": {"gyro_x": aj.Model(())}}, "without terms"),
     ({"times": [0.1]}, "times"), ({"calibration": 0.0}, "calibration"),
     ({"rate": 1e4, "times": [1e3]}, "210 s"), ({"gyro_bias": -1.0}, "gyro_bias"),
     ({"gyro_bias": "1 m/s²"}, "m/s²"), ({"gravity": 0.0}, "gravity"),
