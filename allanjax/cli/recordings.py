@@ -127,8 +127,8 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectru
     import allanjax.inspection  # noqa: F401
 
     with ThreadPoolExecutor(1) as pool:
-        # What takes long to load, for the fit and for the figures, is loaded during the inspection.
-        for module in ("allanjax.estimate.fit", "matplotlib.figure"):
+        # What takes long to load, for units, fit and figures, is loaded while the file is read and inspected.
+        for module in ("pint", "allanjax.estimate.fit", "matplotlib.figure"):
             pool.submit(import_module, module)
         with stage(f"{file.label}: reading"):
             recording = file.read(options.reading)
