@@ -17,13 +17,12 @@ from allanjax.estimate.design import (
     find_starts,
     free_powers,
     geometry_of,
-    moments_behind,
     shape_candidates,
 )
 from allanjax.estimate.deterministic import AxisSpectrum, InUse, Line, Peaks, needs_record
 from allanjax.estimate.gls import Solution, solve
 from allanjax.estimate.inference import (
-    Inference,
+    Estimates,
     coefficients_of,
     count_estimated,
     deterministic_coefficients,
@@ -33,6 +32,7 @@ from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
 from allanjax.estimate.whittle import axis_fit, fit_spectrum
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
@@ -41,8 +41,6 @@ from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
-# Difference of minus twice the log-likelihood below which two solutions are the same.
-_AS_LIKELY = 0.02
 _Spectra: TypeAlias = Sequence[AxisSpectrum]
 
 
@@ -51,7 +49,7 @@ def fit_allan(
 ) -> tuple[AxisFit, ...]:
     """Fit every axis by generalized least squares of its Allan variances, with the lines of its spectrum."""
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
-    return _fit_estimates(design, curve.variance, (curve.n, curve.rate), spectra, axes, template, active)
+    return _fit_estimates(design, curve.variance, spectra, axes, template, active)
 
 
 def fit_wavelet(
@@ -62,7 +60,7 @@ def fit_wavelet(
     Raises:
         FitError: a term that these variances do not determine, or too few levels.
     """
-    found, place = WaveletFilter.of(wavelet), (recording.n, recording.rate)
+    found = WaveletFilter.of(wavelet)
     for term in template.terms:
         if term.deterministic or term.narrow_band:
             raise FitError(
@@ -71,10 +69,10 @@ def fit_wavelet(
             )
     levels = np.arange(1, found.most_levels(recording.n) + 1)
     check_count(len(levels), "wavelet variances", recording.n, template, recording.name)
-    geometry = wavelet_geometry(found, levels, *place)
-    design = AllanDesign.of_geometry(template, recording.rate, geometry, ALLAN_CAPACITY[1])
+    geometry = wavelet_geometry(found, levels, recording.n, recording.rate)
+    design = AllanDesign.of_geometry(template, geometry, ALLAN_CAPACITY[1])
     variance = np.stack([mean_squares(x, found, len(levels)) for x in recording.values.T], axis=1)
-    return _fit_estimates(design, variance, place, spectra, recording.axes, template, active)
+    return _fit_estimates(design, variance, spectra, recording.axes, template, active)
 
 
 def check_count(count: int, estimates: str, n: int, template: Model, name: str) -> None:
@@ -97,30 +95,26 @@ def check_terms(template: Model, reason: str) -> None:
 def _fit_estimates(
     design: AllanDesign,
     variances: Float[np.ndarray, "m axes"],
-    place: tuple[int, float],
     spectra: _Spectra,
     axes: Sequence[Axis],
     template: Model,
     active: InUse,
 ) -> tuple[AxisFit, ...]:
-    """Fits of every axis to its estimates; see `fit_allan`.
-
-    `place`: number of samples and their rate [Hz].
-    """
-    results = []
+    """Fits of every axis to its estimates; see `fit_allan`."""
+    results, geometry = [], design.geometry
     for k, axis in enumerate(axes):
         model, here, lines, peaks = template, active[[k]], spectra[k].lines, spectra[k].peaks
         if lines:
             # The record determines a line far better than its Allan variances do.
             model = _with_lines(template, lines)
-            design = AllanDesign.of_geometry(model, place[1], design.geometry, len(design.scatters))
+            design = AllanDesign.of_geometry(model, geometry, len(design.scatters))
         variance = variances[:, [k]].T
-        solution, inference, (misfit,) = solve_and_infer(model, design, variance, here, *place, peaks)
-        coefficients = coefficients_of(model, axis, here, solution, inference, *place)
+        solution, estimates, (misfit,) = solve_and_infer(model, design, variance, here, peaks)
+        others: dict[str, Estimate] = {}
         for i, line in lines.items():
             estimate = line.beta, line.amplitude_std**2 * np.eye(2)
-            own = deterministic_coefficients(template, i, axis, *estimate, line, place[0])
-            coefficients = coefficients.with_values(own, template)
+            others |= deterministic_coefficients(template, i, axis, *estimate, line, geometry.n)
+        coefficients = coefficients_of(template, axis, model, estimates, others, geometry.n, geometry.rate)
         dof = len(variances) - count_estimated(template, active[k])
         result = axis_fit(axis, template, active[k], coefficients, solution, dof, misfit)
         # With one or two degrees of freedom, as at the longest cluster times, the χ² tail is not valid.
@@ -143,38 +137,28 @@ def solve_and_infer(
     design: AllanDesign,
     variance: Float[np.ndarray, "axes m"],
     active: InUse,
-    n: int,
-    rate: float,
     peaks: Peaks = (),
-) -> tuple[Solution, Inference, list[Misfit | None]]:
-    """Best solution of each axis over its starts, the inference around it, and its misfit.
+) -> tuple[Solution, Estimates, list[Misfit | None]]:
+    """Best solution of each axis over its starts, its coefficients, and its misfit.
 
-    The design is for these estimates of n samples at `rate` [Hz]; resonances start from the peaks [Hz].
+    The design is for these estimates; resonances start from the peaks [Hz].
     """
     from scipy.ndimage import median_filter
 
-    free, candidates = free_powers(model), shape_candidates(model, n / rate, rate, peaks)
+    place, m = design.geometry, variance.shape[1]
+    free, candidates = free_powers(model), shape_candidates(model, float(place.duration), place.rate, peaks)
     # A single estimate that is small by chance must not lower all powers.
     smooth = np.exp(median_filter(np.log(np.maximum(variance, 1e-300)), (1, 5), mode="nearest"))
-    clusters = n / design.geometry.sizes[: variance.shape[1]]
-    starts = find_starts(model, candidates, design.units(candidates), smooth, clusters, active)
-    solution, *others = (
-        solve(design, variance, free, active, power, shape)
-        for power, shape in zip(*(x.swapaxes(0, 1) for x in starts), strict=True)
-    )
-    # The cost may have several minima in a correlation time: the best one counts.
-    for other in others:
-        better = other.converged & ~(other.cost >= solution.cost - _AS_LIKELY) | ~solution.converged
-        both = zip(other, solution, strict=True)
-        solution = Solution(*(np.where(better.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in both))
-    tangent, misfits = design.tangent(solution.shape), list[Misfit | None]([None] * len(variance))
-    for k in np.flatnonzero(solution.converged & (solution.power_error > 0.0)):
-        own, power = tangent.of_axes(np.array([k])), solution.power[[k]]
-        mean, scatter = own.mean(power)[0], own.variances(power)[0]
-        ratio, edf = np.sqrt(variance[k] / mean), 2.0 * mean**2 / scatter
-        misfits[k] = misfit_of(design.geometry.cluster_time[: len(mean)], ratio, edf, "s")
+    units = np.stack([design.means(shape) for shape in candidates])[:, : len(model), :m]
+    starts = find_starts(model, candidates, units, smooth, place.n / place.sizes[:m], active)
+    solution = solve(design, variance, free, active, *starts)
+    tangent, off = design.tangent(solution.shape), solution.converged & (solution.power_error > 0.0)
+    mean, scatter = tangent.mean(solution.power), tangent.variances(solution.power)
+    each = zip(off, np.sqrt(variance / mean), 2.0 * mean**2 / scatter, strict=True)
+    time = place.cluster_time[:m]
+    misfits = [misfit_of(time, ratio, edf, "s") if is_off else None for is_off, ratio, edf in each]
     solution = widened(solution, misfits)
-    return solution, infer(tangent, variance, free, active, solution), misfits
+    return solution, infer(model, tangent, variance, active, solution), misfits
 
 
 def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisFit) -> AxisFit:
@@ -210,11 +194,12 @@ def with_curve(
     It gets its degrees of freedom 2μ²/Var under the fitted models.
     """
     geometry, edf, found = geometry_of(curve, template), np.array(curve.edf), []
+    alone = geometry.chosen(np.equal(*geometry.pairs))
     # Effects that are projected out of the spectrum are still in the Allan deviations.
     profiled = any(isinstance(term, Transient) for term in template.terms)
     for k, result in enumerate(results):
         if result.converged:
-            mean, scatter = moments_behind(result.model.sampled(curve.rate), geometry)
+            mean, scatter = map(np.asarray, alone.moments(result.model.sampled(curve.rate).processes))
             edf[:, k] = 2.0 * mean**2 / scatter * curve.gain
             if result.spectrum is not None and not (profiled or result.regression):
                 ratio = curve.deviation[:, k] / np.sqrt(mean)

@@ -18,7 +18,7 @@ from allanjax.base.threads import for_each
 from allanjax.base.wording import significant
 from allanjax.estimate.axis_fits import check_count, check_terms, solve_and_infer
 from allanjax.estimate.design import AllanDesign, model_to_fit
-from allanjax.estimate.inference import count_estimated, estimates_of, reported
+from allanjax.estimate.inference import count_estimated, reported
 from allanjax.noise.estimate import usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
@@ -151,7 +151,7 @@ def fit_many(
     capacity = -(-len(curve.cluster_size) // _CAPACITY) * _CAPACITY
     design = AllanDesign.of(template, curve, (capacity, 0))
     blocks = for_each(
-        lambda k: _of_block(curve, template, design, variance[k : k + _BLOCK]),
+        lambda k: _of_block(template, design, variance[k : k + _BLOCK]),
         range(0, len(variance), _BLOCK),
     )
     arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
@@ -159,14 +159,12 @@ def fit_many(
     return BulkFit(template=template, curve=curve, dof=dof, **arrays)
 
 
-def _of_block(
-    curve: AllanDeviation, template: Model, design: AllanDesign, variance: Float[np.ndarray, "axes m"]
-) -> dict[str, Any]:
+def _of_block(template: Model, design: AllanDesign, variance: Float[np.ndarray, "axes m"]) -> dict[str, Any]:
     """Arrays of a `BulkFit` for at most `_BLOCK` axes; a smaller block is filled up with its last axis."""
     count, active = len(variance), np.ones((_BLOCK, len(template)), bool)
     V = np.pad(variance, ((0, _BLOCK - count), (0, 0)), mode="edge")
-    solution, inference, misfits = solve_and_infer(template, design, V, active, curve.n, curve.rate)
-    found, converged = estimates_of(template, active, solution, inference), solution.converged
+    solution, found, misfits = solve_and_infer(template, design, V, active)
+    converged = solution.converged
     measured = converged & [m is None or not m.excessive for m in misfits]
     lower, upper, _, _, limit = found.ends.transpose(2, 0, 1)
     known = {"std": found.std, "lower": lower, "upper": upper, "upper_limit": limit}

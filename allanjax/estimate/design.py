@@ -11,7 +11,7 @@ import abc
 import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -28,7 +28,7 @@ from allanjax.estimate.deterministic import Peaks
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
-from allanjax.noise.process import Process
+from allanjax.noise.process import Process, numbers_as_data
 from allanjax.noise.terms import NoiseTerm, Parameter
 from allanjax.record.columns import Column
 from allanjax.record.recording import Axis
@@ -103,16 +103,16 @@ class AllanTangent(Tangent):
 
     def relative(self, power: _Power, error: _PerAxis) -> Float[np.ndarray, "axes m m"]:
         """Covariance of the ratios to the expectations, with the ridge and a relative error of the model."""
-        relative, mean = self.covariance(power), self.mean(power)
-        relative /= mean[:, :, None]
-        relative /= mean[:, None]
-        np.einsum("aii->ai", relative)[...] *= 1.0 + self.ridge
-        if np.any(error):
-            relative += error[:, None, None] ** 2 * self.octaves
-        return relative
+        return _relative(self.mean(power), self.covariance(power), error, self)
 
     def weighed(self, power: _Power, error: _PerAxis, X: _Columns) -> _Columns:
         return np.linalg.solve(self.relative(power, error), X)
+
+
+def _relative(mean: Any, covariance: Any, error: Any, of: AllanTangent | AllanDesign) -> Any:
+    """Covariance [*b m m] of the ratios to the mean, with the ridge and a relative error of the model."""
+    ridged = covariance * (1.0 + of.ridge * np.eye(len(of.octaves)))
+    return ridged / (mean[..., None] * mean[..., None, :]) + error[..., None, None] ** 2 * of.octaves
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
@@ -161,7 +161,7 @@ class AllanDesign(eqx.Module):
         fixed, products, kernels: expectations of the `terms` of unit amplitude, covariance as a bilinear form
             in the powers, and kernels; zero for terms with free shapes.
         scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
-            every record, and that of a narrow-band term by `_narrow_band_scatter`.
+            every record, and that of a narrow-band term by `narrow_band_scatter`.
         moving, places: terms with free shapes, of unit amplitude, and their places among all.
     """
 
@@ -180,14 +180,14 @@ class AllanDesign(eqx.Module):
     @classmethod
     def of(cls, model: Model, curve: AllanDeviation, capacity: tuple[int, int] = (0, 0)) -> AllanDesign:
         """Design of a noise model for a curve, padded to at least so many cluster sizes and terms."""
-        return cls.of_geometry(model, curve.rate, geometry_of(curve, model, capacity[0]), capacity[1])
+        return cls.of_geometry(model, geometry_of(curve, model, capacity[0]), capacity[1])
 
     @classmethod
-    def of_geometry(cls, model: Model, rate: float, geometry: AllanCovariance, slots: int = 0) -> AllanDesign:
+    def of_geometry(cls, model: Model, geometry: AllanCovariance, slots: int) -> AllanDesign:
         """Design of a noise model for the estimates of a quadrature, padded to at least so many terms."""
         free, slots = free_shapes(model), max(slots, len(model))
         places = sorted({p.term for p in free})
-        terms = [term.with_unit_amplitude() for term in model.sampled(rate).terms]
+        terms = [term.with_unit_amplitude() for term in model.sampled(geometry.rate).terms]
         still = {k: term for k, term in enumerate(terms) if k not in places}
         fixed, kernels, products = _parts(still, geometry, slots)
         return cls(
@@ -209,21 +209,13 @@ class AllanDesign(eqx.Module):
         """The term of each shape."""
         return self.places[np.array([place for _, place in self.shapes], int)]
 
-    def means(self, shape: _Shapes) -> Float[Array, "terms m"]:
-        """Expectation of the estimates for each term of unit amplitude."""
-        means = jnp.asarray(self.fixed)
-        for k, term in enumerate(self._moving(shape)):
-            means = means.at[self.places[k]].set(self.geometry.mean(term))
+    def means(self, shape: _Shapes | Float[np.ndarray, " shapes"]) -> Float[Array, "terms m"]:
+        """Expectation of the estimates for each term of unit amplitude; of NumPy if the shapes are."""
+        means: Any = self.fixed
+        terms = np.arange(len(means))[:, None]
+        for place, term in zip(self.places, self._moving(shape), strict=True):
+            means = namespace(shape).where(terms == place, self.geometry.mean(term), means)
         return means
-
-    def units(self, shape: Float[np.ndarray, "b shapes"]) -> Float[np.ndarray, "b terms m"]:
-        """The same in NumPy for many shapes, without padding."""
-        m = int(self.geometry.count)
-        found = np.tile(self.fixed[: int(self.terms), :m], (len(shape), 1, 1))
-        for b, at in enumerate(shape if self.moving else ()):
-            for k, term in zip(self.places, self._moving(at), strict=True):
-                found[b, k] = self.geometry.mean(term)[:m]
-        return found
 
     def moments(
         self, power: Float[Array, " terms"], shape: _Shapes
@@ -257,16 +249,14 @@ class AllanDesign(eqx.Module):
         products = products.at[place].set(found).at[:, place].set(found.swapaxes(0, 1))
         for k, term in enumerate(terms):
             if term.narrow_band:
-                products = products.at[place[k], place[k]].set(_narrow_band_scatter(term, self.geometry))
+                products = products.at[place[k], place[k]].set(self.geometry.narrow_band_scatter(term))
         return products
 
     def whiten(
         self, mean: Array, covariance: Array, power_error: Array, X: Float[Array, "m k"]
     ) -> CholeskyWhitened:
         """Whitened columns X for relative residuals, with a model error that is common to about an octave."""
-        relative = covariance / (mean[:, None] * mean)
-        relative += self.ridge * jnp.diag(jnp.diag(relative)) + power_error**2 * self.octaves
-        return whiten(relative, X, self.geometry.count)
+        return whiten(_relative(mean, covariance, power_error, self), X, self.geometry.count)
 
     def tangent(self, shape: Float[np.ndarray, "axes shapes"]) -> AllanTangent:
         """The model around these shapes of each axis, without padding."""
@@ -312,15 +302,10 @@ def _order(model: Model) -> int:
 
 
 def _structure(term: NoiseTerm) -> NoiseTerm:
-    """Term with None for its free shapes and arrays for its held ones, so that they are data."""
-    held: dict[str, Any] = {}
-    for p in term.parameters()[1:]:
-        value = getattr(term, p.name)
-        if term.is_free(p):
-            held[p.name] = None
-        elif np.isfinite(value):
-            held[p.name] = np.asarray(value, float)
-    return term.replace(**held, held=frozenset()).with_unit_amplitude()
+    """Term with None for its free shapes and arrays for its numbers, so that these are data."""
+    free = {p.name: None for p in term.parameters()[1:] if term.is_free(p)}
+    (found,) = numbers_as_data((term.replace(**free, held=frozenset()),))
+    return cast(NoiseTerm, found)
 
 
 def _scatters(terms: Iterable[Process]) -> Bool[np.ndarray, " terms"]:
@@ -347,33 +332,8 @@ def _parts(
     for k, term in terms.items():
         means[k] = geometry.mean(term)
         if term.narrow_band:
-            products[k, k, :real] = _narrow_band_scatter(term, geometry.chosen(slice(real)))
+            products[k, k, :real] = geometry.chosen(slice(real)).narrow_band_scatter(term)
     return means, kernels, products
-
-
-def moments_behind(
-    model: Model, geometry: AllanCovariance
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Expectation and variance of Allan variances under a sampled model with values, response included."""
-    i, j = geometry.pairs
-    m = int(geometry.count)
-    own = np.flatnonzero(i[: m * (m + 1) // 2] == j[: m * (m + 1) // 2])
-    processes = dict(enumerate(model.processes))
-    means, _, products = _parts(processes, geometry.chosen(own), len(processes))
-    return means.sum(axis=0)[:m], products.sum(axis=(0, 1))[:m]
-
-
-def _narrow_band_scatter(term: Process, geometry: AllanCovariance) -> Float[Array, " pairs"]:
-    """Covariance of the estimates of a narrow-band term alone.
-
-    Its power fluctuates as a whole, which all estimates share; the overlaps within an estimate add as much
-    again (70/36 − 1 when clusters outlast the oscillation), and long clusters see it as white noise.
-    """
-    i, j = geometry.pairs
-    mean = geometry.mean(term)
-    common = term.power_scatter(geometry.duration)
-    clusters = geometry.cluster_time[i] / geometry.duration
-    return mean[i] * mean[j] * (common + (i == j) * (common + 1.5 * clusters))
 
 
 @np.errstate(all="ignore")

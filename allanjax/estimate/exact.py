@@ -22,8 +22,7 @@ from scipy.optimize import lsq_linear
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import INSIDE, free_shapes
-from allanjax.estimate.gls import Solution
-from allanjax.estimate.inference import Inference, coefficients_of, ends_of
+from allanjax.estimate.inference import coefficients_of, ends_of, estimates_of
 from allanjax.estimate.result import AxisFit, fitted_model
 from allanjax.estimate.whittle import absent, fit_whittle
 from allanjax.kalman.recursion import innovations_under, log_likelihoods
@@ -81,12 +80,12 @@ def fit_exact(
     if at is None:
         reason = "the maximum of the exact likelihood was not reached; try fewer terms"
         return dataclasses.replace(start, converged=False, reason=reason), True
-    inferred = problem.inferred(at)
-    found = coefficients_of(template, start.axis, active[None], *inferred, recording.n, recording.rate)
-    values = {x: start[x] if c.term in problem.left_out else c for x, c in found.values.items()}
+    estimates = estimates_of(template, active[None], *(x[None] for x in problem.inferred(at)))
+    others = {label: c for label, c in start.coefficients.items() if c.term in problem.left_out}
+    place = recording.n, recording.rate
+    values, covariance = coefficients_of(template, start.axis, template, estimates, others, *place)
     model = fitted_model(template, values, absent(template, active))
-    result = dataclasses.replace(start, _coefficients=values, _covariance=found.covariance, _model=model)
-    return result, True
+    return dataclasses.replace(start, _coefficients=values, _covariance=covariance, _model=model), True
 
 
 class _Place(NamedTuple):
@@ -169,16 +168,14 @@ class _Problem:
             at, share = (new, 1.0) if higher else (at, share / 3.0)
         return None
 
-    def inferred(self, at: _Place) -> tuple[Solution, Inference]:
-        """Solution and inference, as `gls.solve` and `infer` return them for one axis."""
+    def inferred(self, at: _Place) -> tuple[_Vector, _Vector, np.ndarray, np.ndarray]:
+        """Powers, shapes, their covariance and the ends of the powers' intervals, as `estimates_of` wants."""
         terms, value = len(self.template), at.theta * self.unit
         inside = self.moves & (at.theta > self.lower) & (at.theta < self.upper)
-        covariance = at.covariance(inside) * np.outer(self.unit, self.unit)
         ends = np.full((terms, 5), np.nan)
         for k in np.flatnonzero(self.moves[:terms]).tolist():
             ends[k] = self._ends(at, k, inside)
-        solved = (value[:terms], value[terms:], 0.0, 0.0, True, -2.0 * at.log_likelihood)
-        return Solution(*(np.asarray(x)[None] for x in solved)), Inference(covariance[None], ends[None])
+        return value[:terms], value[terms:], at.covariance(inside) * np.outer(self.unit, self.unit), ends
 
     def _ends(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " 5"]:
         """Ends of the intervals of a power, where the signed roots of the likelihood ratio have their levels.

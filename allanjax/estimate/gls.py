@@ -36,6 +36,8 @@ _MAX_EXTRAPOLATION = 5.0
 # A step that moves the fitted curve by less than this, in standard deviations, ends the iteration.
 _TOLERANCE = 1e-3
 _LEAST_ERROR = 1e-4
+# Difference of minus twice the log-likelihood below which two solutions are the same.
+_AS_LIKELY = 0.02
 
 
 class Solution(NamedTuple):
@@ -105,11 +107,6 @@ class _Problem(NamedTuple):
         end = jnp.asarray([np.log(p.upper - p.lower) for p, _ in self.design.shapes]) - INSIDE
         clipped = jnp.clip(u, self.shape - reach, jnp.minimum(self.shape + reach, end))
         return jnp.where(self.moves, clipped, self.shape)
-
-    def start(self, tolerant: bool) -> _State:
-        at, infinite, no = (self.power, self.shape), jnp.asarray(jnp.inf), jnp.asarray(False)
-        counts = (jnp.asarray(_WARM_UP[int(tolerant), 0]), jnp.asarray(tolerant), jnp.asarray(0))
-        return _State(at, *self.design.moments(*at), at, at, *counts, infinite, infinite, no)
 
     def misfit(self, mean: Array, covariance: Array, power_error: Array) -> tuple[Array, Array]:
         """χ² of the residuals, and ln det of their covariance."""
@@ -188,7 +185,10 @@ class _Problem(NamedTuple):
         return jax.tree.map(lambda a, b: jnp.where(anew, a, b), again, new)
 
     def solution(self) -> Solution:
-        first, again = self.start(tolerant=False), self.start(tolerant=True)
+        error, infinite, no = map(jnp.asarray, (_WARM_UP[0, 0], jnp.inf, False))
+        at, moments = (self.power, self.shape), self.design.moments(self.power, self.shape)
+        first = _State(at, *moments, at, at, error, no, jnp.asarray(0), infinite, infinite, no)
+        again = first._replace(tolerant=~no)
         end = jax.lax.while_loop(lambda state: ~state.ended, lambda state: self.next(state, again), first)
         vanished = (end.power_error <= _LEAST_ERROR) & (end.chi2 < beyond_doubt(self.dof))
         error = jnp.where(vanished, 0.0, end.power_error)
@@ -200,18 +200,19 @@ def solve(
     V: Float[np.ndarray, "axes m"],
     free: Bool[np.ndarray, " terms"],
     active: Bool[np.ndarray, "axes terms"],
-    power: Float[np.ndarray, "axes terms"],
-    shape: Float[np.ndarray, "axes shapes"],
+    power: Float[np.ndarray, "axes starts terms"],
+    shape: Float[np.ndarray, "axes starts shapes"],
 ) -> Solution:
-    """Fit to the estimates V of power [rate²] of every axis from its start, in arrays of NumPy.
+    """Best fit to the estimates V of power [rate²] of every axis from its starts, in arrays of NumPy.
 
     `active` are the terms in use, and `free` those whose power is estimated.
     """
-    padding, slots = design.octaves.shape[0] - V.shape[1], len(design.scatters) - len(free)
-    of_terms = (np.pad(x, ((0, 0), (0, slots))) for x in (active, np.where(active, power, 0.0)))
+    padding, slots, count = len(design.octaves) - V.shape[1], len(design.scatters) - len(free), len(free)
     V = np.pad(V, ((0, 0), (0, padding)), constant_values=1.0)
-    found: Any = jax.device_get(_solutions(design, np.pad(free, (0, slots)), V, *of_terms, shape))
-    return found._replace(power=found.power[:, : len(free)])
+    of_terms = free, active, np.where(active[:, None], power, 0.0)
+    free, active, power = (np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, slots)]) for x in of_terms)
+    found: Any = jax.device_get(_solutions(design, free, V, active, power, shape))
+    return found._replace(power=found.power[:, :count])
 
 
 @eqx.filter_jit
@@ -219,7 +220,14 @@ def _solutions(
     design: AllanDesign, free: Bool[ArrayLike, " terms"], *of_axes: Shaped[ArrayLike, "axes ..."]
 ) -> Solution:
     def of(axis: Any) -> Solution:
-        return _Problem(design, axis[0], jnp.asarray(free), *axis[1:]).solution()
+        V, active, *starts = axis
+        each: Any = jax.lax.map(
+            lambda at: _Problem(design, V, jnp.asarray(free), active, *at).solution(), starts
+        )
+        # The cost may have several minima in a correlation time: the best one counts, of equals the first.
+        cost = jnp.where(each.converged, each.cost, jnp.inf)
+        best = jnp.argmax(cost <= cost.min() + _AS_LIKELY)
+        return jax.tree.map(lambda x: x[best], each)
 
     # With shapes one after another, for then no axis waits for the slowest.
     return jax.lax.map(of, of_axes) if design.shapes else jax.vmap(of)(of_axes)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.estimate.design import Tangent, of_owners
+from allanjax.estimate.design import Tangent, free_powers, of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantiles
 from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
@@ -46,18 +46,9 @@ _Index: TypeAlias = Int[np.ndarray, " axes"]
 _Square: TypeAlias = Float[np.ndarray, "axes k k"]
 
 
-class Inference(NamedTuple):
-    """Covariance of (powers, shapes) of several axes, and for each power what `ends_of` returns."""
-
-    covariance: Float[np.ndarray, "axes params params"]
-    ends: Float[np.ndarray, "axes terms 5"]
-
-
 @np.errstate(all="ignore")
-def infer(
-    tangent: Tangent, V: _Curves, free: Bool[np.ndarray, " terms"], active: _Flags, solution: Solution
-) -> Inference:
-    """Covariance of the parameters, and intervals of each power by tests of hypothetical powers.
+def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: Solution) -> Estimates:
+    """The coefficients of every axis, with intervals of each power by tests of hypothetical powers.
 
     Hypotheses lead from the estimate down to v = 0, and up, until the data exclude one. The distance of the
     data is the score statistic: the mean, covariance and derivatives at the hypothesis (the other powers
@@ -66,12 +57,13 @@ def infer(
     """
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
-    axes = _Axes(tangent, V, active, active & free, power, solution.power_error, has_shape)
+    axes = _Axes(tangent, V, active, active & free_powers(model), power, solution.power_error, has_shape)
     covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1))[2]
-    # Every term of every axis.
-    axis, term = (x.ravel() for x in np.indices(power.shape))
-    ends = axes.of_axes(axis).ends(term, axes.ceiling().ravel())
-    return Inference(covariance, ends.reshape(*power.shape, -1))
+    # Both sides of every term of every axis are tested together.
+    axis, term, side = (x.ravel() for x in np.indices((*power.shape, 2)))
+    v, distance = axes.of_axes(axis).tested(term, side == 0)
+    ends = ends_of((v[::2], distance[::2]), (v[1::2], distance[1::2]), axes.ceiling().ravel())
+    return estimates_of(model, active, power, solution.shape, covariance, ends.reshape(*power.shape, -1))
 
 
 class _Axes(NamedTuple):
@@ -151,33 +143,28 @@ class _Axes(NamedTuple):
             positive = positive & (x >= 0.0)
         return np.where(allowed, np.maximum(x, 0.0) / size, power)
 
-    def ends(self, term: _Index, ceiling: _PerAxis) -> _Ends:
-        """Ends of the intervals of a term's power for each axis."""
-        axis, alone = np.arange(len(term)), np.eye(self.power.shape[1], dtype=bool)[term]
-        # The term under test is estimated even if inactive; its shape may be unknown.
-        shaped = self.has_shape & (self.tangent.owner != term[:, None])
-        estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
-        sd = np.sqrt(self.linearized(self.power, estimated)[2][axis, term, term])
-        # Both sides of each estimate are tested together.
-        sides, sign = np.repeat(axis, 2), np.tile([1.0, -1.0], len(axis))
-        here = self.power[axis, term][sides, None]
-        v = np.maximum(here + np.where(sign[:, None] > 0.0, _BELOW, _ABOVE) * sd[sides, None], 0.0)
-        # The only term cannot vanish altogether.
-        distance = self.of_axes(sides)._walked(term[sides], np.maximum(v, 1e-9 * here), sign)
-        return ends_of((v[::2], distance[::2]), (v[1::2], distance[1::2]), ceiling)
+    def tested(self, term: _Index, below: Bool[np.ndarray, " axes"]) -> tuple[_Grid, _Grid]:
+        """Hypothetical powers of a term for each axis, and the data's distance from them.
 
-    def _walked(self, term: _Index, v: _Grid, sign: _PerAxis) -> _Grid:
-        """Distance from each of these powers, beyond that at the estimate, until the data exclude one.
-
-        It is positive where the data favour the estimate, with `sign` 1 for powers below and −1 above. The
-        other powers are fitted anew at each, with the weights of the last.
+        They lead away from the estimate until the data exclude one. The distance is that beyond the one at
+        the estimate, positive where the data favour this. The other powers are fitted anew at each, with the
+        weights of the last.
         """
-        distance, at, left = np.full(v.shape, np.nan), self.power * self.active, np.arange(len(v))
-        owner, alone = self.tangent.owner, np.eye(at.shape[1], dtype=bool)[term]
-        present = self.power[left, term] > 0.0
+        left, owner = np.arange(len(term)), self.tangent.owner
+        alone = np.eye(self.power.shape[1], dtype=bool)[term]
+        # The term under test is estimated even if inactive; its shape may be unknown.
+        shaped = self.has_shape & (owner != term[:, None])
+        estimated = np.concatenate([self.fitted | alone, shaped], axis=1)
+        sd = np.sqrt(self.linearized(self.power, estimated)[2][left, term, term])
+        estimate, sign = self.power[left, term], np.where(below, 1.0, -1.0)
+        steps = np.where(below[:, None], _BELOW, _ABOVE)
+        v = np.maximum(estimate[:, None] + steps * sd[:, None], 0.0)
+        distance, at = np.full(v.shape, np.nan), self.power * self.active
         for k in range(v.shape[1]):
             some, here = self.of_axes(left), alone[left]
-            new = some.profiled(np.where(here, v[left, k, None], at[left]), some.fitted & ~here)
+            # The only term cannot vanish altogether.
+            tried = np.maximum(v[:, k], 1e-9 * estimate)[:, None]
+            new = some.profiled(np.where(here, tried[left], at[left]), some.fitted & ~here)
             there = new[:, owner] > 0.0
             own = owner == term[left, None]
             shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
@@ -186,12 +173,12 @@ class _Axes(NamedTuple):
                 # Not zero where other powers ended at zero. Also for an absent term whose score is negative,
                 # so that its limit does not shrink.
                 start = np.where(np.isfinite(score), score, 0.0)
-                start = np.where(present, start, np.minimum(start, 0.0))
+                start = np.where(estimate > 0.0, start, np.minimum(start, 0.0))
             at[left], distance[left, k] = new, sign[left] * (score - start[left])
             left = left[~(distance[left, k] > _FAR_ENOUGH) & (v[left, k] != v[left, -1])]
             if not len(left):
                 break
-        return distance
+        return v, distance
 
     def ceiling(self) -> _Terms:
         """Upper bound of each term's power, beyond which one of the estimates would be improbably small.
@@ -270,10 +257,19 @@ class Estimates(NamedTuple):
 
 
 @np.errstate(divide="ignore", invalid="ignore")
-def estimates_of(model: Model, active: _Flags, solution: Solution, inference: Inference) -> Estimates:
-    """The coefficients of every axis from its solution and inference; inactive terms have limits only."""
-    parameters, power = reported(model), solution.power
-    sd = np.sqrt(np.einsum("aii->ai", inference.covariance))
+def estimates_of(
+    model: Model,
+    active: _Flags,
+    power: _Terms,
+    shape: Float[np.ndarray, "axes shapes"],
+    covariance: _Square,
+    of_powers: Float[np.ndarray, "axes terms 5"],
+) -> Estimates:
+    """The coefficients of every axis from its powers and shapes; inactive terms have limits only.
+
+    The covariance is that of powers and shapes, `of_powers` are the ends of the powers' intervals.
+    """
+    parameters, sd = reported(model), np.sqrt(np.einsum("aii->ai", covariance))
     count = (len(power), len(parameters))
     value, ends = np.zeros(count), np.full((*count, 5), np.nan)
     # Derivatives of the coefficients by powers and shapes.
@@ -287,12 +283,12 @@ def estimates_of(model: Model, active: _Flags, solution: Solution, inference: In
             if own.is_amplitude:
                 found[:, p.term] = True
         elif own.is_amplitude:
-            value[:, row], ends[:, row] = np.sqrt(power[:, p.term]), np.sqrt(inference.ends[:, p.term])
+            value[:, row], ends[:, row] = np.sqrt(power[:, p.term]), np.sqrt(of_powers[:, p.term])
             found[:, p.term] = active[:, p.term] & (ends[:, row, 0] > 0.0)
             slopes[:, row, p.term] = np.where(power[:, p.term] > 0.0, 0.5 / value[:, row], 0.0)
         else:
             k, present = next(shapes), there[:, p.term]
-            distance = np.exp(solution.shape[:, k - len(model)])
+            distance = np.exp(shape[:, k - len(model)])
             value[:, row] = np.where(present, own.lower + distance, np.nan)
             slopes[:, row, k] = np.where(present, distance, 0.0)
             # In ln of the distance from the bound; wider ones are unbounded.
@@ -302,37 +298,38 @@ def estimates_of(model: Model, active: _Flags, solution: Solution, inference: In
     # The response comes after all terms.
     detected = of_owners(model, found)[:, [p.term for p in parameters]]
     std = np.where(np.isnan(value), np.nan, np.einsum("arp,ap->ar", slopes, sd))
-    return Estimates(value, std, ends, detected, slopes @ inference.covariance @ slopes.swapaxes(1, 2))
+    return Estimates(value, std, ends, detected, slopes @ covariance @ slopes.swapaxes(1, 2))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Coefficients:
+class Coefficients(NamedTuple):
     """The coefficients of one axis by label, and their covariance [SI] in the same order."""
 
     values: Mapping[str, Estimate]
     covariance: Float[np.ndarray, "params params"]
 
-    def with_values(self, values: Mapping[str, Estimate], model: Model) -> Coefficients:
-        """A copy with these coefficients, uncorrelated with the others, in the order of the model."""
-        both, order = {**self.values, **values}, [p.label for p in reported(model)]
-        covariance = np.diag([both[label].std ** 2 for label in order])
-        kept = [(order.index(label), k) for k, label in enumerate(self.values) if label not in values]
-        rows, own = np.array(kept, int).reshape(-1, 2).T
-        covariance[np.ix_(rows, rows)] = self.covariance[np.ix_(own, own)]
-        return Coefficients({label: both[label] for label in order}, np.nan_to_num(covariance))
-
 
 def coefficients_of(
-    model: Model, axis: Axis, active: _Flags, solution: Solution, inference: Inference, n: int, rate: float
+    template: Model,
+    axis: Axis,
+    noise: Model,
+    found: Estimates,
+    others: Mapping[str, Estimate],
+    n: int,
+    rate: float,
 ) -> Coefficients:
-    """Coefficients of one axis by their labels, from `estimates_of`.
+    """Coefficients of one axis by their labels: the estimates of its noise, and others, independent of these.
 
     Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
     """
-    found = estimates_of(model, active, solution, inference)
-    rows = zip(reported(model), *(x[0].tolist() for x in found[:4]), strict=True)
-    of_axis = {p.label: _within(estimate_of(p, axis, *row), n, rate) for p, *row in rows}
-    return Coefficients(of_axis, np.nan_to_num(found.covariance[0]))
+    rows = zip(reported(noise), *(x[0].tolist() for x in found[:4]), strict=True)
+    own = {p.label: _within(estimate_of(p, axis, *row), n, rate) for p, *row in rows}
+    both, order = {**own, **others}, [p.label for p in reported(template)]
+    covariance, places = np.zeros((len(order), len(order))), [order.index(label) for label in own]
+    covariance[np.ix_(places, places)] = found.covariance[0]
+    for k, label in enumerate(order):
+        if label in others:
+            covariance[k, k] = others[label].std ** 2
+    return Coefficients({label: both[label] for label in order}, np.nan_to_num(covariance))
 
 
 def estimate_of(

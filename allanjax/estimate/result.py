@@ -213,7 +213,7 @@ def extended_model(template: Model, coefficients: _Coefficients, inactive: Seque
     return fitted_model(template, {**coefficients, N.label: own}, inactive)
 
 
-def _causes(result: AxisFit, template: Model) -> Iterator[str]:
+def _causes(result: AxisFit) -> Iterator[str]:
     """What an axis's own model corrects the plain terms for, in words."""
     if (response := result.model.response) is not None:
         bandwidth, value = result[f"{response.name()}_bandwidth"], response.half_power
@@ -417,7 +417,7 @@ class AxisFit(ByValue, AxisEstimates):
             return ""
         several = sum(isinstance(term, Markov) for term in self.own_template.terms) > 1
         process = "Markov processes of several correlation times" if several else "a Markov process"
-        text = f"corrected for {listed(list(_causes(self, self.own_template)) or [process])}"
+        text = f"corrected for {listed(list(_causes(self)) or [process])}"
         if self.plain is None or not self.plain.converged:
             return text
         old, new = (fit["angle_random_walk"].in_unit() for fit in (self.plain, self))

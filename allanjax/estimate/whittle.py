@@ -18,7 +18,7 @@ from jaxtyping import Float
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
 from allanjax.base.threads import for_each
-from allanjax.estimate.design import find_starts, free_powers, shape_candidates
+from allanjax.estimate.design import find_starts, shape_candidates
 from allanjax.estimate.deterministic import AxisSpectrum, InUse, Projection, Regressors
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.inference import (
@@ -91,8 +91,7 @@ def fit_spectrum(
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
     tangent, found = arrangement.tangent(fit, plateaus, white)
     solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit])
-    inference = infer(tangent, level[None], free_powers(noise), here[None], solution)
-    coefficients = coefficients_of(noise, axis, here[None], solution, inference, bins.n, bins.rate)
+    estimates = infer(noise, tangent, level[None], here[None], solution)
     others: dict[str, Estimate] = {}
     for k in np.flatnonzero(~random).tolist():
         own = np.array([owner == k for owner in spectrum.owners])
@@ -100,7 +99,7 @@ def fit_spectrum(
         estimate = joint.amplitude[own], joint.covariance[np.ix_(own, own)]
         line = spectrum.lines.get(k)
         others |= deterministic_coefficients(template, k, axis, *estimate, line, bins.n, bool(active[k]))
-    coefficients = coefficients.with_values(others, template)
+    coefficients = coefficients_of(template, axis, noise, estimates, others, bins.n, bins.rate)
     degrees = projection.estimates - count_estimated(template, active & random)
     result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
     std = np.sqrt(np.diag(projection.covariance)).tolist()

@@ -447,14 +447,9 @@ def moments(
         if term.narrow_band or (term.deterministic and term.oscillates):
             raise AllanjaxError(f"wavelet variances do not support {term.name()}: leave it out of the model")
     geometry = geometry_of(wavelet, levels, n, rate)
-    mean, covariance = _moments(numbers_as_data(model.sampled(rate).processes), geometry)
+    mean, covariance = _moments(geometry, numbers_as_data(model.sampled(rate).processes))
     m, scale = len(levels), 0.5 if wavelet.name == "haar" else 1.0
-    return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[:m, :m]
+    return scale * np.asarray(mean)[:m], scale**2 * np.asarray(covariance)[geometry.place[:m, :m]]
 
 
-@eqx.filter_jit
-def _moments(
-    terms: tuple[Process, ...], geometry: AllanCovariance
-) -> tuple[Float[Array, " m"], Float[Array, "m m"]]:
-    mean: Array = sum(geometry.mean(term) for term in terms)  # type: ignore[assignment]
-    return mean, geometry.of_terms(terms)
+_moments = eqx.filter_jit(AllanCovariance.moments)
