@@ -92,7 +92,8 @@ class _Axes(NamedTuple):
         The estimates are linear, covariance·X'C⁻¹r; parameters that are not estimated have zeros.
         """
         at, mean = self.tangent, self.tangent.mean(power)
-        moved = np.sum(power[:, :, None, None] * at.by_shape, axis=1)
+        by_shape = at.by_shape.reshape(*at.by_shape.shape[:2], -1)
+        moved = (power[:, None] @ by_shape).reshape(*mean.shape, -1)
         units = np.broadcast_to(at.means.swapaxes(1, 2), (*mean.shape, power.shape[1]))
         X = np.concatenate([units, moved], axis=2) / mean[:, :, None] * estimated[:, None]
         weighed = at.weighed(power, self.error, X)
