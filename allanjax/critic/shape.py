@@ -26,7 +26,6 @@ from allanjax.estimate.structure.structure import (
     FURTHER,
     LEAST_QUALITY,
     LINE,
-    LOWEST,
     LOWEST_BANDWIDTH,
     Fitted,
     Spectrum,
@@ -40,9 +39,8 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.completion import in_time
+from allanjax.spectrum.peaks import LOWEST, NARROWEST
 
-# Narrowest window [coefficients].
-_NARROWEST = 8
 # Number of independent windows per width, and its growth per e-fold of a smaller p-value; number of the
 # widest windows that add nothing. Measured on simulated spectra.
 _INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
@@ -64,7 +62,7 @@ def conspicuous(ratio: Float[np.ndarray, " n-1"]) -> Window:
     """
     total = np.concatenate([[0.0], np.cumsum(ratio)])
     best = (-np.inf, 0.0, 0.0)
-    width, widths = _NARROWEST, 0.0
+    width, widths = NARROWEST, 0.0
     least = 1.0
     while width <= (len(ratio) - LOWEST) // 4:
         step = max(width // 4, 1)

@@ -387,7 +387,7 @@ def correlation_times(duration: float, rate: float) -> Float[np.ndarray, " grid"
 def shape_candidates(model: Model, duration: float, rate: float, peaks: Peaks = ()) -> _Candidates:
     """Transformed values of a model's free shapes to try in a record of this duration [s].
 
-    These are the given ones, or a grid; `peaks` are the frequencies [Hz] to try for lines (`find_lines`).
+    These are the given ones, or a grid; `peaks` are the frequencies [Hz] to try for narrow features.
     """
 
     def choices(p: ModelParameter) -> Sequence[float] | Float[np.ndarray, " values"]:

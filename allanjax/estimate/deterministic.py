@@ -28,6 +28,7 @@ from allanjax.spectrum.cosine import (
     ramp_column,
     term_column,
 )
+from allanjax.spectrum.peaks import level_beside, lines_in, peaks_of
 
 #: Samples of an axis and their cosine coefficients; frequencies [Hz]; samples of auxiliary channels by name;
 #: the terms in use, of one axis or several.
@@ -44,8 +45,6 @@ LINE_REACH, _LEVEL_REACH = 64, 512
 _SEARCH, _GRID = 4.0, 4
 # Conspicuous places that are tried for a line, and frequencies that are tried for a resonance.
 _PLACES, _PEAKS = 8, 4
-# Longest spectra, in samples, in which broad peaks are searched for.
-_COARSER = (8192, 512)
 # Bins per octave where the spectrum is not smooth: for filters.
 _FINE = 24
 # Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
@@ -125,9 +124,10 @@ def take_out_lines(
         if k in found:
             rest += found[k].samples(angle)
             starts, reach = [found[k].frequency], _SEARCH
-        elif start is None:
-            starts, reach = find_lines(rest, rate, (n,), _PLACES).tolist(), _SEARCH
         c = cosine_transform(rest)
+        if k not in found and start is None:
+            starts = [j * rate / (2.0 * n) for j in lines_in(c**2, _PLACES)] or [rate / 8.0]
+            reach = _SEARCH
         options = [_refined(c, f, 0.0 if held else reach, rate) for f in starts]
         found[k] = max(options, key=lambda line: line.gain)
         rest -= found[k].samples(angle)
@@ -146,34 +146,6 @@ def without_lines(c: Cosines, lines: Sequence[Line], rate: float) -> Cosines:
     for line in lines:
         c[line.indices - 1] -= line.fitted(len(c) + 1, rate)
     return c
-
-
-def find_lines(
-    x: Samples, rate: float, lengths: Sequence[int] = (), count: int = _PEAKS
-) -> Float[np.ndarray, " peaks"]:
-    """Frequencies [Hz] of the `count` most conspicuous peaks of the spectrum, sharp lines and broad bumps.
-
-    A peak is the excess of the periodogram over its running median, weighed by its likelihood, at each of
-    several `lengths` [samples], by default all and shorter ones for broad peaks; a peak found at one
-    resolution is not counted again at another.
-    """
-    from scipy.ndimage import median_filter
-    from scipy.signal import welch
-
-    found: list[tuple[float, float, float]] = []
-    for length in lengths or {len(x), *(min(len(x), some) for some in _COARSER)}:
-        f, S = welch(x, rate, nperseg=length, detrend="linear")
-        f, S = f[2:-1], S[2:-1]
-        ratio = S / median_filter(S, min(101, len(S) // 4 * 2 + 1))
-        # Gain in log-likelihood from a free level of a mean of len(x)/length periodograms.
-        excess = len(x) / length * np.where(ratio > 1.0, ratio - 1.0 - np.log(ratio), 0.0)
-        found += [(excess[i], f[i], 2.0 * rate / length) for i in np.argsort(excess)[::-1][:40]]
-    found.sort(reverse=True)
-    chosen: list[float] = []
-    for _, frequency, width in found:
-        if len(chosen) < count and all(abs(frequency - other) > width for other in chosen):
-            chosen.append(frequency)
-    return np.array(chosen + [rate / 8.0] * (count - len(chosen)))
 
 
 def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
@@ -252,7 +224,11 @@ class AxisSpectrum(ByValue):
         n, (lines, wanted) = fast_length(len(x)), lines_of(template)
         c, found = take_out_lines(x[:n] - x[:n].mean(), rate, wanted)
         sharp = [p for p in template.parameters if p.parameter.kind == "line"]
-        peaks = find_lines(x, rate) if any(p.start is None for p in sharp) else ()
+        peaks: Peaks = ()
+        if any(p.start is None for p in sharp):
+            squares = without_lines(c, found, rate) ** 2
+            highest = peaks_of(squares, level_beside(squares), _PEAKS)
+            peaks = [peak.middle * rate / (2.0 * n) for peak in highest] or [rate / 8.0]
         around, unknown = [line.frequency for line in found], iter(peaks)
         for start in (p.start for p in sharp if p.term not in lines):
             around.append(float(next(unknown, rate / 8.0)) if start is None else start)

@@ -32,7 +32,7 @@ _STEPS = 60
 _QUADRATURE = 48
 # Sets fitted together, which bounds the memory; how far behind the best of them a fit is not finished; and
 # what a step gains at the end of the others [nats].
-_BLOCK, _FAR, _TOLERANCE = 512, 50.0, 1e-5
+_BLOCK, _FAR, _TOLERANCE = 512, 200.0, 1e-5
 
 _PerSet: TypeAlias = Float[np.ndarray, " sets"]
 _Places: TypeAlias = Float[np.ndarray, "sets places"]

@@ -33,7 +33,6 @@ from allanjax.estimate.structure.search import Record
 from allanjax.estimate.structure.structure import (
     FIXED,
     LINE,
-    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     Structure,
@@ -45,14 +44,15 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_column
+from allanjax.spectrum.peaks import lines_in
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
 # Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried, and of
 # searches, each after removal of the lines found before; and least distance of two lines [coefficients].
 _NEARLY_ALL, _SURE, _TRIED, _LOOKS, _APART = 0.9, 10.0, 64, 3, 1.5
-# Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
-_BLOCK, _MEDIAN = 64, 0.4549
+# Median of χ² with one degree of freedom.
+_MEDIAN = 0.4549
 # Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
 # absolute, that the removal of what is not detected may cause: judgements.
 _ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
@@ -105,20 +105,15 @@ class Content(NamedTuple):
 
 def _conspicuous(square: Cosines, rate: float) -> list[float]:
     """Frequencies of peaks that are as narrow as lines and far above their surroundings [Hz]."""
-    n = len(square) + 1
-    blocks = square[: len(square) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
-    ratio = (blocks / (np.median(blocks, axis=1) / _MEDIAN)[:, None]).ravel()
+    n, found = len(square) + 1, list[float]()
     sure = 2.0 * (np.log(n) + _SURE)
-    places, found = np.flatnonzero(ratio >= sure), list[int]()
-    for j in places[np.argsort(-ratio[places])][:_TRIED].tolist():
-        if j < LOWEST or any(abs(j - k) <= _CORE for k in found):
-            continue
-        around = square[max(j - _LINE_AROUND, 0) : j + _LINE_AROUND + 1]
+    for j in lines_in(square, _TRIED):
+        around = square[max(j - 1 - _LINE_AROUND, 0) : j + _LINE_AROUND]
         level = float(np.median(around)) / _MEDIAN
-        core = square[max(j - _CORE, 0) : j + _CORE + 1] - level
-        if square[j] > sure * level and core.sum() > _NEARLY_ALL * (around - level).sum():
-            found.append(j)
-    return [(j + 1) * rate / (2.0 * n) for j in found]
+        core = square[max(j - 1 - _CORE, 0) : j + _CORE] - level
+        if square[j - 1] > sure * level and core.sum() > _NEARLY_ALL * (around - level).sum():
+            found.append(j * rate / (2.0 * n))
+    return found
 
 
 def _with_more_lines(

@@ -391,10 +391,11 @@ def _solution(
     from scipy.special import gammaln
 
     levels, theta, count = arrangement.levels, found.theta, len(arrangement.model)
-    k, ratio = levels.shape * share, np.maximum(levels.level, 1e-300) / found.mean
+    ratio = np.maximum(levels.level, 1e-300) / found.mean
+    some = levels.shape * share > 0.0
+    k, own = (levels.shape * share)[some], ratio[some]
     # Gamma laws, normalized, so that solutions with different errors of the model can be compared.
-    some = k > 0.0
-    densities = (k * (np.log(k * ratio) - ratio) - gammaln(k) - np.log(ratio * found.mean))[some]
+    densities = k * (np.log(k * own) - own) - gammaln(k) - np.log(own * found.mean[some])
     values: Any = (
         np.where(active, theta[:count] / arrangement.unit_power(theta), 0.0),
         theta[arrangement.parameter] - arrangement.offset,

@@ -25,7 +25,6 @@ from allanjax.estimate.spectral.powers import power_fits
 from allanjax.estimate.structure.structure import (
     FINE,
     LINE,
-    LOWEST,
     OUTSIDE,
     QUANTIZATION,
     ROUGH,
@@ -38,9 +37,10 @@ from allanjax.estimate.structure.structure import (
 )
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
+from allanjax.spectrum.peaks import LOWEST, Peak, level_beside, peaks_of
 
-# Narrowest window of a peak [coefficients], and the least gain of one [nats].
-_NARROWEST, _WORTH = 8, 4.0
+# Least gain of a peak that is worth a proposal [nats].
+_WORTH = 4.0
 # Oscillators an octave that are proposed, and their quality factors; number of correlation times; and most
 # components of a kind to which a search adds another one.
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
@@ -52,9 +52,8 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 # Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
 # quality factor above which a resonance is narrow, gain of a peak that is surely one.
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
-# Half the width, in octaves, of what the median around a place is taken of; bins in an octave; and width of a
-# resonance [coefficients] below which it is a line.
-_AROUND, _PER_OCTAVE, _LINE = 0.45, 12, 1.25 * LINE
+# Bins in an octave; and width of a resonance [coefficients] below which it is a line.
+_PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; the
 # largest one to start from [radians per sample]; and the share of it up to which a response is flat.
 _BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
@@ -162,31 +161,17 @@ def _is(component: Component, *columns: int) -> bool:
 
 def _opened(record: Record, plain: Fitted) -> tuple[Spectrum, Fitted]:
     """The best of fits with some response, and without any, to all peaks that stand out."""
-    structure, bins = plain.structure, Bins.of(record.n, record.rate, (), 2 * _PER_OCTAVE)
-    level, f = np.log(bins.sums(record.squares) / bins.size), np.log2(bins.frequency)
-    around = _beside(level, f)
-    for peak in _peaks(record.squares, np.exp(np.interp(np.log2(record.frequency), f, around)), 2 * _PEAKS):
+    structure, level = plain.structure, level_beside(record.squares)
+    for peak in peaks_of(record.squares, level, 2 * _PEAKS):
         if peak.gain > _CLEAR_PEAK and peak.slimness > _SLIM and len(structure.oscillators) < _PEAKS:
-            structure = structure.plus(peak.resonance)
+            structure = structure.plus(_resonance_at(peak, level))
     spectrum = record.binned(structure)
     tried = _ranked(spectrum, _responses(spectrum, structure))
     fits = [spectrum.fit(s, _GLANCE) for s in (structure, *tried[:2])]
-    best = max(fits, key=lambda f: f.evidence)
-    finer = spectrum.weighing(best)
-    near = [f for f in fits if f.evidence > best.evidence - _HOPELESS]
-    best = max((finer.fit(f.structure) for f in near), key=lambda f: f.evidence)
+    finer = spectrum.weighing(max(fits, key=lambda f: f.evidence))
+    best = max((finer.fit(f.structure) for f in fits), key=lambda f: f.evidence)
     now = pruned(finer, best)
     return finer, _settled(finer, now, now.structure.oscillators, now.structure.kind != plain.structure.kind)
-
-
-def _beside(level: Float[np.ndarray, " m"], place: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """The higher one of the medians of the levels on either side of each place: an edge is no peak."""
-    away, medians = place - place[:, None], []
-    for inside in ((away >= 0.0) & (away <= _AROUND), (away <= 0.0) & (away >= -_AROUND)):
-        ordered, count = np.sort(np.where(inside, level, np.inf), axis=1), inside.sum(axis=1)
-        middle = np.stack([(count - 1) // 2, count // 2], axis=1)
-        medians.append(np.take_along_axis(ordered, middle, axis=1).mean(axis=1))
-    return np.maximum(*medians)
 
 
 def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
@@ -294,8 +279,10 @@ def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structur
     """Structures with one component more, or with several narrow resonances, the most promising first."""
     structure, inside = now.structure, now.structure.kind != kinds.NONE
     resonances, processes = (_MOST[k] - len(structure.of_kind(k)) for k in (kinds.OSCILLATOR, kinds.MARKOV))
-    left = _peaks(record.squares, at_all(spectrum, now), _MORE_PEAKS) if resonances else []
-    proposals = [peak.resonance._replace(inside=inside) for peak in left]
+    level = at_all(spectrum, now)
+    left = peaks_of(record.squares, level, _MORE_PEAKS) if resonances else []
+    left = [peak for peak in left if peak.gain > _WORTH]
+    proposals = [_resonance_at(peak, level, inside) for peak in left]
     found = zip(left, proposals, strict=True)
     sure = [new for peak, new in found if peak.slimness > _NARROW and peak.gain > _SURE]
     proposals += _oscillators(spectrum.n, inside) if resonances else []
@@ -326,39 +313,12 @@ def _alike(one: Component, other: Component) -> bool:
     return abs(one.frequency - other.frequency) < min(one.width, other.width)
 
 
-class _Peak(NamedTuple):
-    """Window of a spectrum with an excess: gain of a higher level there [nats], and middle over width."""
-
-    gain: float
-    slimness: float
-    resonance: Component
-
-
-def _peaks(squares: Float[np.ndarray, " n-1"], level: Float[np.ndarray, " n-1"], most: int) -> list[_Peak]:
-    """Windows with most excess over a level of all coefficients, no two of which overlap."""
-    total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
-    found: list[tuple[float, float, float]] = []
-    width = _NARROWEST
-    while width <= (n - 1 - LOWEST) // 4:
-        step = max(width // 4, 1)
-        excess = (total[LOWEST + width :: step] - total[LOWEST : n - width : step]) / width
-        for k in np.argpartition(-excess, min(4 * most, len(excess) - 1))[: 4 * most]:
-            if (ratio := float(excess[k])) > 1.0:
-                gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
-                found.append((gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
-        width *= 2
-    chosen: list[tuple[float, float, float]] = []
-    for peak in sorted(found, reverse=True):
-        apart = all(abs(peak[1] - other) > 0.5 * (peak[2] + w) for _, other, w in chosen)
-        if peak[0] > _WORTH and len(chosen) < most and apart:
-            chosen.append(peak)
-    return [_Peak(gain, middle / wide, _resonance_at(middle, wide, level)) for gain, middle, wide in chosen]
-
-
-def _resonance_at(middle: float, wide: float, level: Float[np.ndarray, " n-1"]) -> Component:
-    quality, n = float(np.clip(middle / wide, 2.0, max(middle / LINE / 2.0, 2.0))), len(level) + 1
+def _resonance_at(peak: Peak, level: Float[np.ndarray, " n-1"], inside: bool = False) -> Component:
+    n = len(level) + 1
+    quality = float(np.clip(peak.slimness, 2.0, max(peak.middle / LINE / 2.0, 2.0)))
     # The excess is about as large as the level, over the window.
-    return resonance(np.pi * middle / n, quality, float(level[int(middle) - 1]) * wide / n, False)
+    power = float(level[int(peak.middle) - 1]) * peak.width / n
+    return resonance(np.pi * peak.middle / n, quality, power, inside)
 
 
 def _oscillators(n: int, inside: bool) -> list[Component]:

@@ -25,6 +25,7 @@ from allanjax.estimate.spectral.model import (
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
 from allanjax.spectrum.cosine import Bins, smoothed
+from allanjax.spectrum.peaks import LOWEST
 
 #: Terms without a free shape, in the first columns; the white noise that is added after a response.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
@@ -33,8 +34,8 @@ QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
 FURTHER = OUTSIDE + 1
 #: Least quality factor of a resonance: a wider one is an edge, as of a filter.
 LEAST_QUALITY = 1.5
-#: Coefficients below this one contain drift; a resonance narrower than so many coefficients is a line.
-LOWEST, LINE = 16, 4.0
+#: A resonance narrower than so many coefficients is a line.
+LINE = 4.0
 # Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
 _SHORTEST = 8.0
 #: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
