@@ -89,6 +89,22 @@ def test_a_resonance_inside_a_filter_is_told_from_one_after_it(inside):
     assert result["resonance_frequency"].value == pytest.approx(20.0, rel=0.006)
 
 
+def test_resonances_take_nothing_from_white_noise_and_are_no_filter():
+    """Of three records that chance has made look otherwise; 0.01 is four standard deviations."""
+    n, x = 2**17, []
+    for seed, std, places in ((163, 0.75, [11.0]), (5, 0.7, [2.0, 11.0]), (12, 0.7, [2.0, 11.0])):
+        rng = np.random.default_rng(seed)
+        waves = [(f, 10.0 if f < 5.0 else 9.0) for f in places]
+        x.append(rng.standard_normal(n) + sum(golden.oscillator(rng, n, std, *wave) for wave in waves))
+    fit = aj.fit(
+        np.transpose(x), rate=RATE, gyro_unit="rad/s", names=["gyro_x", "gyro_y", "gyro_z"], as_is=True
+    )
+    for result, count in zip(fit.results, (1, 2, 2), strict=True):
+        assert result.model.response is None
+        assert sum(label.startswith("resonance") for label in result.model.term_labels) == count
+        assert result["N"].value == pytest.approx(0.1, rel=0.01)
+
+
 def test_a_mean_over_many_samples_is_found():
     """White noise, twenty times as fast as the samples: each zero of the response is a trap."""
     # The record tells 28 samples' duration to a thousandth; 0.05 is a tenth of the way to a next maximum.
