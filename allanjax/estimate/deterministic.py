@@ -161,24 +161,28 @@ def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     around = c[max(centre - _LEVEL_REACH, 1) - 1 : centre + _LEVEL_REACH] ** 2
     level = float(np.mean(around[around < _OUTLYING * np.median(around) / _MEDIAN]))
 
-    def fitted(f: float) -> tuple[float, np.ndarray, float]:
-        D = line_columns(f, indices, n, rate)
-        beta = np.linalg.solve(D.T @ D + 1e-12 * np.eye(2), D.T @ data)
-        return -float(data @ D @ beta) / (2.0 * level), beta, float(np.sqrt(2.0 * level / np.sum(D**2)))
+    def fitted(*f: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        D = line_columns(np.array(f)[:, None], indices, n, rate)
+        right = data @ D
+        beta = np.linalg.solve(D.swapaxes(1, 2) @ D + 1e-12 * np.eye(2), right[..., None])[..., 0]
+        std = np.sqrt(2.0 * level / np.sum(D**2, axis=(1, 2)))
+        return -np.sum(right * beta, axis=1) / (2.0 * level), beta, std
 
     f, std = start, 0.0
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
         grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
-        f, step = grid[np.argmin([fitted(g)[0] for g in grid])], spacing / _GRID
+        f, step = grid[np.argmin(fitted(*grid)[0])], spacing / _GRID
         bounds, options = (f - step, f + step), {"xatol": 1e-6 * spacing}
-        f = float(minimize_scalar(lambda g: fitted(g)[0], bounds=bounds, method="bounded", options=options).x)
+        f = float(
+            minimize_scalar(lambda g: fitted(g)[0][0], bounds=bounds, method="bounded", options=options).x
+        )
         h = 0.05 * spacing
-        left, middle, right = (fitted(g)[0] for g in (f - h, f, f + h))
-        curvature = (left - 2.0 * middle + right) / h**2
-        std = float(1.0 / np.sqrt(curvature)) if curvature > 0.0 else spacing
-    loss, beta, amplitude_std = fitted(f)
-    return Line(f, std, -loss, beta, amplitude_std, indices, data)
+        left, middle, right = fitted(f - h, f, f + h)[0]
+        curvature = float(left - 2.0 * middle + right) / h**2
+        std = 1.0 / np.sqrt(curvature) if curvature > 0.0 else spacing
+    (loss,), (beta,), (amplitude_std,) = fitted(f)
+    return Line(f, float(std), -float(loss), beta, float(amplitude_std), indices, data)
 
 
 class Projection(NamedTuple):
