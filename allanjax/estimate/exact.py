@@ -18,7 +18,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import lsq_linear
 
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import INSIDE, free_shapes
@@ -138,6 +137,8 @@ class _Problem:
 
     def place(self, theta: _Vector) -> _Place:
         """Likelihood and its derivatives at these parameters."""
+        from scipy.optimize import lsq_linear
+
         move = np.diag(_DIFFERENCE * np.where(self.is_power, np.maximum(theta, 1e-2), 1.0))[self.moves]
         # At zero power the difference is one-sided.
         up, down = theta + move, np.where(self.is_power, np.maximum(theta - move, 0.0), theta - move)
