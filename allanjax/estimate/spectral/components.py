@@ -53,8 +53,8 @@ _LAGS = 256
 _STEP = 1e-5
 # Relative distance from whole samples at which a moving average has as many.
 _SAME = 1e-9
-# Share of an oscillation that is left at the end of a record below which nothing is left.
-_NOTHING = 1e-18
+# Share of an oscillation that is left at the end of a record, for each sample, below which nothing is left.
+_NOTHING = 1e-13
 # Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
 _NEARLY_CONSTANT = 0.01
 
@@ -220,7 +220,7 @@ def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: boo
     z = z.reshape(*w.shape, 2 * powers, len(s))
     found = coefficients(0.0) @ z
     # The parity matters for oscillators that last as long as the record.
-    for sign in (-1.0, 1.0) if np.any(abs(at_end) > _NOTHING) else ():
+    for sign in (-1.0, 1.0) if np.any(abs(at_end) > _NOTHING * levels.length) else ():
         at = np.flatnonzero(np.tile(levels.parity == sign, 2))
         found[..., at] = coefficients(sign) @ z[..., at]
     found = found.reshape(*found.shape[:-1], *levels.square.shape)
