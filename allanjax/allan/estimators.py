@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from typing import Any, Literal, TypeVar, get_args
 
 import jax
@@ -180,6 +180,8 @@ _BLOCK = 32
 # Numbers of phases that memory is reserved for at least, so that records of many lengths share a program: of
 # short records, of which there may be thousands, and of others.
 _LEAST = 1 << 16, 1 << 20
+# Samples from which one axis is integrated by several cores.
+_LONG = 1 << 18
 # Axes that are worked through at a time, which bounds the memory.
 _TOGETHER = 16
 # Cluster sizes are padded to a multiple of this number.
@@ -233,7 +235,7 @@ def allan_variance_estimates(
     with ThreadPoolExecutor(cores) as pool:
         for first in range(0, axes, _TOGETHER):
             rows = np.ascontiguousarray(table[:, first : first + _TOGETHER].T)
-            if len(rows) < cores:
+            if len(rows) < cores and n > _LONG:
                 for x, into in zip(rows, phases, strict=False):
                     _integrate(x, into, data_type, pool.map, len(shares))
             else:
@@ -259,23 +261,28 @@ def _integrate(
     """
     n = len(x)
     edges = np.linspace(0, n, stretches + 1).astype(int).tolist()
-    parts = [slice(*of) for of in pairwise(edges)]
 
     # Samples may be infinite; all phases are NaN then.
     @np.errstate(invalid="ignore")
-    def add_up(part: slice) -> None:
-        np.subtract(x[part], mean, out=phases[1:][part])
-        np.cumsum(phases[1:][part], out=phases[1:][part])
+    def total(first: int, stop: int) -> float:
+        return float(np.sum(x[first:stop], dtype=float))
+
+    @np.errstate(invalid="ignore")
+    def add_up(first: int, stop: int, phase: float) -> None:
+        own = phases[first + 1 : stop + 1]
+        np.subtract(x[first:stop], mean, out=own)
+        own[0] += phase
+        np.cumsum(own, out=own)
 
     with np.errstate(invalid="ignore"):
         if data_type == "phase":
             slope = (x[-1] - x[0]) / (n - 1)
             np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
             return
-        mean, phases[0] = sum(each(lambda part: np.sum(x[part], dtype=float), parts)) / n, 0.0
-        list(each(add_up, parts))
-        for part in parts[1:]:
-            phases[1:][part] += phases[part.start]
+        sums = list(each(total, edges[:-1], edges[1:]))
+        mean, phases[0] = sum(sums) / n, 0.0
+        before = np.cumsum([0.0, *sums[:-1]]) - mean * np.array(edges[:-1])
+        list(each(add_up, edges[:-1], edges[1:], before))
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))
