@@ -128,14 +128,17 @@ def extended(
 ) -> tuple[AxisFit, AxisSelection]:
     """Fit of one axis with components besides the plain terms, and the ranking of these.
 
-    They are the given ones if the plain terms fit, or if the components explain little. Samples are at a rate
-    [Hz]; the axis is k of the Allan deviations.
+    They are the given ones if the plain terms fit and no line stands out, or if the components explain
+    little. Samples are at a rate [Hz]; the axis is k of the Allan deviations.
     """
     as_given = plain, selection
-    if len(x) < _SHORTEST or (plain.converged and not plain.discrepancy > 0.0):
+    if len(x) < _SHORTEST:
         return as_given
     x = x[: fast_length(len(x))]
     x = x - x.mean()
+    # Among many coefficients of one level a line may not show.
+    if plain.converged and not plain.discrepancy > 0.0 and not _conspicuous(cosine_transform(x) ** 2, rate):
+        return as_given
     content = Content.of(x, rate)
     of = content.structure
     besides = of.kind != NONE or of.oscillators or of.of_kind(MARKOV) or content.lines

@@ -80,9 +80,9 @@ def fit(
             there; held ones stay there. The time of a step and the time constant of a warm-up need a value
             and are held; such terms need "whittle".
             Without a model, `select_terms` chooses the terms for each axis among the five basic ones and a
-            Markov process; basic terms not chosen have an upper limit. Where no set of terms fits, the
-            spectrum is searched for a filter, resonances, lines and further Markov processes, which are
-            fitted jointly with the terms (`AxisFit.own_template`, `plain`).
+            Markov process; basic terms not chosen have an upper limit. Where no set of terms fits, or a line
+            stands out, the spectrum is searched for a filter, resonances, lines and further Markov processes,
+            which are fitted jointly with the terms (`AxisFit.own_template`, `plain`).
         objective: "allan", "whittle", "wavelet" or "exact".
         wavelet: name of an orthogonal wavelet in PyWavelets, for "wavelet"; only "haar" determines ramps and
             lines.
