@@ -448,9 +448,9 @@ class Candidates(NamedTuple):
             pairs = self.evidence(self.with_two_times(found))
             found = TermSets(*map(np.concatenate, zip(found, pairs, strict=True)))
         if self.error_of(found) > 0.0:
-            # Without other terms, those with a free time are kept.
+            # Without other terms, those with a free time are kept. Sets far behind these are not fitted yet.
             if self.plain:
-                found = found.of(~found.used[:, self.plain :].any(axis=1))
+                found = self.evidence(found.of(~found.used[:, self.plain :].any(axis=1)))
             for _ in range(_ROUNDS):
                 error = max(error, self.error_of(found))
                 share = share_with_error(self.size, self.bins.per_octave() * error**2)
