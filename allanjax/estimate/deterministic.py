@@ -41,8 +41,9 @@ InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
 LINE_REACH, _LEVEL_REACH = 64, 512
-# A line is searched within so many coefficients of a conspicuous place, first at so many points in each.
-_SEARCH, _GRID = 4.0, 4
+# A line is searched within so many coefficients of a conspicuous place, first at so many points in each; and
+# the lowest coefficient where a line of unknown frequency is searched.
+_SEARCH, _GRID, _SLOWEST = 4.0, 4, 4
 # Conspicuous places that are tried for a line, and frequencies that are tried for a resonance.
 _PLACES, _PEAKS = 8, 4
 # Bins per octave where the spectrum is not smooth: for filters.
@@ -126,7 +127,7 @@ def take_out_lines(
             starts, reach = [found[k].frequency], _SEARCH
         c = cosine_transform(rest)
         if k not in found and start is None:
-            starts = [j * rate / (2.0 * n) for j in lines_in(c**2, _PLACES)] or [rate / 8.0]
+            starts = [j * rate / (2.0 * n) for j in lines_in(c**2, _PLACES, _SLOWEST)] or [rate / 8.0]
             reach = _SEARCH
         options = [_refined(c, f, 0.0 if held else reach, rate) for f in starts]
         found[k] = max(options, key=lambda line: line.gain)

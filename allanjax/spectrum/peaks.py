@@ -41,21 +41,23 @@ class Peak(NamedTuple):
         return self.middle / self.width
 
 
-def peaks_of(squares: _Squares, level: _Squares, most: int, widest: float = np.inf) -> list[Peak]:
-    """The peaks with the highest gains above a level, no two of which overlap."""
+def peaks_of(
+    squares: _Squares, level: _Squares, most: int, widest: float = np.inf, lowest: int = LOWEST
+) -> list[Peak]:
+    """Peaks with the highest gains above a level, no two of which overlap, from coefficient `lowest` on."""
     total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
     found: list[Peak] = []
     width = NARROWEST
-    while width <= min((n - 1 - LOWEST) // 4, widest):
+    while width <= min((n - 1 - lowest) // 4, widest):
         step = max(width // 4, 1)
-        excess = (total[LOWEST + width :: step] - total[LOWEST : n - width : step]) / width
+        excess = (total[lowest + width :: step] - total[lowest : n - width : step]) / width
         # Of four successive windows, which overlap, one at most is chosen.
         highest = np.maximum.reduceat(excess, np.arange(0, len(excess), 4))
         for first in 4 * np.argpartition(-highest, min(2 * most, len(highest) - 1))[: 2 * most]:
             k = first + int(np.argmax(excess[first : first + 4]))
             if (ratio := float(excess[k])) > 1.0:
                 gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
-                found.append(Peak(gain, LOWEST + k * step + width / 2.0 + 1.0, float(width)))
+                found.append(Peak(gain, lowest + k * step + width / 2.0 + 1.0, float(width)))
         width *= 2
     chosen: list[Peak] = []
     for peak in sorted(found, reverse=True):
@@ -65,9 +67,9 @@ def peaks_of(squares: _Squares, level: _Squares, most: int, widest: float = np.i
     return chosen
 
 
-def lines_in(squares: _Squares, most: int) -> list[int]:
+def lines_in(squares: _Squares, most: int, lowest: int = LOWEST) -> list[int]:
     """Numbers of the coefficients with the narrowest peaks, the strongest first."""
-    peaks = peaks_of(squares, level_nearby(squares), most, NARROWEST)
+    peaks = peaks_of(squares, level_nearby(squares), most, NARROWEST, lowest)
     firsts = [int(peak.middle - peak.width / 2.0) for peak in peaks]
     return [first + int(np.argmax(squares[first - 1 : first - 1 + NARROWEST])) for first in firsts]
 
@@ -75,7 +77,7 @@ def lines_in(squares: _Squares, most: int) -> list[int]:
 def level_nearby(squares: _Squares) -> _Squares:
     """Level of each coefficient by medians of blocks, which a line does not change."""
     blocks = squares[: max(len(squares) // _BLOCK, 1) * _BLOCK].reshape(-1, min(_BLOCK, len(squares)))
-    median = np.median(blocks, axis=1) / _MEDIAN
+    median = np.maximum(np.median(blocks, axis=1) / _MEDIAN, 1e-300)
     return median[np.minimum(np.arange(len(squares)) // _BLOCK, len(median) - 1)]
 
 
