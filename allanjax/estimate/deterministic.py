@@ -28,7 +28,7 @@ from allanjax.spectrum.cosine import (
     ramp_column,
     term_column,
 )
-from allanjax.spectrum.peaks import level_beside, lines_in, peaks_of
+from allanjax.spectrum.peaks import MEDIAN, level_beside, lines_in, peaks_of
 
 #: Samples of an axis and their cosine coefficients; frequencies [Hz]; samples of auxiliary channels by name;
 #: the terms in use, of one axis or several.
@@ -48,8 +48,8 @@ _SEARCH, _GRID, _SLOWEST = 4.0, 4, 4
 _PLACES, _PEAKS = 8, 4
 # Bins per octave where the spectrum is not smooth: for filters.
 _FINE = 24
-# Median of χ² with one degree of freedom, and a value that it exceeds once in 16 000.
-_MEDIAN, _OUTLYING = 0.4549, 16.0
+# Value that χ² with one degree of freedom exceeds once in 16 000.
+_OUTLYING = 16.0
 
 
 def needs_record(term: NoiseTerm) -> bool:
@@ -160,7 +160,7 @@ def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     data = c[indices - 1]
     # The level of the noise: a mean without outliers, such as another line.
     around = c[max(centre - _LEVEL_REACH, 1) - 1 : centre + _LEVEL_REACH] ** 2
-    level = float(np.mean(around[around < _OUTLYING * np.median(around) / _MEDIAN]))
+    level = float(np.mean(around[around < _OUTLYING * np.median(around) / MEDIAN]))
 
     def fitted(*f: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         D = line_columns(np.array(f)[:, None], indices, n, rate)

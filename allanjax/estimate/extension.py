@@ -44,15 +44,13 @@ from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
 from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_column
-from allanjax.spectrum.peaks import lines_in
+from allanjax.spectrum.peaks import MEDIAN, lines_in
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
 _CORE, _LINE_AROUND = 4, 40
 # Share of the excess there in a line's core; log odds of a peak in white noise; number of peaks tried, and of
 # searches, each after removal of the lines found before; and least distance of two lines [coefficients].
 _NEARLY_ALL, _SURE, _TRIED, _LOOKS, _APART = 0.9, 10.0, 64, 3, 1.5
-# Median of χ² with one degree of freedom.
-_MEDIAN = 0.4549
 # Most fits until every component of the model is detected, and the growth of the discrepancy, relative and
 # absolute, that the removal of what is not detected may cause: judgements.
 _ROUNDS, _WORSE, _SLIGHT = 6, 1.2, 0.001
@@ -109,7 +107,7 @@ def _conspicuous(square: Cosines, rate: float) -> list[float]:
     sure = 2.0 * (np.log(n) + _SURE)
     for j in lines_in(square, _TRIED):
         around = square[max(j - 1 - _LINE_AROUND, 0) : j + _LINE_AROUND]
-        level = float(np.median(around)) / _MEDIAN
+        level = float(np.median(around)) / MEDIAN
         core = square[max(j - 1 - _CORE, 0) : j + _CORE] - level
         if square[j - 1] > sure * level and core.sum() > _NEARLY_ALL * (around - level).sum():
             found.append(j * rate / (2.0 * n))

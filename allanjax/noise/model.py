@@ -18,6 +18,7 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.module import Module
 from allanjax.base.renamed import renamed
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.process import FilteredProcess, Process
@@ -131,7 +132,7 @@ class ModelParameter:
     start: float | None
 
 
-class Model(eqx.Module):
+class Model(Module):
     """A sum of noise terms, written with `+`: `Quantization() + AngleRandomWalk() + Markov()`.
 
     Some may pass a filter, the model's `response`, written as a factor:
@@ -148,9 +149,6 @@ class Model(eqx.Module):
     response: Response | None = None
     inside: tuple[bool, ...] = eqx.field(static=True, default=())
     rate: float = eqx.field(static=True, default=0.0)
-
-    # Plain methods, as those of terms.
-    __getattribute__ = object.__getattribute__
 
     def __check_init__(self) -> None:
         for term in self.terms:

@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.module import Module
 
 #: A parameter's value: a number, an array inside compiled functions, or None for "to be estimated".
 Value: TypeAlias = Any
@@ -81,13 +82,10 @@ def _declared(of: type[Parametrized]) -> tuple[Parameter, ...]:
     return tuple(Parameter(name, **declared) for name, declared in fields if declared is not None)
 
 
-class Parametrized(eqx.Module):
+class Parametrized(Module):
     """What has parameters that are declared as fields: a noise term, or a response."""
 
     held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
-
-    # Plain methods, which are ten times as fast as Equinox's that are PyTrees.
-    __getattribute__ = object.__getattribute__
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

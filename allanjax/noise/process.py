@@ -14,13 +14,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.module import Module
 from allanjax.noise.numerics import (
     gaussian_sequence,
     increment_autocovariance,
@@ -41,11 +41,8 @@ def _summed_density(process: Process, angle: Float[Array, " f"], rate: float) ->
     return jax.vmap(lambda a: sampled_density(process.phase_covariance, a, rate))(angle)
 
 
-class Process(eqx.Module):
+class Process(Module):
     """A random process with a phase covariance, and its Allan variance, spectrum and simulation."""
-
-    # Plain methods, which are ten times as fast as Equinox's that are PyTrees.
-    __getattribute__ = object.__getattribute__
 
     #: True for a line, a ramp, a step: the same in every record, so that its square does not scatter.
     deterministic: ClassVar[bool] = False

@@ -17,8 +17,10 @@ from allanjax.spectrum.cosine import Bins
 LOWEST, NARROWEST = 16, 8
 # Half the width, in octaves, of what the median around a place is taken of; and bins in an octave.
 _AROUND, _PER_OCTAVE = 0.45, 24
-# Coefficients whose median is a first guess of the level, and the median of χ² with one degree of freedom.
-_BLOCK, _MEDIAN = 64, 0.4549
+# Coefficients whose median is a first guess of the level.
+_BLOCK = 64
+#: Median of χ² with one degree of freedom.
+MEDIAN = 0.4549
 
 _Squares: TypeAlias = Float[np.ndarray, " n-1"]
 
@@ -77,7 +79,7 @@ def lines_in(squares: _Squares, most: int, lowest: int = LOWEST) -> list[int]:
 def level_nearby(squares: _Squares) -> _Squares:
     """Level of each coefficient by medians of blocks, which a line does not change."""
     blocks = squares[: max(len(squares) // _BLOCK, 1) * _BLOCK].reshape(-1, min(_BLOCK, len(squares)))
-    median = np.maximum(np.median(blocks, axis=1) / _MEDIAN, 1e-300)
+    median = np.maximum(np.median(blocks, axis=1) / MEDIAN, 1e-300)
     return median[np.minimum(np.arange(len(squares)) // _BLOCK, len(median) - 1)]
 
 

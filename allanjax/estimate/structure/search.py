@@ -96,11 +96,6 @@ class Record(NamedTuple):
         """Number of samples."""
         return len(self.squares) + 1
 
-    @property
-    def frequency(self) -> Float[np.ndarray, " n-1"]:
-        """Frequency of each coefficient [Hz]."""
-        return np.arange(1.0, self.n) * self.rate / (2.0 * self.n)
-
     def binned(self, structure: Structure) -> Spectrum:
         """Spectrum in bins that are finer around the resonances of a structure."""
         hertz = self.rate / (2.0 * np.pi)
