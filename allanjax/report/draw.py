@@ -720,7 +720,11 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
 
 def _draw_key(panel: Axes, apart: float, entries: Sequence[KeyEntry]) -> None:
     """Write the key so far below a panel [inches], each entry with its curve."""
-    figure, inches = panel.figure, panel.figure.dpi_scale_trans
+    from matplotlib.transforms import Affine2D
+
+    figure = cast("Figure", panel.figure)
+    # Inches from the corner of the figure, which a notebook may cut off.
+    inches = Affine2D().scale(*1.0 / figure.get_size_inches()) + figure.transFigure
     x, y = inches.inverted().transform(panel.bbox.p0) - (0.0, apart)
     for entry in entries:
         if entry.style is not None:
