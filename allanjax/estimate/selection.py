@@ -20,7 +20,6 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
-from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
 from allanjax.estimate.evidence import TermSets, evidence, term_sets
@@ -382,8 +381,9 @@ def rank_terms(
     """
     values = [np.asarray(x) for x in statistics]
     own = [SpectralStatistics(*(x[k] for x in values)) for k in range(len(axes))]
-    results = for_each(lambda k: candidates._replace(statistics=own[k]).ranked_for(axes[k]), range(len(axes)))
-    return TermSelection(name, tuple(results))
+    each = zip(own, axes, strict=True)
+    # Threads would wait for each other: a ranking is many short calls.
+    return TermSelection(name, tuple(candidates._replace(statistics=s).ranked_for(axis) for s, axis in each))
 
 
 class Candidates(NamedTuple):
@@ -443,11 +443,16 @@ class Candidates(NamedTuple):
 
     def ranked_for(self, axis: Axis) -> AxisSelection:
         """Ranking of the sets, and their average."""
-        weighed, found, error = self, self.evidence(self.sets), 0.0
+        weighed, found, error = self, self.sets, 0.0
+        # Where all terms together do not fit, whatever their time, no set with a time is used.
+        every = found.of(found.used.all(axis=1))
+        one_time = self.plain and len(self.owner) == self.plain + 1
+        refused = one_time and self.error_of(self.evidence(every)) > 0.0
+        found = found if refused else self.evidence(found)
         if len(self.owner) > self.plain + 1:
             pairs = self.evidence(self.with_two_times(found))
             found = TermSets(*map(np.concatenate, zip(found, pairs, strict=True)))
-        if self.error_of(found) > 0.0:
+        if refused or self.error_of(found) > 0.0:
             # Without other terms, those with a free time are kept. Sets far behind these are not fitted yet.
             if self.plain:
                 found = self.evidence(found.of(~found.used[:, self.plain :].any(axis=1)))

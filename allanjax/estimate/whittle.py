@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.errors import FitError
-from allanjax.base.threads import for_each
 from allanjax.estimate.design import find_starts, shape_candidates
 from allanjax.estimate.deterministic import AxisSpectrum, InUse, Projection, Regressors
 from allanjax.estimate.gls import Solution
@@ -63,7 +62,7 @@ def fit_spectra(
 ) -> tuple[AxisFit, ...]:
     """Fit every axis to its spectral statistics; see `fit_spectrum`."""
     each = zip(axes, spectra, active, strict=True)
-    return tuple(for_each(lambda of_axis: fit_spectrum(template, *of_axis), each))
+    return tuple(fit_spectrum(template, *of_axis) for of_axis in each)
 
 
 def fit_spectrum(

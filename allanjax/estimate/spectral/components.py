@@ -220,9 +220,12 @@ def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: boo
     z = z.reshape(*w.shape, 2 * powers, len(s))
     found = coefficients(0.0) @ z
     # The parity matters for oscillators that last as long as the record.
-    for sign in (-1.0, 1.0) if np.any(abs(at_end) > _NOTHING * levels.length) else ():
-        at = np.flatnonzero(np.tile(levels.parity == sign, 2))
-        found[..., at] = coefficients(sign) @ z[..., at]
+    if np.any(lasting := abs(at_end) > _NOTHING * levels.length):
+        z, own = z[lasting], found[lasting]
+        for sign in (-1.0, 1.0):
+            at = np.flatnonzero(np.tile(levels.parity == sign, 2))
+            own[..., at] = coefficients(sign)[lasting] @ z[..., at]
+        found[lasting] = own
     found = found.reshape(*found.shape[:-1], *levels.square.shape)
     return found[..., 0, :, :], found[..., 1:, :, :] if sloped else None
 

@@ -224,6 +224,7 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
     levels, most = spectrum.levels, max(len(s.components) for s in every)
     unit, power = np.ones((len(every), most, len(spectrum.rough))), np.zeros((len(every), most))
     used = np.zeros(power.shape, bool)
+    spectrum.know(every)
     for k, s in enumerate(every):
         own = slice(len(s.components))
         unit[k, own], used[k, own] = spectrum.units(s, s.components), True

@@ -112,6 +112,11 @@ class Structure(Composition):
         k, own = self.place(column), self.column(column)._replace(power=power)
         return self.plus(own) if k is None else self._changed({k: own})
 
+    @property
+    def filter(self) -> tuple[float, ...]:
+        """Kind and shape of the response."""
+        return self.kind, *self.response
+
     def with_response(self, kind: int, bandwidth: float, quality: float = math.sqrt(0.5)) -> Structure:
         """Structure with this response [radians per sample]."""
         response = math.log(bandwidth), math.log(quality - 0.5)
@@ -232,6 +237,14 @@ class Spectrum:
         """Minus the log-likelihood of these levels under a fit to others [nats]."""
         return float(self.levels.shape @ (np.log(fitted.mean) + self.levels.level / fitted.mean))
 
+    def know(self, structures: Sequence[Structure]) -> None:
+        """Compute the responses of these structures that are not known yet, those of a kind together."""
+        new = {s.filter: s for s in structures if s.kind != kinds.NONE and s.filter not in self.known}
+        for kind in {s.kind for s in new.values()}:
+            own = {key: s.bandwidth for key, s in new.items() if s.kind == kind}
+            wc, Q = np.array(list(own.values())).T[:, :, None, None]
+            self.known.update(zip(own, passed(self.levels, kind, wc, Q), strict=True))
+
     def units(self, structure: Structure, components: Sequence[Component]) -> Float[np.ndarray, "some m"]:
         """Levels of components of unit power before or after the response of a structure."""
         for kind, function in kinds.CLOSED.items():
@@ -242,10 +255,8 @@ class Spectrum:
             [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
         )
         if structure.kind != kinds.NONE:
-            key = (structure.kind, *structure.response)
-            if key not in self.known:
-                self.known[key] = passed(self.levels, structure.kind, *structure.bandwidth)
-            squares[[c.inside for c in components]] *= self.known[key]
+            self.know([structure])
+            squares[[c.inside for c in components]] *= self.known[structure.filter]
         return 0.5 * (squares[:, 0] + squares[:, 1])
 
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
