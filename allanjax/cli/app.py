@@ -35,7 +35,7 @@ def main() -> None:
     """Run the command line."""
     end_on_interrupt()
     # Libraries make so many objects that looking for unused ones would take a tenth of a command's time.
-    gc.set_threshold(50_000)
+    gc.set_threshold(200_000)
     for stream in (sys.stdout, sys.stderr):
         speak_plainly(stream)
     app(prog_name="allanjax")

@@ -41,9 +41,9 @@ InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
 LINE_REACH, _LEVEL_REACH = 64, 512
-# A line is searched within so many coefficients of a conspicuous place, first at so many points in each; and
-# the lowest coefficient where a line of unknown frequency is searched.
-_SEARCH, _GRID, _SLOWEST = 4.0, 4, 4
+# A line is searched within so many coefficients of a conspicuous place, at so many points in each, followed by
+# steps to the vertex of a parabola; and the lowest coefficient where a line of unknown frequency is searched.
+_SEARCH, _GRID, _STEPS, _SLOWEST = 4.0, 4, 4, 4
 # Conspicuous places that are tried for a line, and frequencies that are tried for a resonance.
 _PLACES, _PEAKS = 8, 4
 # Bins per octave where the spectrum is not smooth: for filters.
@@ -155,8 +155,6 @@ def without_lines(c: Cosines, lines: Sequence[Line], rate: float) -> Cosines:
 
 def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     """Best line within `reach` coefficients of a frequency."""
-    from scipy.optimize import minimize_scalar
-
     n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
@@ -177,15 +175,13 @@ def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
         grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
-        f, step = grid[np.argmin(fitted(*grid)[0])], spacing / _GRID
-        bounds, options = (f - step, f + step), {"xatol": 1e-6 * spacing}
-        f = float(
-            minimize_scalar(lambda g: fitted(g)[0][0], bounds=bounds, method="bounded", options=options).x
-        )
-        h = 0.05 * spacing
-        left, middle, right = fitted(f - h, f, f + h)[0]
-        curvature = float(left - 2.0 * middle + right) / h**2
-        std = 1.0 / np.sqrt(curvature) if curvature > 0.0 else spacing
+        f, h = float(grid[np.argmin(fitted(*grid)[0])]), 0.05 * spacing
+        for _ in range(_STEPS):
+            left, middle, right = fitted(f - h, f, f + h)[0].tolist()
+            curvature = (left - 2.0 * middle + right) / h**2
+            std = 1.0 / np.sqrt(curvature) if curvature > 0.0 else spacing
+            step = 0.5 * (left - right) / (curvature * h) if curvature > 0.0 else 0.0
+            f += float(np.clip(step, -spacing / _GRID, spacing / _GRID))
     (loss,), (beta,), (amplitude_std,) = fitted(f)
     return Line(f, float(std), -float(loss), beta, float(amplitude_std), indices, data)
 

@@ -256,9 +256,10 @@ def apart_from_one(tangent: Any, order: int) -> Any:
     return tangent + xp.where(xp.abs(tangent - 1.0) < _NEAR_ONE, 2.0 * _NEAR_ONE, 0.0) * (order % 2)
 
 
-def bilinear_poles(q: Any) -> Poles:
-    """Poles of the power response of a filter of these q."""
-    return Poles((1.0 - q) / (1.0 + q), _shares(q) * q / (1.0 - q**2))
+def bilinear_poles(q: Any, shares: Any = None) -> Poles:
+    """Poles of the power response of a filter of these q, given their shares if these are known."""
+    shares = _shares(q) if shares is None else shares
+    return Poles((1.0 - q) / (1.0 + q), shares * q / (1.0 - q**2))
 
 
 def _shares(q: Any) -> Any:

@@ -48,24 +48,25 @@ def peaks_of(
 ) -> list[Peak]:
     """Peaks with the highest gains above a level, no two of which overlap, from coefficient `lowest` on."""
     total, n = np.concatenate([[0.0], np.cumsum(squares / level)]), len(level) + 1
-    found: list[Peak] = []
-    width = NARROWEST
+    windows, width = [np.zeros((3, 0))], NARROWEST
     while width <= min((n - 1 - lowest) // 4, widest):
         step = max(width // 4, 1)
         excess = (total[lowest + width :: step] - total[lowest : n - width : step]) / width
         # Of four successive windows, which overlap, one at most is chosen.
         highest = np.maximum.reduceat(excess, np.arange(0, len(excess), 4))
-        for first in 4 * np.argpartition(-highest, min(2 * most, len(highest) - 1))[: 2 * most]:
-            k = first + int(np.argmax(excess[first : first + 4]))
-            if (ratio := float(excess[k])) > 1.0:
-                gain = 0.5 * width * (ratio - 1.0 - np.log(ratio)) - np.log((n - 1) / width)
-                found.append(Peak(gain, lowest + k * step + width / 2.0 + 1.0, float(width)))
+        groups = np.argpartition(-highest, min(2 * most, len(highest) - 1))[: 2 * most]
+        four = np.minimum(4 * groups[:, None] + np.arange(4), len(excess) - 1)
+        k = four[np.arange(len(four)), np.argmax(excess[four], axis=1)]
+        k = k[excess[k] > 1.0]
+        gain = 0.5 * width * (excess[k] - 1.0 - np.log(excess[k])) - np.log((n - 1) / width)
+        windows.append(np.array([gain, lowest + k * step + width / 2.0 + 1.0, np.full(len(k), width)]))
         width *= 2
-    chosen: list[Peak] = []
-    for peak in sorted(found, reverse=True):
-        apart = all(abs(peak.middle - other.middle) > 0.5 * (peak.width + other.width) for other in chosen)
-        if len(chosen) < most and apart:
-            chosen.append(peak)
+    every = np.concatenate(windows, axis=1)
+    every, chosen = every[:, np.lexsort(-every[::-1])], list[Peak]()
+    while len(chosen) < most and every.size:
+        chosen.append(Peak(*every[:, 0].tolist()))
+        _, middle, wide = every
+        every = every[:, abs(middle - middle[0]) > 0.5 * (wide + wide[0])]
     return chosen
 
 

@@ -280,7 +280,7 @@ def _poles(kind: int, wc: Any, Q: Any) -> Poles:
     if kind == BIQUAD:
         return bilinear_poles(biquad_poles(tangent, Q))
     order = kind - BUTTERWORTH_1 + 1
-    return bilinear_poles(butterworth_poles(apart_from_one(tangent, order), order))
+    return bilinear_poles(butterworth_poles(apart_from_one(tangent, order), order), 1.0 / order)
 
 
 def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
@@ -296,14 +296,20 @@ def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarra
         numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
         sums = _of_sums(levels, numbers)[at.reshape(2, *whole.shape[:-2])]
         return _between(samples, whole, sums)[0]
-    w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim)) for x in _poles(kind, wc, Q))
+    poles = _poles(kind, wc, Q)
+    # Of conjugate pairs the first halves, then a real pole, if there is one.
+    pairs = len(poles.pole) // 2
+    w, c = (x.reshape(*x.shape, *(1,) * (3 - x.ndim))[: len(x) - pairs] for x in poles)
+    c[:pairs] *= 2.0
     s, y = levels.square, 1.0 - w
     z = 1.0 / (y**2 + 4.0 * w * s)
     if kind == TWO_POLES:
-        power = np.sum(np.real(c * (1.0 - w**2) * z), axis=0)
+        power = np.real(c * (1.0 - w**2) * z)[0]
     else:
         # Exact deep in the stop band; the bilinear transformation puts zeros at half the sample rate.
-        power = np.real(np.prod(y**2 * (1.0 if kind == ONE_POLE else 1.0 - s) * z, axis=0))
+        factors = y**2 * (1.0 if kind == ONE_POLE else 1.0 - s) * z
+        power = np.prod(factors[:pairs].real ** 2 + factors[:pairs].imag ** 2, axis=0)
+        power = power * factors[-1].real if len(w) > pairs else power
     ends = c * w * y**2 * (1.0 - levels.parity * w**levels.length) * (4.0 / levels.length)
     return power - np.sum(np.real(ends * z**2), axis=0) * (1.0 - s)
 

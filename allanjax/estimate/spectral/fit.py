@@ -45,6 +45,8 @@ _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), m
 _NOTHING = 1e-290
 # Number of times that a model's error is re-estimated, and the change below which it has settled.
 _ROUNDS, _SETTLED = 8, 0.02
+# Largest error of a model, and most steps towards it.
+_LARGEST, _STEPS = 1e3, 60
 # Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
 # log-likelihood below which two solutions are the same; and tolerance [nats] of fits before the last one.
 _FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
@@ -332,17 +334,17 @@ def error_of_powers(
     The ratios are those of levels to their expectations; the levels in an octave share the error, which adds
     per_octave·error² to the relative variance of each.
     """
-    from scipy.optimize import brentq
-
-    squares = _squares(ratio, dof)
-
-    def excess(error: float) -> float:
-        return float(squares @ share_with_error(dof, per_octave * error**2)) - degrees
-
-    if not excess(0.0) > 0.0:
-        return 0.0
-    # Levels may be beyond any error of the model, from a start that is far off.
-    return float(brentq(excess, 0.0, 1e3)) if excess(1e3) < 0.0 else 1e3
+    squares, half, variance = _squares(ratio, dof), 0.5 * dof * per_octave, 0.0
+    for _ in range(_STEPS):
+        share = 1.0 / (1.0 + half * variance)
+        chi2, slope = float(squares @ share), float(squares @ (half * share**2))
+        # Newton's steps for 1/χ², a harmonic mean, do not go too far, as it is concave.
+        step = chi2 * (chi2 - degrees) / max(degrees * slope, 1e-300)
+        # Levels may be beyond any error of the model, from a start that is far off.
+        variance = min(variance + max(step, 0.0), _LARGEST**2)
+        if not 1e-9 * variance < step < _LARGEST**2:
+            break
+    return math.sqrt(variance)
 
 
 def fit_levels(

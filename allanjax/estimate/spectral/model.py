@@ -288,17 +288,19 @@ def maximize(
 
     with np.errstate(all="ignore"):
         best = place(np.clip(theta, joint.lower, joint.upper))
+        slopes = _slopes(best, joint, levels)
         damping, predicted, steps, converged = _DAMPING, np.inf, 0, False
         while not converged and steps < _STEPS and not np.isnan(predicted):
             steps += 1
-            trial, predicted = _next(best, joint, levels, damping)
+            trial, predicted = _next(best, slopes, joint, levels, damping)
             converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
             new = place(trial, best.scale)
             # Of a small step the gain is lost in rounding.
             share = 1.0 if 0.0 <= predicted < _SMALL else (best.loss - new.loss) / abs(predicted)
             damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
-            best = new if share > _BAD else best
-        slope, _, interior = _slopes(best, joint, levels)
+            if share > _BAD:
+                best, slopes = new, _slopes(new, joint, levels)
+        slope, _, interior = slopes
         slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
     information = (slope * levels.shape) @ slope.T + np.diag(prior)
     return best._replace(information=information, interior=interior, converged=bool(converged))
@@ -317,7 +319,7 @@ def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]
 
 
 def _next(
-    best: Maximum, joint: Joint, levels: Levels, damping: float
+    best: Maximum, slopes: tuple[Any, Any, Any], joint: Joint, levels: Levels, damping: float
 ) -> tuple[Float[np.ndarray, " parameters"], float]:
     """The next place to try, and the gain to expect there.
 
@@ -325,9 +327,11 @@ def _next(
     Where the slope by the bandwidth jumps, it is that of the side on which the loss falls; if it falls on
     neither, the bandwidth stays. No step goes beyond the next jump.
     """
-    slope, gradient, interior = _slopes(best, joint, levels)
-    weight, excess = levels.shape, levels.level / best.mean - 1.0
-    if np.any(jump := best.by_response[2] / best.mean):
+    (slope, gradient, interior), weight = slopes, levels.shape
+    excess = levels.level / best.mean - 1.0
+    if np.any(best.by_response[2]):
+        slope, gradient, interior = slope.copy(), gradient.copy(), interior.copy()
+        jump = best.by_response[2] / best.mean
         bend = -float(jump @ (weight * excess))
         side, interior[-2] = -np.sign(gradient[-2]), interior[-2] and abs(gradient[-2]) > bend
         slope[-2], gradient[-2] = slope[-2] + side * jump, gradient[-2] + side * bend
