@@ -8,6 +8,7 @@ likelihood, without what that does not detect.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -145,7 +146,10 @@ def extended(
         return as_given
     selection = _selection(content, plain.axis)
     content = content._replace(structure=_with_terms(content, selection))
-    template, result = _detected(content, *_template(content, selection), plain.axis, x)
+    template, active = _template(content, selection)
+    if all(term.deterministic for term in itertools.compress(template.terms, active)):
+        return as_given
+    template, result = _detected(content, template, active, plain.axis, x)
     if not result.converged:
         return as_given
     deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
@@ -162,15 +166,16 @@ def extended(
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:
     """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
-    structure, fine, there = content.structure, content.bins, content.structure.there
-    f, response = fine.frequency, response_of(structure, fine.rate)
-    density = np.array([term_of(structure, k, fine.rate).sampled_psd(f, fine.rate) for k in there])
-    passed = 1.0 if response is None else np.asarray(response.power(f, fine.rate))
-    total = np.sum(density * np.where(structure.inside[there][:, None], passed, 1.0), axis=0)
-    terms = np.sum(density[np.isin(there, content.plain_terms)], axis=0)
-    every = np.log(np.arange(1.0, fine.n) * fine.rate / (2.0 * fine.n))
+    structure, fine = content.structure, content.bins
+    spectrum = Record(content.rest**2, fine.rate).binned(structure)
+    plain = [structure.components[k] for k in content.plain_terms]
+    total, terms = (
+        np.array([c.power for c in own]) @ spectrum.units(of, own)
+        for of, own in ((structure, structure.components), (structure.without_response(), plain))
+    )
+    every, middle = np.log(np.arange(1.0, fine.n)), np.log(spectrum.bins.frequency * 2.0 * fine.n / fine.rate)
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
-    corrected = content.rest / np.exp(0.5 * np.interp(every, np.log(f), np.log(total / terms)))
+    corrected = content.rest / np.exp(0.5 * np.interp(every, middle, np.log(total / terms)))
     candidates = candidates_in_record(fine.n, fine.rate, 2 if len(structure.of_kind(MARKOV)) > 1 else 1)
     statistics = candidates.bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
     return rank_terms(candidates, statistics, [axis], axis.name).results[0]

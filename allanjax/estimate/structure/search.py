@@ -60,12 +60,12 @@ _BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
 _KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *_BUTTERWORTH)
 _OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
-_BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.1
+_BESIDE, _HIGHEST, _FLAT = np.array([0.65, 0.85, 1.0, 1.2, 1.6]), 2.8, 0.1
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
 # behind the best one [nats] a proposal may end to be followed.
-_RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
+_RANKED, _TRIED, _HOPELESS = 12, 2, 100.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
