@@ -39,7 +39,7 @@ from allanjax.noise.response import Response
 # which the iteration ends in any case.
 _DAMPING, _GOOD, _POOR, _BAD, _LESS, _MORE, _STUCK = 0.01, 0.5, 0.25, 0.01, 1.0 / 6.0, 1.0 / 0.15, 1e8
 #: Expected gain of a step [nats] at which the fit of a model ends.
-TOLERANCE = 1e-7
+TOLERANCE = 1e-9
 # Expected gain [nats] of a step that is taken in any case; most steps; and the longest one of a parameter, in
 # ln.
 _SMALL, _STEPS, _LONGEST = 1e-8, 200, 2.0
