@@ -19,8 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from allanjax.base.chi_squared import beyond_doubt
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.model import Component
+from allanjax.estimate.spectral.fit import chi_squared
+from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.estimate.structure.structure import (
     FINE,
@@ -55,17 +57,19 @@ _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; the
-# largest one to start from [radians per sample]; and the share of it up to which a response is flat.
+# largest one to start from [radians per sample]; and the power above which a response has not fallen.
 _BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
 _KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *_BUTTERWORTH)
 _OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
-_BESIDE, _HIGHEST, _FLAT = np.array([0.65, 0.85, 1.0, 1.2, 1.6]), 2.8, 0.1
+_BESIDE, _HIGHEST, _FLAT = np.array([0.65, 0.85, 1.0, 1.2, 1.6]), 2.8, 0.98
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
 # behind the best one [nats] a proposal may end to be followed.
 _RANKED, _TRIED, _HOPELESS = 12, 2, 100.0
+# How many edits of a model that fits are fitted jointly, and how far behind the best one these may be [nats].
+_LAST = 6, 150.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
@@ -139,8 +143,19 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
 
 
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
-    """Final fit with the slow processes that predict best, without idle components."""
+    """Final fit with the slow processes that predict best, without idle components.
+
+    Where the model fits, as a sensor's own filter rarely does, it is edited once more with the full weight of
+    all levels: what is behind the filter shows where that has fallen.
+    """
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
+    if now.structure.kind != kinds.NONE:
+        full = spectrum.with_error(0.0)
+        again = full.fit(now.structure)
+        dof = 2.0 * full.levels.shape
+        degrees = max(np.sum(np.minimum(dof, 1.0)) - np.sum(again.maximum.interior), 1.0)
+        if chi_squared(full.levels.level / again.mean, dof) < beyond_doubt(degrees):
+            spectrum, now = full, _edited(full, again, functools.partial(_edits, full), *_LAST)
     return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
 
 
@@ -216,8 +231,13 @@ def _all_placed(structure: Structure, inside: bool) -> Structure:
     return structure.placed([structure.place(QUANTIZATION), *structure.oscillators], inside)
 
 
-def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[Structure]:
-    """The best structure of each group by fits of their powers with shapes held, the best one first."""
+def _ranked(
+    spectrum: Spectrum, groups: Sequence[Sequence[Structure]], behind: float = np.inf
+) -> list[Structure]:
+    """The best structure of each group by fits of their powers with shapes held, the best one first.
+
+    Without those that are farther `behind` the best one [nats].
+    """
     every = [s for group in groups for s in group]
     if not every:
         return []
@@ -239,7 +259,8 @@ def _ranked(spectrum: Spectrum, groups: Sequence[Sequence[Structure]]) -> list[S
         k = first + int(np.argmin(loss[first : first + len(group)]))
         best.append((loss[k], every[k].with_powers(power[k, : len(every[k].components)].tolist())))
         first += len(group)
-    return [s for _, s in sorted(best, key=lambda pair: pair[0])]
+    best.sort(key=lambda pair: pair[0])
+    return [s for loss, s in best if loss <= best[0][0] + behind]
 
 
 def _price(structure: Structure) -> float:
@@ -352,11 +373,15 @@ def _floor(spectrum: Spectrum) -> float:
 
 
 def _edited(
-    spectrum: Spectrum, now: Fitted, edits: Callable[[Structure], Iterable[list[Structure]]]
+    spectrum: Spectrum,
+    now: Fitted,
+    edits: Callable[[Structure], Iterable[list[Structure]]],
+    most: int = _TRIED,
+    behind: float = np.inf,
 ) -> Fitted:
     """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
     while True:
-        tried = _ranked(spectrum, [group for group in edits(now.structure) if group])[:_TRIED]
+        tried = _ranked(spectrum, [group for group in edits(now.structure) if group], behind)[:most]
         best = functools.reduce(_better, map(spectrum.fit, tried), now)
         if best is now:
             return now
@@ -385,6 +410,8 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         yield [structure.without_response()]
         yield from _others(structure, width)
         yield from _moved(structure, [rounded, *structure.oscillators])
+        if structure.place(OUTSIDE) is None:
+            yield [structure.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
     rests = []
     if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < kinds.QUICK]:
         rests.append((structure.without(*quick), width))
@@ -406,12 +433,13 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
-    for k in places if structure.kind != kinds.NONE else ():
+    response = response_of(structure, 2.0 * np.pi)
+    for k in places if response is not None else ():
         if k is not None:
-            # Where the response has fallen by nothing yet there is no difference.
             own = structure.components[k]
-            resonant = own.kind == kinds.OSCILLATOR and own.frequency < _FLAT * structure.bandwidth[0]
-            if not (resonant and own.quality > _NARROW):
+            # Where the response has not fallen yet there is no difference.
+            top = own.frequency * (1.0 + 1.0 / own.quality) if own.kind == kinds.OSCILLATOR else np.pi
+            if float(response.power(min(top, np.pi), 2.0 * np.pi)) < _FLAT:
                 yield [structure.placed([k], not own.inside)]
 
 
