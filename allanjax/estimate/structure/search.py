@@ -149,14 +149,20 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     all levels: what is behind the filter shows where that has fallen.
     """
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
-    if now.structure.kind != kinds.NONE:
-        full = spectrum.with_error(0.0)
-        again = full.fit(now.structure)
-        dof = 2.0 * full.levels.shape
-        degrees = max(np.sum(np.minimum(dof, 1.0)) - np.sum(again.maximum.interior), 1.0)
-        if chi_squared(full.levels.level / again.mean, dof) < beyond_doubt(degrees):
-            spectrum, now = full, _edited(full, again, functools.partial(_edits, full), *_LAST)
+    full = spectrum.with_error(0.0)
+    again = full.fit(now.structure)
+    if _fits(full, again) or now.structure.kind == kinds.NONE:
+        again = _edited(full, again, functools.partial(_edits, full), *_LAST)
+    if _fits(full, again):
+        spectrum, now = full, again
     return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
+
+
+def _fits(spectrum: Spectrum, fitted: Fitted) -> bool:
+    """Whether a fit's χ² is no larger than chance explains."""
+    dof = 2.0 * spectrum.levels.shape
+    degrees = max(np.sum(np.minimum(dof, 1.0)) - np.sum(fitted.maximum.interior), 1.0)
+    return chi_squared(spectrum.levels.level / fitted.mean, dof) < float(beyond_doubt(degrees))
 
 
 def _idle(structure: Structure) -> list[int]:
@@ -412,6 +418,8 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         yield from _moved(structure, [rounded, *structure.oscillators])
         if structure.place(OUTSIDE) is None:
             yield [structure.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
+    else:
+        yield from _responses(spectrum, structure)
     rests = []
     if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < kinds.QUICK]:
         rests.append((structure.without(*quick), width))
