@@ -175,15 +175,16 @@ def _refined(c: Cosines, start: float, reach: float, rate: float) -> Line:
     if reach > 0.0:
         offsets = np.arange(-reach, reach + 1e-9, 1.0 / _GRID) * spacing
         grid = np.clip(start + offsets, spacing, (n - 1.0) * spacing)
-        f, h = float(grid[np.argmin(fitted(*grid)[0])]), 0.05 * spacing
+        best, h = float(grid[np.argmin(fitted(*grid)[0])]), 0.05 * spacing
+        f, low, high = best, best - spacing / _GRID, best + spacing / _GRID
         for _ in range(_STEPS):
             left, middle, right = fitted(f - h, f, f + h)[0].tolist()
             curvature = (left - 2.0 * middle + right) / h**2
-            std = 1.0 / np.sqrt(curvature) if curvature > 0.0 else spacing
+            std = curvature**-0.5 if curvature > 0.0 else spacing
             step = 0.5 * (left - right) / (curvature * h) if curvature > 0.0 else 0.0
-            f += float(np.clip(step, -spacing / _GRID, spacing / _GRID))
+            f = min(max(f + step, low), high)
     (loss,), (beta,), (amplitude_std,) = fitted(f)
-    return Line(f, float(std), -float(loss), beta, float(amplitude_std), indices, data)
+    return Line(f, std, -float(loss), beta, float(amplitude_std), indices, data)
 
 
 class Projection(NamedTuple):

@@ -153,8 +153,7 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     again = full.fit(now.structure)
     if _fits(full, again) or now.structure.kind == kinds.NONE:
         again = _edited(full, again, functools.partial(_edits, full), *_LAST)
-    if _fits(full, again):
-        spectrum, now = full, again
+    now = again if _fits(full, again) else now
     return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
 
 
