@@ -41,7 +41,7 @@ InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
 # farther around have the level of the noise.
 LINE_REACH, _LEVEL_REACH = 64, 512
-# A line is searched within so many coefficients of a conspicuous place, at so many points in each, followed by
+# A line is searched within so many coefficients of a conspicuous place, at so many points in each, then by
 # steps to the vertex of a parabola; and the lowest coefficient where a line of unknown frequency is searched.
 _SEARCH, _GRID, _STEPS, _SLOWEST = 4.0, 4, 4, 4
 # Conspicuous places that are tried for a line, and frequencies that are tried for a resonance.

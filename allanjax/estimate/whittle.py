@@ -44,7 +44,7 @@ _FEW = 8.0
 _BLOCK = 32
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.
-_SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 3.0
+_SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 5.0
 # Powers and shapes.
 _Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
 

@@ -62,14 +62,15 @@ _BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
 _KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *_BUTTERWORTH)
 _OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
-_BESIDE, _HIGHEST, _FLAT = np.array([0.65, 0.85, 1.0, 1.2, 1.6]), 2.8, 0.98
+_BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.98
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
 # behind the best one [nats] a proposal may end to be followed.
 _RANKED, _TRIED, _HOPELESS = 12, 2, 100.0
-# How many edits of a model that fits are fitted jointly, and how far behind the best one these may be [nats].
-_LAST = 6, 150.0
+# How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
+# they have to gain [nats].
+_LAST = 6, 150.0, 3.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
@@ -383,12 +384,13 @@ def _edited(
     edits: Callable[[Structure], Iterable[list[Structure]]],
     most: int = _TRIED,
     behind: float = np.inf,
+    least: float = _BETTER,
 ) -> Fitted:
     """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
     while True:
         tried = _ranked(spectrum, [group for group in edits(now.structure) if group], behind)[:most]
         best = functools.reduce(_better, map(spectrum.fit, tried), now)
-        if best is now:
+        if best is now or best.evidence < now.evidence + least:
             return now
         now = best
 
@@ -440,14 +442,14 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
-    response = response_of(structure, 2.0 * np.pi)
-    for k in places if response is not None else ():
-        if k is not None:
-            own = structure.components[k]
-            # Where the response has not fallen yet there is no difference.
-            top = own.frequency * (1.0 + 1.0 / own.quality) if own.kind == kinds.OSCILLATOR else np.pi
-            if float(response.power(min(top, np.pi), 2.0 * np.pi)) < _FLAT:
-                yield [structure.placed([k], not own.inside)]
+    if (response := response_of(structure, 2.0 * np.pi)) is None:
+        return
+    for k in (k for k in places if k is not None):
+        own = structure.components[k]
+        # Where the response has not fallen yet there is no difference.
+        top = own.frequency * (1.0 + 1.0 / own.quality) if own.kind == kinds.OSCILLATOR else np.pi
+        if float(response.power(min(top, np.pi), 2.0 * np.pi)) < _FLAT:
+            yield [structure.placed([k], not own.inside)]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
