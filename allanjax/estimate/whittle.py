@@ -28,7 +28,7 @@ from allanjax.estimate.inference import (
     infer,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
-from allanjax.estimate.spectral.components import QUICK, WIDE
+from allanjax.estimate.spectral.components import QUICK
 from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -42,6 +42,8 @@ _ROUNDS = 3
 _FEW = 8.0
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
+# Quality factor below which a resonance cannot be told from white noise, a judgement.
+_BROAD = 2.5
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.
 _SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 5.0
@@ -166,7 +168,7 @@ def _plateaus(
             w, k = 0.5 * fit.degrees[near], 0.5 * projection.dof[near]
             # Squared relative deviations of gamma laws have means 1/k and variances (2 + 6/k)/k².
             chance = np.sum(w / k) + _CERTAIN * np.sqrt(np.sum((w / k) ** 2 * (2.0 + 6.0 / k)))
-            if Q < WIDE or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
+            if Q < _BROAD or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
                 slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
                 found[place] = {"": 1.0 / (np.pi * f * Q), **slopes}
     return found
