@@ -67,7 +67,7 @@ _BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8,
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
 # behind the best one [nats] a proposal may end to be followed.
-_RANKED, _TRIED, _HOPELESS = 12, 2, 100.0
+_RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
 # they have to gain [nats].
 _LAST = 6, 150.0, 3.0
