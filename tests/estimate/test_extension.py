@@ -8,7 +8,7 @@ import golden_records as golden
 import numpy as np
 import pytest
 from dense_fits import recording
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 import allanjax as aj
 
@@ -103,6 +103,41 @@ def test_resonances_take_nothing_from_white_noise_and_are_no_filter():
         assert result.model.response is None
         assert sum(label.startswith("resonance") for label in result.model.term_labels) == count
         assert result["N"].value == pytest.approx(0.1, rel=0.01)
+
+
+def test_noise_after_a_mean_is_found_where_that_is_zero():
+    """Of four records, N held in two with an error of up to seven standard deviations, as if exact."""
+    n, x = 2**18, []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        mean = lfilter(np.ones(5) / 5.0, [1.0], rng.standard_normal(n + 5))[5:]
+        x.append(mean + 0.024 * rng.standard_normal(n))
+    for result in aj.fit(recording(np.transpose(x), RATE), as_is=True, vibrating=True).results:
+        assert isinstance(result.model.response, aj.MovingAverage)
+        assert abs(result["N"].value - 0.1 * np.hypot(1.0, 0.024)) < 4.0 * result["N"].std
+        # A mean of five samples, whose bandwidth is known to about a thousandth.
+        assert result.model.response.half_power == pytest.approx(0.4429465 * RATE / 5.0, rel=4e-3)
+
+
+def test_a_line_in_a_deep_stop_band_leaves_a_fit():
+    """Levels 80 dB below those of the pass band, most of which the ends of the record cause."""
+    rng, n = np.random.default_rng(6), 118_042
+    x = lfilter(*butter(4, 0.25), rng.standard_normal(n))
+    line = 2.0 * np.cos(2.0 * np.pi * 18.3 / RATE * np.arange(n) + 1.0)
+    (result,) = aj.fit(recording(x + line, RATE), as_is=True, vibrating=True).results
+    # Four standard deviations of white noise in the pass band.
+    assert result["N"].value == pytest.approx(0.1, rel=0.03)
+    assert isinstance(result.model.response, aj.Butterworth)
+
+
+@pytest.mark.parametrize("quality", [3.0, 4.0])
+def test_a_resonance_that_is_measured_is_not_white_noise(quality):
+    """At low frequencies it has 1/Q² of the density at its peak, which counts as N below Q = 2.5 only."""
+    rng, n = np.random.default_rng(9), 2**18
+    x = rng.standard_normal(n) + golden.oscillator(rng, n, 2.0, 25.0, quality)
+    (result,) = aj.fit(recording(x, RATE), as_is=True, vibrating=True).results
+    assert result["resonance_quality_factor"].value == pytest.approx(quality, rel=0.04)
+    assert abs(result["N"].value - 0.1) < 4.0 * result["N"].std
 
 
 def test_a_mean_over_many_samples_is_found():
