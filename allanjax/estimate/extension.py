@@ -36,6 +36,7 @@ from allanjax.estimate.structure.structure import (
     LINE,
     OUTSIDE,
     QUANTIZATION,
+    Spectrum,
     Structure,
     resonance,
     term_of,
@@ -44,7 +45,7 @@ from allanjax.estimate.whittle import fit_spectrum
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis
-from allanjax.spectrum.cosine import Bins, cosine_transform, fast_length, ramp_column
+from allanjax.spectrum.cosine import cosine_transform, fast_length, ramp_column
 from allanjax.spectrum.peaks import MEDIAN, lines_in
 
 # Coefficients on either side of a line that contain its power, and that are inspected.
@@ -60,24 +61,19 @@ _LESS, _SHORTEST = 0.5, 1024
 
 
 class Content(NamedTuple):
-    """Components of a spectrum, its lines, bins that are fine around resonances, and the coefficients.
+    """Components of a spectrum, its lines, the spectrum in bins, and its coefficients.
 
-    These are as `take_out_lines` leaves them.
+    The coefficients are as `take_out_lines` leaves them.
     """
 
     structure: Structure
     lines: tuple[Line, ...]
-    bins: Bins
+    spectrum: Spectrum
     c: Cosines
 
     @classmethod
-    def of(cls, x: Samples, rate: float) -> Content:
-        """Components of the spectrum of these samples."""
-        c, lines = cosine_transform(x), tuple[Line, ...]()
-        for _ in range(_LOOKS):
-            if not (more := _conspicuous(without_lines(c, lines, rate) ** 2, rate)):
-                break
-            c, lines = _with_more_lines(x, rate, lines, more)
+    def of(cls, x: Samples, rate: float, c: Cosines, lines: tuple[Line, ...]) -> Content:
+        """Components of the spectrum of these samples, of which these lines are known."""
         record = Record(without_lines(c, lines, rate) ** 2, rate)
         spectrum, found = search.searched(record, Structure.plain(list(range(len(FIXED)))))
         if sharp := search.narrow(found.structure, len(x)):
@@ -87,12 +83,12 @@ class Content(NamedTuple):
             record = Record(without_lines(c, lines, rate) ** 2, rate)
             spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
         structure = search.completed(spectrum, found).structure
-        return cls(structure.without(*search.narrow(structure, len(x))), lines, spectrum.bins, c)
+        return cls(structure.without(*search.narrow(structure, len(x))), lines, spectrum, c)
 
     @property
     def rest(self) -> Cosines:
         """The coefficients without the lines."""
-        return without_lines(self.c, self.lines, self.bins.rate)
+        return without_lines(self.c, self.lines, self.spectrum.bins.rate)
 
     @property
     def plain_terms(self) -> list[int]:
@@ -115,6 +111,16 @@ def _conspicuous(square: Cosines, rate: float) -> list[float]:
     return found
 
 
+def _conspicuous_lines(x: Samples, rate: float) -> tuple[Cosines, tuple[Line, ...]]:
+    """Coefficients and conspicuous lines of samples; see `take_out_lines`."""
+    c, lines = cosine_transform(x), tuple[Line, ...]()
+    for _ in range(_LOOKS):
+        if not (more := _conspicuous(without_lines(c, lines, rate) ** 2, rate)):
+            break
+        c, lines = _with_more_lines(x, rate, lines, more)
+    return c, lines
+
+
 def _with_more_lines(
     x: Samples, rate: float, lines: Sequence[Line], more: Sequence[float]
 ) -> tuple[Cosines, tuple[Line, ...]]:
@@ -135,10 +141,11 @@ def extended(
         return as_given
     x = x[: fast_length(len(x))]
     x = x - x.mean()
+    c, lines = _conspicuous_lines(x, rate)
     # Among many coefficients of one level a line may not show.
-    if plain.converged and not plain.discrepancy > 0.0 and not _conspicuous(cosine_transform(x) ** 2, rate):
+    if plain.converged and not plain.discrepancy > 0.0 and not lines:
         return as_given
-    content = Content.of(x, rate)
+    content = Content.of(x, rate, c, lines)
     of = content.structure
     besides = of.kind != NONE or of.oscillators or of.of_kind(MARKOV) or content.lines
     # Without plain terms nothing is to be corrected.
@@ -166,18 +173,17 @@ def extended(
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:
     """Ranking of the terms by the spectrum divided by the effect of the rest of the structure."""
-    structure, fine = content.structure, content.bins
-    spectrum = Record(content.rest**2, fine.rate).binned(structure)
+    structure, spectrum, bins = content.structure, content.spectrum, content.spectrum.bins
     plain = [structure.components[k] for k in content.plain_terms]
     total, terms = (
         np.array([c.power for c in own]) @ spectrum.units(of, own)
         for of, own in ((structure, structure.components), (structure.without_response(), plain))
     )
-    every, middle = np.log(np.arange(1.0, fine.n)), np.log(spectrum.bins.frequency * 2.0 * fine.n / fine.rate)
+    every, middle = np.log(np.arange(1.0, bins.n)), np.log(bins.frequency * 2.0 * bins.n / bins.rate)
     # A ramp is not divided: it is in the lowest coefficients, which the structure does not change.
     corrected = content.rest / np.exp(0.5 * np.interp(every, middle, np.log(total / terms)))
-    candidates = candidates_in_record(fine.n, fine.rate, 2 if len(structure.of_kind(MARKOV)) > 1 else 1)
-    statistics = candidates.bins.statistics(corrected[:, None], ramp_column(fine.n, fine.rate))
+    candidates = candidates_in_record(bins.n, bins.rate, 2 if len(structure.of_kind(MARKOV)) > 1 else 1)
+    statistics = candidates.bins.statistics(corrected[:, None], ramp_column(bins.n, bins.rate))
     return rank_terms(candidates, statistics, [axis], axis.name).results[0]
 
 
@@ -193,7 +199,7 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
     structure = structure.without(*own, *map(structure.place, range(len(FIXED))))
     for k, label in enumerate(FIXED):
         structure = structure.with_column(k, 0.0) if label in chosen else structure
-    spectrum = Record(content.rest**2, content.bins.rate).binned(structure)
+    spectrum = Record(content.rest**2, content.spectrum.bins.rate).binned(structure)
     for _ in range(count):
         structure = min(search.with_process(spectrum, structure), key=lambda fit: fit.loss).structure
     # What follows the response is as the search found it.
@@ -203,7 +209,7 @@ def _with_terms(content: Content, selection: AxisSelection) -> Structure:
 
 def _template(content: Content, selection: AxisSelection) -> tuple[Model, InUse]:
     """Model of the content with the chosen terms, and the terms in use; the others get a limit."""
-    structure, rate, chosen = content.structure, content.bins.rate, selection.chosen.terms
+    structure, rate, chosen = content.structure, content.spectrum.bins.rate, selection.chosen.terms
     after = structure.kind != NONE and not structure.column(QUANTIZATION).inside
     terms: list[tuple[NoiseTerm, bool, bool]] = []
     for label, term in zip(basic_terms().term_labels, basic_terms().terms, strict=True):
@@ -225,7 +231,7 @@ def _detected(
     content: Content, template: Model, active: InUse, axis: Axis, x: Samples
 ) -> tuple[Model, AxisFit]:
     """Model without what its fit does not detect, and its fit."""
-    rate, c, lines, n = content.bins.rate, content.c, content.lines, len(x)
+    rate, c, lines, n = content.spectrum.bins.rate, content.c, content.lines, len(x)
     last: tuple[Model, AxisFit] | None = None
     for _ in range(_ROUNDS):
         if len(wanted := lines_of(template)[1]) != len(lines):

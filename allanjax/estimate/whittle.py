@@ -42,7 +42,8 @@ _ROUNDS = 3
 _FEW = 8.0
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
-# Quality factor below which a resonance cannot be told from white noise, a judgement.
+# A resonance with a lower quality factor than this counts as white noise: its density at low frequencies is
+# more than a sixth of that at its peak. A judgement.
 _BROAD = 2.5
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.

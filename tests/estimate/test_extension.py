@@ -106,7 +106,7 @@ def test_resonances_take_nothing_from_white_noise_and_are_no_filter():
 
 
 def test_noise_after_a_mean_is_found_where_that_is_zero():
-    """Of four records, N held in two with an error of up to seven standard deviations, as if exact."""
+    """Without it, N was up to seven of its standard deviations off in these records."""
     n, x = 2**18, []
     for seed in range(4):
         rng = np.random.default_rng(seed)

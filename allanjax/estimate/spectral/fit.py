@@ -311,6 +311,11 @@ def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> f
     return float(np.sum(_squares(ratio, dof)))
 
 
+def degrees_left(dof: Float[np.ndarray, " m"], estimated: int) -> float:
+    """Degrees of freedom of χ² of levels to which so many parameters were fitted."""
+    return max(float(np.sum(np.minimum(dof, 1.0))) - estimated, 1.0)
+
+
 def _squares(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> Float[np.ndarray, " m"]:
     return np.where(np.asarray(dof) > _FEW, normal_score(ratio, dof) ** 2, 0.0)
 
@@ -334,10 +339,10 @@ def error_of_powers(
     The ratios are those of levels to their expectations; the levels in an octave share the error, which adds
     per_octave·error² to the relative variance of each.
     """
-    squares, half, variance = _squares(ratio, dof), 0.5 * dof * per_octave, 0.0
+    squares, variance = _squares(ratio, dof), 0.0
     for _ in range(_STEPS):
-        share = 1.0 / (1.0 + half * variance)
-        chi2, slope = float(squares @ share), float(squares @ (half * share**2))
+        share = share_with_error(dof, per_octave * variance)
+        chi2, slope = float(squares @ share), float(squares @ (0.5 * dof * per_octave * share**2))
         # Newton's steps for 1/χ², a harmonic mean, do not go too far, as it is concave.
         step = chi2 * (chi2 - degrees) / max(degrees * slope, 1e-300)
         # Levels may be beyond any error of the model, from a start that is far off.
@@ -358,7 +363,7 @@ def fit_levels(
     levels, per_octave = arrangement.levels, arrangement.bins.per_octave()
     theta, joint = arrangement.start(active, np.asarray(power), np.asarray(shape))
     dof = 2.0 * levels.shape
-    degrees = max(float(np.sum(np.minimum(dof, 1.0))) - np.sum(joint.free), 1.0)
+    degrees = degrees_left(dof, np.sum(joint.free))
 
     def fitted(theta: Any, share: Any, tolerance: float = _ROUGH) -> tuple[Maximum, bool]:
         """Maximum for levels that keep this share of their weight, and whether it does not suffice."""

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.fit import chi_squared
+from allanjax.estimate.spectral.fit import chi_squared, degrees_left
 from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.spectral.powers import power_fits
 from allanjax.estimate.structure.structure import (
@@ -146,8 +146,9 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     """Final fit with the slow processes that predict best, without idle components.
 
-    Where the model fits, as a sensor's own filter rarely does, it is edited once more with the full weight of
-    all levels: what is behind the filter shows where that has fallen.
+    A search trusts levels less where a filter has fallen, as real filters differ from the model. If the model
+    fits even with the full weight of all levels, it is edited once more with this weight, since only these
+    levels tell what enters before the filter and what after it.
     """
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
     full = spectrum.with_error(0.0)
@@ -159,9 +160,9 @@ def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
 
 
 def _fits(spectrum: Spectrum, fitted: Fitted) -> bool:
-    """Whether a fit's χ² is no larger than chance explains."""
+    """Whether chance explains how the levels of a spectrum deviate from a fit."""
     dof = 2.0 * spectrum.levels.shape
-    degrees = max(np.sum(np.minimum(dof, 1.0)) - np.sum(fitted.maximum.interior), 1.0)
+    degrees = degrees_left(dof, np.sum(fitted.maximum.interior))
     return chi_squared(spectrum.levels.level / fitted.mean, dof) < float(beyond_doubt(degrees))
 
 
@@ -408,8 +409,9 @@ def _settled(spectrum: Spectrum, now: Fitted, new: Sequence[int], other: bool) -
 def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
     """Structures with another response or none, one component elsewhere, or one as something else.
 
-    A wide resonance may be a Markov process, white noise after the response, or the response itself, which a
-    quick process may be, too; quantization behind a filter, the shape of that filter, or of a resonance.
+    There may be white noise after a response. A wide resonance may be a Markov process, this white noise, or
+    the response itself, which a quick process may be, too; quantization behind a filter, the shape of that
+    filter, or of a resonance.
     """
     filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
     own, rounded = structure.components, structure.place(QUANTIZATION)
