@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -63,13 +64,14 @@ _LESS, _SHORTEST = 0.5, 1024
 class Content(NamedTuple):
     """Components of a spectrum, its lines, the spectrum in bins, and its coefficients.
 
-    The coefficients are as `take_out_lines` leaves them.
+    The coefficients are as `take_out_lines` leaves them; `doubt` is a relative error of N, see `Fitted`.
     """
 
     structure: Structure
     lines: tuple[Line, ...]
     spectrum: Spectrum
     c: Cosines
+    doubt: float
 
     @classmethod
     def of(cls, x: Samples, rate: float, c: Cosines, lines: tuple[Line, ...]) -> Content:
@@ -82,8 +84,9 @@ class Content(NamedTuple):
             c, lines = _with_more_lines(x, rate, lines, more)
             record = Record(without_lines(c, lines, rate) ** 2, rate)
             spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
-        structure = search.completed(spectrum, found).structure
-        return cls(structure.without(*search.narrow(structure, len(x))), lines, spectrum, c)
+        last = search.completed(spectrum, found)
+        structure = last.structure.without(*search.narrow(last.structure, len(x)))
+        return cls(structure, lines, spectrum, c, last.doubt)
 
     @property
     def rest(self) -> Cosines:
@@ -168,6 +171,11 @@ def extended(
     ):
         return as_given
     own, misfit_beside = _with_values(template, result), misfit.beside(result.misfit)
+    # Other filters, and other places of resonances, with another N may fit nearly as well.
+    N = result.coefficients["angle_random_walk"]
+    if N.std > 0.0:
+        wider = N.widened(math.hypot(1.0, content.doubt * N.value / N.std))
+        result = result.with_estimates({**result.coefficients, N.label: wider})
     return dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit_beside), selection
 
 

@@ -28,8 +28,8 @@ from allanjax.estimate.inference import (
     infer,
 )
 from allanjax.estimate.result import AxisFit, Misfit, extended_model, fitted_model, spectral_misfit, widened
-from allanjax.estimate.spectral.components import QUICK
-from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels
+from allanjax.estimate.spectral.components import BROAD, QUICK
+from allanjax.estimate.spectral.fit import Arrangement, LevelFit, best_of, fit_levels, share_with_error
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, PowerLaw, Resonance
@@ -40,11 +40,10 @@ from allanjax.spectrum.cosine import smoothed
 _ROUNDS = 3
 # Levels with fewer degrees of freedom are smoothed for the start values.
 _FEW = 8.0
+# Share of their weight that levels keep beside the ends of a record, above which these do not matter.
+_NEARLY_ALL = 0.9
 # Candidates of start values that are evaluated together.
 _BLOCK = 32
-# A resonance with a lower quality factor than this counts as white noise: its density at low frequencies is
-# more than a sixth of that at its peak. A judgement.
-_BROAD = 2.5
 # Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
 # the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.
 _SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 5.0
@@ -118,11 +117,16 @@ def fit_spectrum(
 def _fit_noise(
     noise: Model, spectrum: AxisSpectrum, used: InUse, active: InUse
 ) -> tuple[Arrangement, Projection, LevelFit]:
-    """Fit the active random terms, alternating with the projection of the deterministic columns in use."""
+    """Fit the active random terms, alternating with the projection of the deterministic columns in use.
+
+    What the ends of the record contribute to the levels follows from the fit, too.
+    """
     empty, starts = Arrangement.of(noise, spectrum.bins), list[_Start]()
+    share = np.ones(len(spectrum.squares))
     variance = smooth = smoothed(spectrum.squares, spectrum.bins.size)
-    for _ in range(_ROUNDS if used.any() else 1):
+    for _ in range(_ROUNDS if used.any() else 2):
         projection = spectrum.project(variance, used)
+        projection = projection._replace(dof=projection.dof * share)
         arrangement = empty.with_data(projection.level, projection.dof)
         # Single coefficients scatter too much for start values.
         rough = np.where(projection.dof < _FEW, smooth, projection.level)
@@ -130,6 +134,9 @@ def _fit_noise(
         # The likelihood may have several maxima in a correlation time: all starts are tried.
         fit = best_of([fit_levels(arrangement, active, *start, smooth) for start in starts])
         starts, variance = [fit.solution[:2]], fit.maximum.mean
+        share = share_with_error(spectrum.bins.size, arrangement.error_of_ends(*fit.solution[1::-1]))
+        if not used.any() and np.all(share > _NEARLY_ALL):
+            break
     return arrangement, projection, fit
 
 
@@ -169,7 +176,7 @@ def _plateaus(
             w, k = 0.5 * fit.degrees[near], 0.5 * projection.dof[near]
             # Squared relative deviations of gamma laws have means 1/k and variances (2 + 6/k)/k².
             chance = np.sum(w / k) + _CERTAIN * np.sqrt(np.sum((w / k) ** 2 * (2.0 + 6.0 / k)))
-            if Q < _BROAD or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
+            if Q < BROAD or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
                 slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
                 found[place] = {"": 1.0 / (np.pi * f * Q), **slopes}
     return found

@@ -62,7 +62,7 @@ class WhittleDensity(_Density):
     The sign of ramps, the phase of lines and the amplitudes of regressors are averaged.
     """
 
-    def __init__(self, fit: Fit, result: AxisFit) -> None:
+    def __init__(self, fit: Fit, result: AxisFit, values: _All) -> None:
         spectrum, model = result.spectrum, fit.template
         assert spectrum is not None
         self._spectrum, self._bins, size = spectrum, spectrum.bins, spectrum.bins.size.astype(float)
@@ -70,8 +70,13 @@ class WhittleDensity(_Density):
         super().__init__(model, random)
         others = [label for k, label in enumerate(model.term_labels) if k not in random]
         self._of, self._last = Arrangement.of(model.without(others), self._bins), (b"", np.zeros((0, 0, 0)))
+        level = np.where(size > 0.0, spectrum.squares / np.maximum(size, 1.0), 1.0)
+        ends = self._of.with_data(level, size).error_of_ends(
+            self.shape(values[None])[0], values[self.own] ** 2
+        )
         # The error of powers is twice that of deviations.
-        self._share = share_with_error(size, self._bins.per_octave() * (2.0 * result.discrepancy) ** 2)
+        error = self._bins.per_octave() * (2.0 * result.discrepancy) ** 2 + ends
+        self._share = share_with_error(size, error)
         self._half = 0.5 * self._share * size
         # The likelihood ratio of each line neglects the other lines.
         self._squares = self._share * (spectrum.squares - spectrum.overlap)
@@ -283,7 +288,7 @@ class Target:
 def _density_of(fit: Fit, result: AxisFit, values: _All) -> WhittleDensity | AllanDensity:
     """Likelihood of the data that the axis was fitted to."""
     if result.spectrum is not None:
-        return WhittleDensity(fit, result)
+        return WhittleDensity(fit, result, values)
     refused = {
         "whittle": "the fit was loaded from a file without the fitted spectrum; fit the recording again",
         "wavelet": 'a fit of wavelet variances has no likelihood to sample; use objective="whittle"',

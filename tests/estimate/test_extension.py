@@ -130,6 +130,53 @@ def test_a_line_in_a_deep_stop_band_leaves_a_fit():
     assert isinstance(result.model.response, aj.Butterworth)
 
 
+def test_a_deep_stop_band_has_what_the_ends_of_a_record_add():
+    """It scatters as two numbers do, in all levels alike; these did not fit then."""
+    n = 2**16
+    x = [lfilter(*butter(4, 0.14), np.random.default_rng(s).standard_normal(n + 999))[999:] for s in range(6)]
+    found = aj.fit(recording(np.transpose(x), RATE), as_is=True, vibrating=True).results
+    assert [result.discrepancy for result in found] == [0.0] * 6
+    # Four standard deviations; of the mean square of six, 1 ± 0.58, it is 3.3.
+    pulls = np.array([(result["N"].value - 0.1) / result["N"].std for result in found])
+    assert abs(pulls).max() < 4.0
+    assert np.mean(pulls**2) < 3.3
+
+
+def test_weak_noise_after_a_steep_filter_is_found():
+    """A hundredth of the white noise before it is a millionth of the power; two of these did not fit then."""
+    n, x = 2**17, []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        filtered = lfilter(*butter(2, 0.225), rng.standard_normal(n + 999))[999:]
+        x.append(filtered + 1e-3 * rng.standard_normal(n))
+    for result in aj.fit(recording(np.transpose(x), RATE), as_is=True, vibrating=True).results:
+        assert result.discrepancy == 0.0
+        assert abs(result["N"].value - 0.1) < 4.0 * result["N"].std
+        assert result["power_law_amplitude"].value == pytest.approx(1e-4, rel=0.04)
+
+
+def test_white_noise_is_as_uncertain_as_the_place_of_a_resonance():
+    """Inside the filter or after it, χ² is the same within 2, but N differs by 1.8 % of it."""
+    rng, n, w = np.random.default_rng(0), 2**17, 1.7
+    filtered = lfilter([1.0 - np.exp(-w)], [1.0, -np.exp(-w)], rng.standard_normal(n + 999))[999:]
+    record = recording(filtered + golden.oscillator(rng, n, 0.8, 20.0, 13.0), RATE)
+    (result,) = aj.fit(record, as_is=True, vibrating=True).results
+    of, each = result.own_template, []
+    for inside in (True, False):
+        flags = [
+            inside if k.startswith("resonance") else own
+            for k, own in zip(of.term_labels, of.inside, strict=True)
+        ]
+        model = dataclasses.replace(of, inside=tuple(flags))
+        each.append(aj.fit(record, model, "whittle", as_is=True, vibrating=True).results[0])
+    values, stds = np.transpose([(one["N"].value, one["N"].std) for one in each])
+    assert abs(each[0].chi2 - each[1].chi2) < 2.0
+    assert abs(np.diff(values)) > 3.0 * max(stds)
+    # Of such odds at least a twentieth is for the other place.
+    assert result["N"].std > np.hypot(max(stds), abs(np.diff(values)[0]) * np.sqrt(0.05))
+    assert abs(result["N"].value - 0.1) < 3.0 * result["N"].std
+
+
 @pytest.mark.parametrize("quality", [3.0, 4.0])
 def test_a_resonance_that_is_measured_is_not_white_noise(quality):
     """At low frequencies it has 1/Q² of the density at its peak, which counts as N below Q = 2.5 only."""

@@ -47,6 +47,9 @@ from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 #: Quality factor below which a resonance, and correlation time [samples] below which a Markov process, may be
 #: white noise behind a filter.
 WIDE, QUICK = 4.0, 20.0
+#: Quality factor below which a resonance counts as white noise: its density at low frequencies is more than a
+#: sixth of that at its peak. A judgement.
+BROAD = 2.5
 # Lags are padded to a multiple of this, so that compiled functions are reused.
 _LAGS = 256
 # Step of a difference, relative to the scale on which a function changes: its error is 10⁻¹⁰.

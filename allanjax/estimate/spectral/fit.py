@@ -19,7 +19,7 @@ from allanjax.base.chi_squared import beyond_doubt, normal_score
 from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.gls import Solution
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of
+from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of, passed
 from allanjax.estimate.spectral.model import (
     TOLERANCE,
     Component,
@@ -53,6 +53,8 @@ _FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
+# Number of samples of a record whose ends contribute nothing.
+_ENDLESS = 1e30
 
 
 class Arrangement(NamedTuple):
@@ -120,6 +122,14 @@ class Arrangement(NamedTuple):
         """
         theta = self.parameters(shape[:1] if (shape == shape[:1]).all() else shape)
         return self.composition.levels(theta, self.levels) * self.unit_power(theta)[..., None]
+
+    def error_of_ends(
+        self, shape: Float[np.ndarray, " shapes"], power: Float[np.ndarray, " terms"]
+    ) -> Float[np.ndarray, " m"]:
+        """Relative variance of the levels from the record's ends, for squared amplitudes of the terms."""
+        theta = self.parameters(shape)
+        theta[: len(power)] = power * self.unit_power(theta)
+        return error_of_ends(self.composition, theta, self.levels, self.bins)
 
     def estimated(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " terms+shapes"]:
         """Which powers and which free shapes are estimated, if these terms are in use."""
@@ -235,6 +245,27 @@ def model_error(
         beside = abs(angle - own.frequency) > _BESIDE * own.width
         common += (skirt * np.where(beside, share, 0.0)) ** 2
     return unsteady**2 + common * bins.per_octave()
+
+
+def error_of_ends(
+    of: Composition, theta: Float[np.ndarray, " parameters"], levels: Levels, bins: Bins
+) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from the two ends of a record.
+
+    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
+    coefficients it has, and is the same in all levels there.
+    """
+    if of.kind == kinds.NONE:
+        return np.zeros(len(bins.size))
+    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
+    endless = levels._replace(length=np.full_like(levels.length, _ENDLESS))
+    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, endless))
+    whole, without = (x.mean(axis=0) for x in both)
+    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
+    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
+    # More than the model has is not from the ends either.
+    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
+    return bins.per_octave() * share**2
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -13,6 +13,7 @@ eight samples.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -71,6 +72,8 @@ _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
 # they have to gain [nats].
 _LAST = 6, 150.0, 3.0
+# Most components that are placed anew together, and what this has to gain for another edit [nats].
+_PLACED, _MUCH = 5, 50.0
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
@@ -146,17 +149,45 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
 def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
     """Final fit with the slow processes that predict best, without idle components.
 
-    A search trusts levels less where a filter has fallen, as real filters differ from the model. If the model
-    fits even with the full weight of all levels, it is edited once more with this weight, since only these
-    levels tell what enters before the filter and what after it.
+    A search trusts levels less where a filter has fallen, as real filters differ from the model. Only these
+    levels tell what enters before the filter and what after it. So the model is edited once more with the
+    full weight of all levels, if it fits them, perhaps with its components in other places.
     """
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
-    full = spectrum.with_error(0.0)
-    again = full.fit(now.structure)
-    if _fits(full, again) or now.structure.kind == kinds.NONE:
-        again = _edited(full, again, functools.partial(_edits, full), *_LAST)
-    now = again if _fits(full, again) else now
-    return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
+    full = spectrum.with_full_weight(now)
+    of, again = full, full.fit(now.structure)
+    if now.structure.kind != kinds.NONE and not _fits(full, again):
+        placed = _edited(full, again, functools.partial(_placements, full), 1)
+        if placed.evidence > again.evidence + _MUCH:
+            of = full = spectrum.with_full_weight(placed)
+            again = full.fit(placed.structure)
+        else:
+            of, again = spectrum, now
+    again = _edited(of, again, functools.partial(_edits, of), *_LAST)
+    now = again if of is spectrum or _fits(full, again) else now
+    doubt = _doubt(of, again)
+    return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)._replace(doubt=doubt)
+
+
+def _doubt(spectrum: Spectrum, best: Fitted) -> float:
+    """Relative standard deviation of white noise over a fit and its rivals, by their probabilities."""
+    fits = [best, *(f for f in best.rivals if _keeps_white(best, f))]
+    white = np.array([_white(spectrum, f.structure) for f in fits])
+    odds = np.where(white > 0.0, np.exp([f.evidence - best.evidence for f in fits]), 0.0)
+    ratio = np.where(odds > 0.0, np.log(np.maximum(white, 1e-300) / max(white[0], 1e-300)), 0.0)
+    return 0.5 * math.sqrt(float(odds @ ratio**2 / max(odds.sum(), 1.0)))
+
+
+def _white(spectrum: Spectrum, structure: Structure) -> float:
+    """Level of all that is white at low frequencies [rate²]."""
+    own = [
+        c
+        for c in structure.components
+        if _is(c, WHITE, OUTSIDE)
+        or (c.kind == kinds.OSCILLATOR and c.quality < kinds.BROAD)
+        or (c.kind == kinds.MARKOV and c.time < kinds.QUICK)
+    ]
+    return float(np.array([c.power for c in own]) @ spectrum.units(structure, own)[:, 0]) if own else 0.0
 
 
 def _fits(spectrum: Spectrum, fitted: Fitted) -> bool:
@@ -387,12 +418,16 @@ def _edited(
     behind: float = np.inf,
     least: float = _BETTER,
 ) -> Fitted:
-    """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly."""
+    """Fit after all edits of the structure that gain, of groups of which the best one is fitted jointly.
+
+    Its rivals are the fits of the last round.
+    """
     while True:
         tried = _ranked(spectrum, [group for group in edits(now.structure) if group], behind)[:most]
-        best = functools.reduce(_better, map(spectrum.fit, tried), now)
+        rivals = [*map(spectrum.fit, tried)]
+        best = functools.reduce(_better, rivals, now)
         if best is now or best.evidence < now.evidence + least:
-            return now
+            return now._replace(rivals=tuple(rivals))
         now = best
 
 
@@ -444,14 +479,32 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
+    for k in _movable(structure, places):
+        yield [structure.placed([k], not structure.components[k].inside)]
+
+
+def _movable(structure: Structure, places: Iterable[int | None]) -> list[int]:
+    """Those of these components for which it makes a difference whether they are inside the response."""
     if (response := response_of(structure, 2.0 * np.pi)) is None:
-        return
+        return []
+    found = []
     for k in (k for k in places if k is not None):
         own = structure.components[k]
         # Where the response has not fallen yet there is no difference.
         top = own.frequency * (1.0 + 1.0 / own.quality) if own.kind == kinds.OSCILLATOR else np.pi
         if float(response.power(min(top, np.pi), 2.0 * np.pi)) < _FLAT:
-            yield [structure.placed([k], not own.inside)]
+            found.append(k)
+    return found
+
+
+def _placements(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
+    """Structures with other components inside the response, with white noise after it or without."""
+    every = [structure]
+    for k in _movable(structure, [structure.place(QUANTIZATION), *structure.oscillators])[:_PLACED]:
+        every += [s.placed([k], not structure.components[k].inside) for s in every]
+    outside, floor = structure.place(OUTSIDE), float(np.min(spectrum.rough))
+    every += [s.with_column(OUTSIDE, floor) if outside is None else s.without(outside) for s in every]
+    return [every]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, passed
-from allanjax.estimate.spectral.fit import model_error, share_with_error
+from allanjax.estimate.spectral.fit import error_of_ends, model_error, share_with_error
 from allanjax.estimate.spectral.model import (
     Component,
     Composition,
@@ -165,6 +165,8 @@ class Fitted(NamedTuple):
 
     The loss is minus the log-likelihood, prior included. The evidence is Laplace's approximation, where each
     component costs as much as odds of twenty to one.
+    The `rivals` are other structures that were compared with it, and `doubt` is the relative error of white
+    noise that follows from these.
     """
 
     structure: Structure
@@ -172,6 +174,8 @@ class Fitted(NamedTuple):
     loss: float
     mean: Float[np.ndarray, " m"]
     maximum: Maximum
+    rivals: tuple[Fitted, ...] = ()
+    doubt: float = 0.0
 
     @property
     def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
@@ -232,6 +236,11 @@ class Spectrum:
         allowed = 0.0 if filters else _DEEP
         error = model_error(fitted.structure, fitted.maximum, self.bins, allowed, skirt=0.0)
         return self.with_error(error + _ERROR**2)
+
+    def with_full_weight(self, fitted: Fitted) -> Spectrum:
+        """Spectrum whose levels count as if the model of a fit were exact."""
+        of = fitted.structure
+        return self.with_error(error_of_ends(of, of.parameters, self.levels, self.bins))
 
     def loss_of(self, fitted: Fitted) -> float:
         """Minus the log-likelihood of these levels under a fit to others [nats]."""
