@@ -248,7 +248,7 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     further = _further(view)
     record, start = _record(view, further), _start(view, further)
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
-    found = completed(spectrum, found, MARKOV in view.allowed and further is None)
+    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed and further is None)
     structure = found.structure
     groups = _groups(structure)
     if not groups:

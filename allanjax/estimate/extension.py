@@ -84,7 +84,7 @@ class Content(NamedTuple):
             c, lines = _with_more_lines(x, rate, lines, more)
             record = Record(without_lines(c, lines, rate) ** 2, rate)
             spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
-        last = search.completed(spectrum, found)
+        spectrum, last = search.completed(record, spectrum, found)
         structure = last.structure.without(*search.narrow(last.structure, len(x)))
         return cls(structure, lines, spectrum, c, last.doubt)
 

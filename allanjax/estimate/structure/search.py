@@ -72,8 +72,8 @@ _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
 # they have to gain [nats].
 _LAST = 6, 150.0, 3.0
-# Most components that are placed anew together, and what this has to gain for another edit [nats].
-_PLACED, _MUCH = 5, 50.0
+# Most components that are placed anew together.
+_PLACED = 5
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
 _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
@@ -146,27 +146,53 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     return spectrum, pruned(spectrum, spectrum.fit(rough.structure))
 
 
-def completed(spectrum: Spectrum, now: Fitted, slow: bool = True) -> Fitted:
+def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True) -> tuple[Spectrum, Fitted]:
     """Final fit with the slow processes that predict best, without idle components.
 
     A search trusts levels less where a filter has fallen, as real filters differ from the model. Only these
-    levels tell what enters before the filter and what after it. So the model is edited once more with the
-    full weight of all levels, if it fits them, perhaps with its components in other places.
+    levels tell what enters before the filter and what after it. If some model fits them with their full
+    weight, it is edited once more.
     """
     now = pruned(spectrum, _slow(spectrum, now)) if slow else now
+    exact = _exact(record, spectrum, now)
+    of, again = exact or (spectrum, now)
+    again = _edited(of, pruned(of, again), functools.partial(_edits, of), *_LAST)
+    now = again if exact is None or _excess(of, again) <= 0.0 else now
+    if len(of.rough) != len(spectrum.rough):
+        finer = record.binned(now.structure)
+        spectrum = finer.weighing(finer.fit(now.structure))
+    final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
+    return spectrum, final._replace(doubt=_doubt(of, again))
+
+
+def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
+    """Spectrum in which all levels have their full weight, and the model that fits it; None if none does.
+
+    Where a model does not fit, others are tried while they halve the misfit: with its components in other
+    places, with another filter, and with one component more.
+    """
     full = spectrum.with_full_weight(now)
-    of, again = full, full.fit(now.structure)
-    if now.structure.kind != kinds.NONE and not _fits(full, again):
-        placed = _edited(full, again, functools.partial(_placements, full), 1)
-        if placed.evidence > again.evidence + _MUCH:
-            of = full = spectrum.with_full_weight(placed)
-            again = full.fit(placed.structure)
+    fit = full.fit(now.structure)
+    while (left := _excess(full, fit)) > 0.0 and fit.structure.kind != kinds.NONE:
+        for found in _nearby(record, full, fit):
+            full, best = found
+            if _excess(full, best) < 0.5 * left:
+                fit = best
+                break
         else:
-            of, again = spectrum, now
-    again = _edited(of, again, functools.partial(_edits, of), *_LAST)
-    now = again if of is spectrum or _fits(full, again) else now
-    doubt = _doubt(of, again)
-    return spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)._replace(doubt=doubt)
+            return None
+    return full, fit
+
+
+def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[Spectrum, Fitted]]:
+    """Other models, and spectra with their full weight."""
+    structure = now.structure
+    for groups in (_placements(spectrum, structure), _others(structure, structure.bandwidth[0])):
+        for tried in _ranked(spectrum, groups)[:_TRIED]:
+            full = spectrum.with_full_weight(spectrum.fit(tried))
+            yield full, full.fit(tried)
+    if (found := _grown(record, spectrum, now, exact=True)) is not None:
+        yield found
 
 
 def _doubt(spectrum: Spectrum, best: Fitted) -> float:
@@ -190,11 +216,11 @@ def _white(spectrum: Spectrum, structure: Structure) -> float:
     return float(np.array([c.power for c in own]) @ spectrum.units(structure, own)[:, 0]) if own else 0.0
 
 
-def _fits(spectrum: Spectrum, fitted: Fitted) -> bool:
-    """Whether chance explains how the levels of a spectrum deviate from a fit."""
+def _excess(spectrum: Spectrum, fitted: Fitted) -> float:
+    """By how much χ² of the levels of a spectrum about a fit exceeds what chance explains."""
     dof = 2.0 * spectrum.levels.shape
     degrees = degrees_left(dof, np.sum(fitted.maximum.interior))
-    return chi_squared(spectrum.levels.level / fitted.mean, dof) < float(beyond_doubt(degrees))
+    return chi_squared(spectrum.levels.level / fitted.mean, dof) - float(beyond_doubt(degrees))
 
 
 def _idle(structure: Structure) -> list[int]:
@@ -310,8 +336,13 @@ def _price(structure: Structure) -> float:
     return float(_PRICES @ (len(structure.oscillators), shaped, beside))
 
 
-def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
-    """The best of all additions, fitted in bins that are made for it; None if none gains enough."""
+def _grown(
+    record: Record, spectrum: Spectrum, now: Fitted, exact: bool = False
+) -> tuple[Spectrum, Fitted] | None:
+    """The best of all additions, fitted in bins that are made for it; None if none gains enough.
+
+    `exact`: whether levels have their full weight.
+    """
     for proposal in _additions(record, spectrum, now):
         best = spectrum.fit(proposal, _GLANCE)
         if best.evidence < now.evidence - 1.0 or not _keeps_white(now, best):
@@ -320,7 +351,14 @@ def _grown(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
         again = finer.fit(best.structure, np.inf)
         # Whatever is added has to show where the filter has not fallen, lest it mends the filter's shape.
         same = best.structure.kind == now.structure.kind
-        plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
+        if exact:
+            # A wide resonance would mend the filter's shape.
+            new = again.structure.components[len(now.structure.components) :]
+            if any(c.kind == kinds.OSCILLATOR and c.quality < kinds.WIDE for c in new):
+                continue
+            plain = finer = finer.with_full_weight(again)
+        else:
+            plain, finer = finer.weighing(again), finer.weighing(again, filters=same)
         again, before = finer.fit(again.structure), finer.fit(now.structure)
         if again.evidence - before.evidence > _GAIN and _keeps_white(now, again):
             again, count = plain.fit(again.structure) if same else again, len(now.structure.components)
@@ -498,13 +536,13 @@ def _movable(structure: Structure, places: Iterable[int | None]) -> list[int]:
 
 
 def _placements(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
-    """Structures with other components inside the response, with white noise after it or without."""
+    """Other choices of what is inside the response, with white noise after it or without."""
     every = [structure]
     for k in _movable(structure, [structure.place(QUANTIZATION), *structure.oscillators])[:_PLACED]:
         every += [s.placed([k], not structure.components[k].inside) for s in every]
     outside, floor = structure.place(OUTSIDE), float(np.min(spectrum.rough))
     every += [s.with_column(OUTSIDE, floor) if outside is None else s.without(outside) for s in every]
-    return [every]
+    return [[s] for s in every[1:]]
 
 
 def _better(now: Fitted, other: Fitted) -> Fitted:
