@@ -153,16 +153,17 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     levels tell what enters before the filter and what after it. If some model fits them with their full
     weight, it is edited once more.
     """
-    now = pruned(spectrum, _slow(spectrum, now)) if slow else now
-    exact = _exact(record, spectrum, now)
-    of, again = exact or (spectrum, now)
-    again = _edited(of, pruned(of, again), functools.partial(_edits, of), *_LAST)
-    now = again if exact is None or _excess(of, again) <= 0.0 else now
+    compared, now = now, pruned(spectrum, _slow(spectrum, now)) if slow else now
+    of = spectrum
+    if (exact := _exact(record, spectrum, now)) is not None:
+        of, again = exact
+        compared = again = _edited(of, pruned(of, again), functools.partial(_edits, of), *_LAST)
+        now = again if _excess(of, again) <= 0.0 else now
     if len(of.rough) != len(spectrum.rough):
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
-    return spectrum, final._replace(doubt=_doubt(of, again))
+    return spectrum, final._replace(doubt=_doubt(of, compared))
 
 
 def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
@@ -174,13 +175,12 @@ def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
     full = spectrum.with_full_weight(now)
     fit = full.fit(now.structure)
     while (left := _excess(full, fit)) > 0.0 and fit.structure.kind != kinds.NONE:
-        for found in _nearby(record, full, fit):
-            full, best = found
-            if _excess(full, best) < 0.5 * left:
-                fit = best
-                break
-        else:
+        # Real filters that do not fall far differ from the models by as much as other models do.
+        nearby = _nearby(record, full, fit) if _floor(spectrum) else ()
+        better = (found for found in nearby if _excess(*found) < 0.5 * left)
+        if (found := next(iter(better), None)) is None:
             return None
+        full, fit = found
     return full, fit
 
 
@@ -483,8 +483,8 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     """Structures with another response or none, one component elsewhere, or one as something else.
 
     There may be white noise after a response. A wide resonance may be a Markov process, this white noise, or
-    the response itself, which a quick process may be, too; quantization behind a filter, the shape of that
-    filter, or of a resonance.
+    the response itself, which a quick process may be, too; quantization behind a filter, white noise there,
+    or the shape of that filter or of a resonance.
     """
     filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
     own, rounded = structure.components, structure.place(QUANTIZATION)
@@ -502,6 +502,7 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     if filtered and rounded is not None and own[rounded].power > 0.0:
         rest = structure.without(rounded)
         rests.append((rest, width))
+        yield [rest.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
         wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _BROAD]
         yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
