@@ -71,7 +71,7 @@ _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
 # they have to gain [nats].
-_LAST = 6, 150.0, 3.0
+_LAST = 10, 1000.0, 0.5
 # Most components that are placed anew together.
 _PLACED = 5
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
@@ -157,7 +157,7 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     of = spectrum
     if (exact := _exact(record, spectrum, now)) is not None:
         of, again = exact
-        compared = again = _edited(of, pruned(of, again), functools.partial(_edits, of), *_LAST)
+        compared = again = _edited(of, pruned(of, again), functools.partial(_last_edits, of), *_LAST)
         now = again if _excess(of, again) <= 0.0 else now
     if len(of.rough) != len(spectrum.rough):
         finer = record.binned(now.structure)
@@ -197,11 +197,22 @@ def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[S
 
 def _doubt(spectrum: Spectrum, best: Fitted) -> float:
     """Relative standard deviation of white noise over a fit and its rivals, by their probabilities."""
-    fits = [best, *(f for f in best.rivals if _keeps_white(best, f))]
+    # Several proposals may have become the same model.
+    found = {_what(f.structure): f for f in sorted(best.rivals, key=lambda f: f.evidence)}
+    found.pop(_what(best.structure), None)
+    fits = [best, *(f for f in found.values() if _keeps_white(best, f))]
     white = np.array([_white(spectrum, f.structure) for f in fits])
     odds = np.where(white > 0.0, np.exp([f.evidence - best.evidence for f in fits]), 0.0)
     ratio = np.where(odds > 0.0, np.log(np.maximum(white, 1e-300) / max(white[0], 1e-300)), 0.0)
     return 0.5 * math.sqrt(float(odds @ ratio**2 / max(odds.sum(), 1.0)))
+
+
+def _what(structure: Structure) -> tuple[int, frozenset[tuple[float, ...]]]:
+    """What a structure consists of: the kind of response, and the components with their places."""
+    own = (structure.components[k] for k in structure.there)
+    return structure.kind, frozenset(
+        (c.kind, c.which, c.inside, *(round(x, 1) for x in c.shape[:1])) for c in own
+    )
 
 
 def _white(spectrum: Spectrum, structure: Structure) -> float:
@@ -514,6 +525,12 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     for rest, width in rests:
         yield [rest]
         yield from _others(rest, width)
+
+
+def _last_edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
+    """All edits, and changes of several places together."""
+    yield from _edits(spectrum, structure)
+    yield [s for (s,) in _placements(spectrum, structure)]
 
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
