@@ -258,7 +258,8 @@ class AxisFit(ByValue, AxisEstimates):
             of the sensor, e.g. "at rest" or "saturation".
         own_template: the model that was fitted by Whittle's likelihood, with filter, resonances and lines,
             where that of the other axes does not fit this one. N is then the density at low frequencies,
-            including resonances with Q < 2.5 and processes of less than 20 samples.
+            including resonances with Q < 2.5 and processes of less than 20 samples; its interval allows for
+            other filters, and other places of resonances, that fit nearly as well.
         plain: the fit without these.
         widening: ratio of standard deviations to those of a complete record (`completion.widening`).
     """

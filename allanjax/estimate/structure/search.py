@@ -159,7 +159,7 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
         of, again = exact
         compared = again = _edited(of, pruned(of, again), functools.partial(_last_edits, of), *_LAST)
         now = again if _excess(of, again) <= 0.0 else now
-    if len(of.rough) != len(spectrum.rough):
+    if of.bins is not spectrum.bins:
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
