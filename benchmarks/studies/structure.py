@@ -9,8 +9,8 @@ noise after the filter in 60 % of those with one. Resonances and line are a fact
 *Structure*: a filter where there is one and none elsewhere, and as many resonances and lines, each within 5 %
 of its frequency. *N*: within 5 %, or two of its standard deviations. *N covered*: by its 95 % interval.
 *Allan deviation*: at all octaves up to a hundredth of the record within 5 % of the true one (of the analytic
-spectrum, by quadrature) or two standard deviations of an estimate from such a record. *Slow*: a Markov process
-or random walk that is not there.
+spectrum, by quadrature) or two standard deviations of an estimate from such a record. *Slow*: a Markov
+process or random walk that is not there.
 
 Known filters: no resonance, no line; in half of the records the integral is rounded to 0.5 to 2 standard
 deviations of its steps. *Told*: of those not rounded, quantization is detected; *found*: of those rounded, it

@@ -196,15 +196,20 @@ def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[S
 
 
 def _doubt(spectrum: Spectrum, best: Fitted) -> float:
-    """Relative standard deviation of white noise over a fit and its rivals, by their probabilities."""
+    """Relative standard deviation of white noise over a fit and its rivals, by Akaike's weights.
+
+    The evidence would have it that what is not reported is not there: what a component costs depends on the
+    width of its prior. For an interval it counts how well the data tell it.
+    """
     # Several proposals may have become the same model.
     found = {_what(f.structure): f for f in sorted(best.rivals, key=lambda f: f.evidence)}
     found.pop(_what(best.structure), None)
     fits = [best, *(f for f in found.values() if _keeps_white(best, f))]
     white = np.array([_white(spectrum, f.structure) for f in fits])
-    odds = np.where(white > 0.0, np.exp([f.evidence - best.evidence for f in fits]), 0.0)
-    ratio = np.where(odds > 0.0, np.log(np.maximum(white, 1e-300) / max(white[0], 1e-300)), 0.0)
-    return 0.5 * math.sqrt(float(odds @ ratio**2 / max(odds.sum(), 1.0)))
+    costs = np.array([f.loss + np.count_nonzero(f.maximum.interior) for f in fits])
+    odds = np.where(white > 0.0, np.exp(np.min(costs) - costs), 0.0)
+    ratio = np.log(np.maximum(white, 1e-300) / max(white[0], 1e-300))
+    return 0.5 * math.sqrt(float(odds @ np.where(odds > 0.0, ratio, 0.0) ** 2 / max(odds.sum(), 1e-300)))
 
 
 def _what(structure: Structure) -> tuple[int, frozenset[tuple[float, ...]]]:
