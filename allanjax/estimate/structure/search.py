@@ -204,7 +204,7 @@ def _doubt(spectrum: Spectrum, best: Fitted) -> float:
     # Several proposals may have become the same model.
     found = {_what(f.structure): f for f in sorted(best.rivals, key=lambda f: f.evidence)}
     found.pop(_what(best.structure), None)
-    fits = [best, *(f for f in found.values() if _keeps_white(best, f))]
+    fits = [best, *(f for f in found.values() if _keeps_white(best, f) and np.isfinite(f.loss))]
     white = np.array([_white(spectrum, f.structure) for f in fits])
     costs = np.array([f.loss + np.count_nonzero(f.maximum.interior) for f in fits])
     odds = np.where(white > 0.0, np.exp(np.min(costs) - costs), 0.0)
