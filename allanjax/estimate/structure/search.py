@@ -198,8 +198,8 @@ def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[S
 def _doubt(spectrum: Spectrum, best: Fitted) -> float:
     """Relative standard deviation of white noise over a fit and its rivals, by Akaike's weights.
 
-    The evidence would have it that what is not reported is not there: what a component costs depends on the
-    width of its prior. For an interval it counts how well the data tell it.
+    The evidence is not used here: it penalizes a component by the width of its prior. That decides whether
+    the component is reported, but the interval has to allow for it if the data do.
     """
     # Several proposals may have become the same model.
     found = {_what(f.structure): f for f in sorted(best.rivals, key=lambda f: f.evidence)}
