@@ -79,7 +79,7 @@ _PRICES = np.array([13.0, 9.0, 6.0])
 # Share of its median below which a spectrum has a deep stop band.
 _DEEP = 0.05
 # Frequencies [radians per sample] and quality factors of resonances that may be taken for a filter's shape.
-_EDGES, _BROAD = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
+_EDGES, _ROUND = np.pi * np.geomspace(0.15, 0.95, 8), (2.0, 5.0)
 # Difference of the logarithms of correlation times below which two processes are alike.
 _SAME_TIME = 0.7
 # Tolerance [nats] of fits that show what is worth a better one.
@@ -189,8 +189,9 @@ def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[S
     structure = now.structure
     for groups in (_placements(spectrum, structure), _others(structure, structure.bandwidth[0])):
         for tried in _ranked(spectrum, groups)[:_TRIED]:
-            full = spectrum.with_full_weight(spectrum.fit(tried))
-            yield full, full.fit(tried)
+            fit = spectrum.fit(tried)
+            full = spectrum.with_full_weight(fit)
+            yield full, full.fit(fit.structure)
     if (found := _grown(record, spectrum, now, exact=True)) is not None:
         yield found
 
@@ -519,7 +520,7 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
         rest = structure.without(rounded)
         rests.append((rest, width))
         yield [rest.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
-        wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _BROAD]
+        wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _ROUND]
         yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
         if own[k].quality < kinds.WIDE:
