@@ -7,22 +7,22 @@ may dominate.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.fft import dct, dst
+from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 
 from allanjax.critic.noise import NoiseFamily
-from allanjax.estimate.spectral.components import COLUMN, MARKOV
+from allanjax.estimate.spectral.components import COLUMN, MARKOV, NONE, Levels, passed
 from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure.structure import FURTHER, OUTSIDE, Structure, term_of
-from allanjax.noise.response import Response
+from allanjax.estimate.structure.structure import FIXED, OUTSIDE, Structure, term_of
 
 # Response below which the record's ends are modelled, and number of coefficients in a local mean.
 _DEEP, _LOCAL = 0.01, 401
 # Least share of the noise in the whole spectrum.
 _LEAST = 1e-12
-# Number of points of the response.
-_POINTS = 4097
+# Number of coefficients that are evaluated at a time, which a processor's cache holds.
+_BLOCK = 1 << 14
+# Length of a record whose ends do not matter.
+_ENDLESS = 1e18
 
 
 def spectrum_factor(
@@ -33,33 +33,15 @@ def spectrum_factor(
     Where the record's ends exceed the filtered noise, it follows the record's own squared coefficients, so
     that these carry no information.
     """
-    f, rate = family.frequency, family.rate
-    inside, after = np.zeros(len(f)), np.zeros(len(f))
-    noise = np.zeros(len(f))
-    for k, own in enumerate(structure.components):
-        if own.kind != COLUMN:
-            density = rate * np.asarray(term_of(structure, k, rate).sampled(rate).sampled_psd(f, rate))
-        elif own.which == OUTSIDE:
-            density = np.full(len(f), own.power * rate)
-        elif own.which == FURTHER and structure.further is not None:
-            density = own.power * family.spectrum(structure.further)
-        else:
-            density = own.power * family.spectra[own.which]
-        part = inside if own.inside else after
-        part += density
-        noise += density if own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE) else 0.0
-    # There may be resonances only.
-    noise = np.maximum(noise, _LEAST * (inside + after))
-    response = response_of(structure, rate)
+    inside, after, noise = _spectra(structure, family)
+    response = response_of(structure, family.rate)
     if response is None:
         return (inside + after) / noise
-    passed = np.asarray(response.power(f, rate))
-    deep = passed * inside + after < _DEEP * noise
-    factor = (inside * passed + after) / noise
-    if deep.any():
-        ends = inside * np.interp(f, _grid(rate), _ends(response, rate)) / (family.n * noise)
-        own = uniform_filter1d(squares / noise, _LOCAL, mode="nearest")
-        factor = np.where(deep & (ends > factor), np.maximum(own, 1e-9), factor + np.where(deep, ends, 0.0))
+    factor = (inside * np.asarray(response.power(family.frequency, family.rate)) + after) / noise
+    if len(deep := np.flatnonzero(factor < _DEEP)):
+        ends = inside[deep] * _of_ends(structure, family.n, deep) / noise[deep]
+        own = uniform_filter1d(squares / noise, _LOCAL, mode="nearest")[deep]
+        factor[deep] = np.where(ends > factor[deep], np.maximum(own, 1e-9), factor[deep] + ends)
     return factor
 
 
@@ -67,31 +49,41 @@ def stop_band(
     structure: Structure, family: NoiseFamily, factor: Float[np.ndarray, " n-1"]
 ) -> tuple[Bool[np.ndarray, " n-1"], Float[np.ndarray, " n-1"]] | None:
     """Where the kinks at a record's ends matter, and the share of the spectrum without them; or None."""
-    response = response_of(structure, family.rate)
-    if response is None or not (factor < _DEEP).any():
+    deep, share = factor < _DEEP, np.ones(len(factor))
+    if structure.kind == NONE or not deep.any():
         return None
-    deep = factor < _DEEP
-    f = family.frequency
-    ends = np.interp(f, _grid(family.rate), _ends(response, family.rate)) / family.n
-    return deep, np.clip(1.0 - ends / factor, 1e-9, 1.0)
+    share[deep] -= _of_ends(structure, family.n, np.flatnonzero(deep)) / factor[deep]
+    return deep, np.clip(share, 1e-9, 1.0)
 
 
-def _grid(rate: float) -> Float[np.ndarray, " fine"]:
-    """Frequencies between zero and half the sample rate."""
-    return np.arange(1, _POINTS - 1) * rate / (2.0 * (_POINTS - 1))
+def _spectra(structure: Structure, family: NoiseFamily) -> Float[np.ndarray, "3 n-1"]:
+    """Spectra of all that passes through the response, of all after it, and of the basic terms."""
+    found, rate = np.zeros((3, family.n - 1)), family.rate
+    for k, own in enumerate(structure.components):
+        columns = own.kind == COLUMN and own.which < len(FIXED)
+        term = term_of(structure, k, rate).sampled(rate)
+        slow = own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE)
+        for first in range(0, family.n - 1, _BLOCK):
+            some = slice(first, first + _BLOCK)
+            if columns:
+                density = own.power * family.spectra[own.which, some]
+            else:
+                density = rate * np.asarray(term.sampled_psd(family.frequency[some], rate))
+            found[0 if own.inside else 1, some] += density
+            if slow:
+                found[2, some] += density
+    # There may be resonances only.
+    np.maximum(found[2], _LEAST * (found[0] + found[1]), out=found[2])
+    return found
 
 
-def _ends(response: Response, rate: float) -> Float[np.ndarray, " fine"]:
-    """Power that a record's two ends add to the response of white noise, times the number of samples.
-
-    With the autocovariance r the squares of coefficients are expected to be Σ (2 − 2k/n)·r_k cos(ak) − r_0 −
-    2/(n sin a)·Σ r_k sin(ak); the ends' part is −(2/n)·[Σ k·r_k cos(ak) + Σ r_k sin(ak)/sin a].
-    """
-    m = _POINTS - 1
-    f = _grid(rate)
-    power = np.asarray(response.power(np.concatenate([[0.0], f, [rate / 2.0]]), rate))
-    r = dct(power, type=1) / (2.0 * m)
-    lag = np.arange(m + 1.0)
-    cosines = 0.5 * dct(lag * r, type=1)[1:-1] + 0.5 * m * r[-1] * (-1.0) ** lag[1:-1]
-    sines = 0.5 * dst(r[1:-1], type=1) / np.sin(np.pi * lag[1:-1] / m)
-    return np.maximum(-2.0 * (cosines + sines), 0.0)
+def _of_ends(structure: Structure, n: int, rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
+    """What the ends of a record add to the response of white noise, at some of its coefficients."""
+    angle = np.pi * (rows[None] + 1.0) / n
+    no, (wc, Q) = np.zeros(len(rows)), structure.bandwidth
+    levels = Levels(no, no, angle, np.sin(angle / 2.0) ** 2, 1.0, float(n), no, no)
+    whole, without = (
+        passed(x, structure.kind, np.full((1, 1), wc), np.full((1, 1), Q))[0]
+        for x in (levels, levels._replace(length=_ENDLESS))
+    )
+    return np.maximum(whole - without, 0.0)

@@ -195,11 +195,14 @@ def exponential_density(
     xp = namespace(pole, weight, frequency, rate, sample_interval)
     M = 1.0 if is_continuous(sample_interval) else 1.0 / (rate * sample_interval)
     r_0, r_1, z = mean_lags(pole / rate / M, M)
-    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1.
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1; with
+    # separate real and imaginary parts, which takes a fraction of the time.
     s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
-    below = z**2 + 4.0 * (1.0 - z) * s
-    both = 2.0 * (z - 2.0 * s) * xp.conj(below) / (xp.real(below) ** 2 + xp.imag(below) ** 2)
-    return xp.real(weight * (r_0 + r_1 * both)) / rate
+    square, slope, own = z**2, 4.0 * (1.0 - z), 2.0 * weight * r_1
+    re, im = xp.real(square) + xp.real(slope) * s, xp.imag(square) + xp.imag(slope) * s
+    first, second = own * z, -2.0 * own
+    above = (xp.real(first) + xp.real(second) * s) * re + (xp.imag(first) + xp.imag(second) * s) * im
+    return (xp.real(weight * r_0) + above / (re**2 + im**2)) / rate
 
 
 def linear_recurrence(factor: Num[ArrayLike, ""], drive: Num[Array, " n"]) -> Num[Array, " n"]:
