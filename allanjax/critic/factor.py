@@ -19,8 +19,8 @@ from allanjax.estimate.structure.structure import FIXED, OUTSIDE, Structure, ter
 _DEEP, _LOCAL = 0.01, 401
 # Least share of the noise in the whole spectrum.
 _LEAST = 1e-12
-# Number of coefficients that are evaluated at a time, which a processor's cache holds.
-_BLOCK = 1 << 14
+# Number of frequencies between which what the ends add is interpolated.
+_POINTS = 4096
 # Length of a record whose ends do not matter.
 _ENDLESS = 1e18
 
@@ -60,18 +60,13 @@ def _spectra(structure: Structure, family: NoiseFamily) -> Float[np.ndarray, "3 
     """Spectra of all that passes through the response, of all after it, and of the basic terms."""
     found, rate = np.zeros((3, family.n - 1)), family.rate
     for k, own in enumerate(structure.components):
-        columns = own.kind == COLUMN and own.which < len(FIXED)
-        term = term_of(structure, k, rate).sampled(rate)
-        slow = own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE)
-        for first in range(0, family.n - 1, _BLOCK):
-            some = slice(first, first + _BLOCK)
-            if columns:
-                density = own.power * family.spectra[own.which, some]
-            else:
-                density = rate * np.asarray(term.sampled_psd(family.frequency[some], rate))
-            found[0 if own.inside else 1, some] += density
-            if slow:
-                found[2, some] += density
+        if own.kind == COLUMN and own.which < len(FIXED):
+            spectrum = own.power * family.spectra[own.which]
+        else:
+            spectrum = family.spectrum(term_of(structure, k, rate).sampled(rate))
+        found[0 if own.inside else 1] += spectrum
+        if own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE):
+            found[2] += spectrum
     # There may be resonances only.
     np.maximum(found[2], _LEAST * (found[0] + found[1]), out=found[2])
     return found
@@ -79,11 +74,11 @@ def _spectra(structure: Structure, family: NoiseFamily) -> Float[np.ndarray, "3 
 
 def _of_ends(structure: Structure, n: int, rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
     """What the ends of a record add to the response of white noise, at some of its coefficients."""
-    angle = np.pi * (rows[None] + 1.0) / n
-    no, (wc, Q) = np.zeros(len(rows)), structure.bandwidth
+    j = np.linspace(1.0, n - 1.0, min(_POINTS, n - 1))
+    angle, no, (wc, Q) = np.pi * j[None] / n, np.zeros(len(j)), structure.bandwidth
     levels = Levels(no, no, angle, np.sin(angle / 2.0) ** 2, 1.0, float(n), no, no)
     whole, without = (
         passed(x, structure.kind, np.full((1, 1), wc), np.full((1, 1), Q))[0]
         for x in (levels, levels._replace(length=_ENDLESS))
     )
-    return np.maximum(whole - without, 0.0)
+    return np.interp(rows + 1.0, j, np.maximum(whole - without, 0.0))

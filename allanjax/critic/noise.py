@@ -10,10 +10,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.design import correlation_times
 from allanjax.estimate.evidence import TermSets, evidence, term_sets
@@ -27,8 +25,8 @@ FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_w
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
 #: Share of white noise in all noise above which the two are not distinguished: a judgement.
 NEARLY_ALL = 0.9
-# Least length of spectra, which are padded so that few programs are compiled.
-_PADDED = 4096
+# Number of frequencies that are evaluated at a time.
+_BLOCK = 1 << 14
 #: Number of values of the free shape (a correlation time or an exponent) that are compared.
 GRID = 16
 # Exponents that no basic term has; the grid keeps its distance from those of basic terms.
@@ -99,7 +97,6 @@ class NoiseFamily:
         self.size = self.bins.size.astype(float)
         self.times = correlation_times(n / rate, rate)
         self.frequency = np.arange(1, n) * rate / (2.0 * n)
-        self._padded = jnp.asarray(_padded(self.frequency))
         unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
         self.spectra = np.stack([self.spectrum(term) for term in unit])
         unit += [Markov(1.0, float(time)) for time in self.times]
@@ -110,7 +107,7 @@ class NoiseFamily:
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients of a term [rate²], from its density."""
-        return self.rate * _evaluated(term, self._padded, self.rate)[: self.n - 1]
+        return self.rate * density(term, self.frequency, self.rate)
 
     @functools.cached_property
     def power_laws(self) -> Float[np.ndarray, "grid m"]:
@@ -175,27 +172,9 @@ class NoiseFamily:
 
 
 def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
-    """Sampled PSD of a term, compiled once for all values of its parameters and all similar lengths."""
-    return _evaluated(term, _padded(frequency), rate)[: len(frequency)]
-
-
-def _padded(frequency: Float[np.ndarray, " k"]) -> Float[np.ndarray, " more"]:
-    # Powers of two, and 1.5 times these: two programs per octave of lengths.
-    count = max(len(frequency), _PADDED)
-    octave = 1 << (count - 1).bit_length()
-    length = 3 * octave // 4 if 4 * count <= 3 * octave else octave
-    return np.append(frequency, np.full(length - len(frequency), frequency[-1]))
-
-
-def _evaluated(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[np.ndarray, " k"]:
-    values = {p.name: getattr(term, p.name) for p in term.parameters()}
-    term = term.replace(**{name: np.asarray(x, float) for name, x in values.items() if np.isfinite(x)})
-    return np.asarray(_density(term, frequency, rate))
-
-
-@eqx.filter_jit
-def _density(term: NoiseTerm, frequency: Float[ArrayLike, " k"], rate: float) -> Float[Array, " k"]:
-    return term.sampled_psd(frequency, rate)
+    """Sampled PSD of a term, evaluated in parts that a processor's cache holds."""
+    parts = (frequency[first : first + _BLOCK] for first in range(0, len(frequency), _BLOCK))
+    return np.concatenate([np.asarray(term.sampled_psd(part, rate)) for part in parts])
 
 
 @functools.lru_cache(maxsize=2)

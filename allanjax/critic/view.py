@@ -71,7 +71,7 @@ class View:
         """The samples of the record that were not missing."""
         return samples if self.drawn is None else samples[~self.drawn]
 
-    @property
+    @functools.cached_property
     def _wide(self) -> float:
         return 1.0 if self.drawn is None else float(widening(self.drawn[:, None])[0])
 
