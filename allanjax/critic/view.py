@@ -180,25 +180,32 @@ class View:
         for fold in coefficient_folds(self.n):
             found = fitted(fold)
             noise, factor = found if isinstance(found, tuple) else (found, None)
-            total += self.log_likelihood(noise, ~fold, factor)
+            # The slope of a ramp is nearly all in one coefficient, so both halves are averaged over it.
+            some, all_ = (self._log_likelihood(noise, factor, part) for part in (fold, None))
+            total += sum(all_) - sum(some)
         return total
 
-    def log_likelihood(
+    def log_likelihood(self, noise: Noise) -> float:
+        """Log-likelihood of the coefficients under noise, with the most likely slope of its ramp, if any."""
+        return self._log_likelihood(noise)[0]
+
+    def _log_likelihood(
         self,
         noise: Noise,
-        some: Bool[np.ndarray, " n-1"] | None = None,
         factor: Float[np.ndarray, " n-1"] | None = None,
-    ) -> float:
-        """Log-likelihood of some of the coefficients under noise, with a further factor of the spectrum.
+        some: Bool[np.ndarray, " n-1"] | None = None,
+    ) -> tuple[float, float]:
+        """Log-likelihood of some of the coefficients, with a further factor of the spectrum.
 
-        A ramp of the noise is projected out: nearly all of it is in one coefficient, unknown to the others.
+        Beside it is what an average over all slopes of a ramp adds, up to a constant.
         """
         v = self.variance(noise) if factor is None else self.variance(noise) * factor
-        c = self.coefficients
+        c, spread = self.coefficients, 0.0
         if noise.ramp:
-            c = c - self.family.slope(c, v, some)[0] * self.family.ramp
+            slope, std = self.family.slope(c, v, some)
+            c, spread = c - slope * self.family.ramp, float(np.log(std))
         each = np.log(v) + c**2 / v
-        return -0.5 * float(np.sum(each if some is None else each[some]))
+        return -0.5 * float(np.sum(each if some is None else each[some])), spread
 
     @property
     def expected_likelihood(self) -> float:

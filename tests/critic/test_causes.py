@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 import allanjax as aj
 from allanjax.critic import CAUSES, Bank, Candidate, Cause, Template, View, additive, centred
@@ -226,3 +227,34 @@ def test_the_best_of_several_channels_is_corrected_for_their_number():
     least = min(p_value(name) for name in channels)
     # Draws of a bank are those of the record, so that its p-value is the same whatever else there is.
     assert p_value(*channels) == pytest.approx(1.0 - (1.0 - least) ** 3, rel=0.02)
+
+
+def test_a_likelihood_on_held_out_coefficients_knows_a_ramp_only_from_the_others():
+    """The predictive density is a quotient of two normal densities, with any slope as likely as another."""
+    seen = []
+
+    class Witness(Claim):
+        def detect(self, view):
+            seen.append(view)
+
+    x = white(2)[:1024] + 0.002 * np.arange(1024)
+    critique(x, [Witness("witness", 0.0)])
+    (view,) = seen[:1]
+    assert view.noise.ramp
+    given = []
+
+    def fitted(fold):
+        given.append(fold)
+        return view.noise
+
+    found = view.cross_validated(fitted)
+    c, h, v = view.coefficients, view.family.ramp, view.variance()
+
+    def density(some):
+        covariance = np.diag(v[some]) + 0.1**2 * np.outer(h[some], h[some])
+        return multivariate_normal(cov=covariance).logpdf(c[some])
+
+    everything = np.ones(1023, bool)
+    expected = sum(density(everything) - density(fold) for fold in given)
+    # Without the constants of normal densities; the prior of the slope, 0.1 rad/s², is nearly flat.
+    assert found == pytest.approx(expected + 0.5 * 1023 * np.log(2.0 * np.pi), abs=0.01)
