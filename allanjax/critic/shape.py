@@ -249,13 +249,17 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     record, start = _record(view, further), _start(view, further)
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed and further is None)
-    structure = found.structure
-    groups = _groups(structure)
-    if not groups:
+    while groups := _groups(found.structure):
+        held_out = _held_out(record, spectrum, found.structure, groups, folds)
+        if (least := min(held_out)) > 0.0:
+            break
+        # What predicts nothing is not reported.
+        found = spectrum.fit(_without(found.structure, groups[held_out.index(least)]))
+    else:
         return None
+    structure = found.structure
     without = [spectrum.fit(_without(structure, group)) for group in groups]
     gains = [found.evidence - less.evidence for less in without]
-    held_out = _held_out(record, spectrum, structure, groups, folds)
     order = sorted(range(len(groups)), key=lambda k: -gains[k])
     parts = []
     for place, k in enumerate(order):

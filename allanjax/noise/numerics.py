@@ -195,8 +195,8 @@ def exponential_density(
     xp = namespace(pole, weight, frequency, rate, sample_interval)
     M = 1.0 if is_continuous(sample_interval) else 1.0 / (rate * sample_interval)
     r_0, r_1, z = mean_lags(pole / rate / M, M)
-    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1, and
-    # in real arithmetic, which is faster.
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1,
+    # and in real arithmetic, which is faster.
     s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
     square, slope, own = z**2, 4.0 * (1.0 - z), 2.0 * weight * r_1
     re, im = xp.real(square) + xp.real(slope) * s, xp.imag(square) + xp.imag(slope) * s

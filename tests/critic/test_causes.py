@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 import allanjax as aj
@@ -258,3 +259,17 @@ def test_a_likelihood_on_held_out_coefficients_knows_a_ramp_only_from_the_others
     expected = sum(density(everything) - density(fold) for fold in given)
     # Without the constants of normal densities; the prior of the slope, 0.1 rad/s², is nearly flat.
     assert found == pytest.approx(expected + 0.5 * 1023 * np.log(2.0 * np.pi), abs=0.01)
+
+
+def test_a_resonance_that_predicts_nothing_is_not_reported():
+    """Of two weak resonances, each half of the spectrum shows one at the same place, but not the other."""
+    rng = np.random.default_rng(68)
+    x = rng.standard_normal(N)
+    for _ in range(2):
+        f, quality = rng.uniform(0.05, 0.4), rng.uniform(5.0, 60.0)
+        r = np.exp(-np.pi * f / quality)
+        y = lfilter([1.0], [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r], rng.standard_normal(N))
+        x += y * rng.uniform(0.03, 0.15) / y.std()
+    found = critique(x, [cause for cause in CAUSES if cause.name == "spectral_shape"]).findings
+    assert [f.cause for f in found] == ["resonance"]
+    assert all(f.gain > 0.0 for f in found)
