@@ -13,6 +13,7 @@ import numpy as np
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none, plain
+from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
 from allanjax.critic.cause import Cause
 from allanjax.critic.causes.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
@@ -23,17 +24,7 @@ from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.profiles import before_and_after, discrepancies
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import (
-    Draft,
-    Search,
-    basic_model,
-    concluded,
-    extended,
-    further_terms,
-    going_on,
-    search,
-    view_of,
-)
+from allanjax.critic.search import Draft, Search, concluded, going_on, search
 from allanjax.critic.step import Step
 from allanjax.critic.view import View
 from allanjax.estimate.fit import fit_inspected
@@ -194,19 +185,21 @@ def _searches(
 ) -> tuple[list[Search], Fit]:
     """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
 
+    rule = AcceptanceRule.of(false_alarms, causes)
+
     def searched(k: int) -> Draft:
         """Search in one axis, starting from the given model."""
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         drawn = None if recording.missing is None else recording.missing[:, k]
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-        return search(view, causes, false_alarms, tell)
+        return search(view, causes, rule, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [again for cause in causes if (again := cause.at(others)) is not None]
-        draft = going_on(drafts[k], there, false_alarms, tell) if others else drafts[k]
+        draft = going_on(drafts[k], there, rule, tell) if others else drafts[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
         return dataclasses.replace(concluded(draft, causes), others=further or None)
 
