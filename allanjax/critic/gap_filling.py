@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.critic.noise import centred
 from allanjax.critic.view import View
 from allanjax.record.completion import in_time, predicted
 
@@ -28,27 +29,25 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     fresh, known = np.flatnonzero(missing & ~view.imputed), np.flatnonzero(~missing)
     x = view.samples.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    after = view.with_samples(x, missing)
-    v, changed = _own_variance(after), np.inf
+    model = view.with_samples(x, missing).variance()
+    v, changed = _own_variance(x, model), np.inf
     for _ in range(_DRAWS):
-        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + after.samples.mean()
-        after = after.with_samples(
-            np.where(missing, draw + predicted(after.samples - draw, missing, v), after.samples)
-        )
-        before, v = v, _own_variance(after)
+        draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + x.mean()
+        x = np.where(missing, draw + predicted(x - draw, missing, v), x)
+        before, v = v, _own_variance(x, model)
         last, changed = changed, float(np.max(abs(np.log(v / before))))
         # A change no smaller than the last one is chance, e.g. from redrawing a long gap.
         if changed < _SETTLED or changed > last:
             break
-    return after
+    return view.with_samples(x, missing)
 
 
-def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
-    """Expected squared coefficients: the model's, or the record's own in bins where it differs beyond chance.
+def _own_variance(x: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
+    """Expected squared coefficients: a model's, or the record's own in bins where it differs beyond chance.
 
     This allows for effects that have not been found yet, such as a filter.
     """
-    n, v = view.n, view.variance()
+    n = len(x)
     octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
     parts = [
         np.linspace(low, high, int(np.clip((high - low) // _LEAST, 1, _PARTS)) + 1)
@@ -56,7 +55,7 @@ def _own_variance(view: View) -> Float[np.ndarray, " n-1"]:
     ]
     first = np.unique(np.concatenate(parts).astype(int))
     count = np.diff(first)
-    level = np.log(np.maximum(np.add.reduceat(view.coefficients**2 / v, first[:-1]), 1e-300) / count)
+    level = np.log(np.maximum(np.add.reduceat(centred(x) ** 2 / v, first[:-1]), 1e-300) / count)
     # Gradually, as bins at the edge of chance would otherwise switch from draw to draw.
     level *= np.clip(abs(level) / np.sqrt(2.0 / count) - _CHANCE, 0.0, 1.0)
     middle = 0.5 * (first[:-1] + first[1:] - 1)
