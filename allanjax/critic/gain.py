@@ -149,7 +149,7 @@ def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
             # A silent half predicts no drift.
             found.append(np.zeros(len(m)))
             continue
-        noise = mask.evidence(c).approximate_map(view.allowed, view.model_evidence)
+        noise = mask.evidence(c, view.model_evidence).best(view.allowed)
         v = noise.variance if factor is None else noise.variance * factor
         ramp = family.slope(c, v)[0] if noise.ramp else 0.0
         variances = _weights(half, tuple(int(k) for k in m)) @ v

@@ -83,24 +83,29 @@ class SpectralMask:
         gram = family.bins.sums(ramp * family.ramp)
         return cls(family, weight, ramp, gram, size, constant)
 
-    def evidence(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
-        """Evidence of all subsets, given a record's cosine coefficients."""
+    def evidence(self, c: Float[np.ndarray, " n-1"], like: ModelEvidence | None = None) -> ModelEvidence:
+        """Evidence of all subsets, given a record's cosine coefficients, and that of a similar record."""
         squares = c * c
         if self.weight is not None:
             squares *= self.weight
         sums = self.family.bins.sums
         levels = SpectralStatistics(sums(squares), sums(self.ramp * c), self.gram)
-        return ModelEvidence(self.family, levels, self.size, self.constant)
+        return ModelEvidence(self.family, levels, self.size, self.constant, like)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ModelEvidence:
-    """Evidence of all subsets of the basic noise terms, given the statistics of one hypothetical record."""
+    """Evidence of all subsets of the basic noise terms, given the statistics of one hypothetical record.
+
+    If that of a similar record is known, only the subsets that were best there are evaluated, and all without
+    a free shape.
+    """
 
     family: NoiseFamily
     levels: SpectralStatistics
     size: Float[np.ndarray, " m"]
     constant: float
+    like: ModelEvidence | None = None
 
     @functools.cached_property
     def _basic(self) -> TermSets:
@@ -166,28 +171,17 @@ class ModelEvidence:
         grid = _grid(allowed)
         possible, rough = self._possible(allowed, required), self._of(grid)
         values, powers = np.where(possible, rough.log_evidence, -np.inf), rough.power.copy()
-        near = np.argsort(-values)[: min(_NEAR, np.sum(possible))]
+        plain = possible & ~self.family.jobs.used[:, -1] & (self.like is not None)
+        near = np.argsort(-np.where(plain, np.inf, values))[: min(_NEAR, np.sum(possible))]
         found = self.family.run(self.levels, self.size, self._columns(grid), near, powers[near])
+        if self.like is not None:
+            values[:] = -np.inf
         values[near], powers[near] = found.log_evidence, found.power
         return _Evidences(values, powers, near)
 
-    def approximate_map(self, allowed: Collection[str], like: ModelEvidence) -> Noise:
-        """Approximately the most probable subset.
-
-        Candidates are the subsets without a free shape and those that were best for a similar record.
-        """
-        grid = _grid(allowed)
-        possible, shaped = self._possible(allowed), self.family.jobs.used[:, -1]
-        known = np.where(possible & shaped, like._of(grid).log_evidence, -np.inf)
-        plain = np.flatnonzero(possible & ~shaped)
-        best = np.argsort(-known)[: min(_NEAR - len(plain), np.sum(known > -np.inf))]
-        near = np.concatenate([plain, best])
-        found = self.family.run(self.levels, self.size, self._columns(grid), near)
-        values, powers = np.full(len(possible), -np.inf), np.zeros((len(possible), len(FIXED) + 1))
-        values[near], powers[near] = found.log_evidence, found.power
-        return self._ranked(values, powers, grid, 1)[0]
-
     def _of(self, grid: str) -> TermSets:
+        if self.like is not None:
+            return self.like._of(grid)
         return self._with_power_law if grid == POWER_LAW else self._basic
 
     def _columns(self, grid: str) -> Float[np.ndarray, "grid m"]:

@@ -173,9 +173,10 @@ def extend(draft: Draft, step: Step) -> Draft:
     view, steps = draft.end, list(draft.steps)
     for part in step.candidate.parts or (step.candidate,):
         gain = part.held_out() if step.candidate.parts else step.gain
-        steps.append(Step.of(part, gain, step.rivals, view))
         # Candidates accepted together were built independently: the list of findings is extended here.
-        view = part.after.with_findings(*view.found, part.cause)
+        after = part.after.accepted().with_findings(*view.found, part.cause)
+        steps.append(Step.of(dataclasses.replace(part, after=after), gain, step.rivals, view))
+        view = after
     return dataclasses.replace(draft, steps=tuple(steps), end=view)
 
 

@@ -147,7 +147,7 @@ def refitted(
             lost.discard(k)
             # Overlapping waveforms share their gain; for spectral effects the gain was measured for good.
             gain = candidate.held_out() if candidate.has_waveform else found[k].gain
-            end = candidate.after.with_findings(*without.found, cause)
+            end = candidate.after.accepted().with_findings(*without.found, cause)
             candidate = dataclasses.replace(candidate, after=end)
             step = Step.of(candidate, gain, found[k].rivals, without)
             found[k] = dataclasses.replace(step, conditions=_conditions(k, found, end))

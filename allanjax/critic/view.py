@@ -101,14 +101,14 @@ class View:
     @functools.cached_property
     def model_evidence(self) -> ModelEvidence:
         """Evidence of every subset of the basic noise terms, given this view's samples."""
-        return self._mask.evidence(self.coefficients)
+        return self._mask.evidence(self.coefficients, self._like)
 
     def model_evidence_of(
         self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
     ) -> ModelEvidence:
         """Evidence of every subset, given the coefficients in a fold and a further factor of the spectrum."""
         factor = self.factor if factor is None else self.combined(factor)
-        return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients)
+        return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients, self.model_evidence)
 
     @functools.cached_property
     def log_evidence(self) -> float:
@@ -119,6 +119,11 @@ class View:
     def log_evidence_all_terms(self) -> float:
         """Log evidence averaged over the subsets of all basic terms, including those that the model lacks."""
         return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
+
+    @functools.cached_property
+    def _like(self) -> ModelEvidence | None:
+        """Evidence of the subsets in the similar view that this one was made from, if any."""
+        return None
 
     @functools.cached_property
     def _mask(self) -> SpectralMask:
@@ -164,9 +169,7 @@ class View:
     @functools.cached_property
     def cv_log_likelihood(self) -> float:
         """Log-likelihood of each half of the coefficients under the best noise of the other half."""
-        return self.cross_validated(
-            lambda fold: self.model_evidence_of(fold).approximate_map(self.allowed, self.model_evidence)
-        )
+        return self.cross_validated(lambda fold: self.model_evidence_of(fold).best(self.allowed))
 
     def cross_validated(
         self,
@@ -252,13 +255,14 @@ class View:
         imputed = self.imputed if imputed is None else self.imputed | imputed
         view = dataclasses.replace(self, samples=samples, imputed=imputed)
         vars(view)["factor"], vars(view)["_mask"] = self.factor, self._mask
+        vars(view)["_like"] = self._like or self.model_evidence
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """Approximately most probable noise without an effect that has these lowest coefficients."""
         c = self.coefficients.copy()
         c[: len(lowest)] -= lowest
-        return self._mask.evidence(c).approximate_map(self.allowed, self.model_evidence)
+        return self._mask.evidence(c, self._like or self.model_evidence).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
@@ -273,6 +277,15 @@ class View:
         """
         view = copy.copy(self)
         vars(view).update(found=found, nuisances=nuisances)
+        return view
+
+    def accepted(self) -> View:
+        """View in which all subsets of terms compete, not only those that were likely before."""
+        if self._like is None:
+            return self
+        view = dataclasses.replace(self)
+        kept = ("factor", "coefficients", "_mask")
+        vars(view).update({name: vars(self)[name] for name in kept if name in vars(self)})
         return view
 
     def without_caches(self) -> View:
