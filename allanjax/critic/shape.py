@@ -265,7 +265,9 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     for place, k in enumerate(order):
         left = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(structure, left)).structure if left else structure
-        parts.append(_part(view, found, groups[k], gains[k], held_out[k], partial))
+        # Of the spectrum without the group, to which everything else is fitted.
+        left_over = conspicuous(record.squares / at_all(spectrum, without[k]))
+        parts.append(_part(view, found, groups[k], gains[k], held_out[k], left_over.p_value, partial))
     return Shape(tuple(parts), structure, model_of(structure, view.rate))
 
 
@@ -326,7 +328,13 @@ def _held_out(
 
 
 def _part(
-    view: View, found: Fitted, group: Sequence[int], gain: float, held_out: float, partial: Structure
+    view: View,
+    found: Fitted,
+    group: Sequence[int],
+    gain: float,
+    held_out: float,
+    p_value: float,
+    partial: Structure,
 ) -> Part:
     structure = found.structure
     if group == [_RESPONSE]:
@@ -343,8 +351,6 @@ def _part(
         each = [_of_resonances(view, found, [k])[0] for k in others]
         details["further_frequencies"] = tuple(e[0] for e in each)
         details["further_amplitudes"] = tuple(e[2] for e in each)
-    hidden = view.with_structure(_without(structure, group))
-    p_value = conspicuous(hidden.squared_whitened).p_value
     return Part(RESONANCE, estimates, gain, held_out, p_value, support, partial, details)
 
 
