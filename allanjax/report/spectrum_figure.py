@@ -173,8 +173,7 @@ def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f
 def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     """Mean residual of each group of points; single points of few degrees of freedom would only clutter."""
     starts = _residual_groups(spectrum)
-    rate = spectrum.rate
-    model = 2.0 * np.asarray(result.model.sampled(rate).sampled_psd(spectrum.frequency, rate))
+    model = _mean_density(spectrum, result.model)
     count = np.add.reduceat(spectrum.count, starts)
     ratio = np.add.reduceat(spectrum.count * spectrum.density[:, k] / model, starts) / count
     dof = spectrum.degrees_of_freedom(count)
@@ -192,6 +191,17 @@ def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     )
     chance = 100.0 * (quantile(np.array([[0.025], [0.975]]), dof) / dof - 1.0)
     return Residual(points, (dof > 2.0 / draw.PRECISE**2) & ~has_line, chance)
+
+
+def _mean_density(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " m"]:
+    """Mean one-sided density of a model over the ordinates of each point, where a resonance may be narrow."""
+    last = np.cumsum(spectrum.count)
+    spacing = 2.0 * spectrum.frequency[0] / (1.0 + spectrum.count[0])
+    edges = spacing * (np.append(0.0, last) + 0.5)
+    f = np.union1d(_frequencies(spectrum, model), edges)
+    density = 2.0 * np.asarray(model.sampled(spectrum.rate).sampled_psd(f, spectrum.rate))
+    total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
+    return np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
 
 
 def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
