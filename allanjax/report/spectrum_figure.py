@@ -198,10 +198,11 @@ def _mean_density(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " 
     last = np.cumsum(spectrum.count)
     spacing = 2.0 * spectrum.frequency[0] / (1.0 + spectrum.count[0])
     edges = spacing * (np.append(0.0, last) + 0.5)
-    f = np.union1d(_frequencies(spectrum, model), edges)
+    f = np.unique(np.concatenate([_frequencies(spectrum, model), edges, spectrum.frequency]))
     density = 2.0 * np.asarray(model.sampled(spectrum.rate).sampled_psd(f, spectrum.rate))
     total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
-    return np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
+    mean = np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
+    return np.where(spectrum.count == 1, density[np.searchsorted(f, spectrum.frequency)], mean)
 
 
 def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
