@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critic.bank import NOTHING, Bank, log_occam_factor
+from allanjax.critic.bank import NOTHING, Bank, Scan, log_occam_factor
 from allanjax.critic.model_evidence import SETS, Sets, odds
+from allanjax.critic.noise import Noise
 from allanjax.critic.parameters import Detail, Limit
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
@@ -19,6 +20,9 @@ from allanjax.noise.terms import NoiseTerm
 
 # Smallest signal-to-noise ratio that is examined more closely.
 _WORTH = 3.5
+#: Gain in the approximate noise [nats] below which an effect is given up. Gains in the exact noise were half
+#: a nat larger on average, and up to four nats larger where both were far below zero.
+HOPELESS = -1.5
 # Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3
 # Likelihood relative to the best shape above which an end of the bank is within two standard deviations; and
@@ -36,6 +40,7 @@ def additive(
     log_trials: float = 0.0,
     term: Callable[[int, float], NoiseTerm] | None = None,
     details: Mapping[str, Detail] | None = None,
+    coarse: Candidate | None = None,
 ) -> Candidate | None:
     """Best candidate of a bank, with the noise marginalized.
 
@@ -50,40 +55,42 @@ def additive(
         log_trials: further log trials factor of the search [nats].
         term: function of index and amplitude [SI] that returns the noise term, if there is one.
         details: words and lists of numbers by name.
+        coarse: candidate of a bank that this one refines: the search starts from the noise without it, and
+            its tests are those of the candidate.
 
     Returns:
         The candidate, or None.
     """
     best: Candidate | None = None
     tried: set[int] = set()
-    for noise in view.noises:
+    for noise in view.noises if coarse is None else (coarse.after.noise,):
         scan = bank.scan(view, noise)
         k = scan.best
         if abs(scan.snr[k]) < _WORTH or k in tried:
             continue
         # At first the noise is chosen without the shape as in the bank, which costs no transform.
-        for exact in (False, True):
-            for _ in range(_ROUNDS):
-                tried.add(k)
-                taken, a = k, float(scan.amplitude[k])
-                if exact:
-                    after = view.with_samples(view.samples - a * shape(k))
-                    noise = after.noise
-                else:
-                    noise = view.noise_without(a * bank.shapes[k])
-                scan = bank.scan(view, noise)
-                if scan.best == k:
-                    break
-                k = scan.best
-        gain = log_evidence(view, after, bank, taken, a) - view.log_evidence - log_trials
+        noise, scan, k, _ = _settled(
+            bank, view, scan, tried, lambda k, a: view.noise_without(a * bank.shapes[k])
+        )
+        rough = noise.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
+        if rough < HOPELESS:
+            continue
+        after: list[View] = []
+
+        def exact(k: int, a: float, left: list[View] = after) -> Noise:
+            left.append(view.with_samples(view.samples - a * shape(k)))
+            return left[-1].noise
+
+        noise, scan, k, a = _settled(bank, view, scan, tried, exact)
+        gain = log_evidence(view, after[-1], bank, k, a) - view.log_evidence - log_trials
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,
                 (),
                 gain,
                 1.0,
-                after,
-                partial(bank.held_out, view, after),
+                after[-1],
+                partial(bank.held_out, view, after[-1]),
                 span(k) if span else (0.0, view.duration),
                 add_to_model=adding(term and term(k, float(scan.amplitude[k]))),
                 has_waveform=True,
@@ -93,9 +100,30 @@ def additive(
     if best is None or not best.gain > 0.0:
         return None
     found = parameters(*place, *marginal(view, best.after, bank, *place))
-    p_value = bank.p_value(view, *searched)
-    # Noise alone has an evidence of e^gain against it with no more than this probability.
-    return dataclasses.replace(best, p_value=p_value, bound=float(np.exp(-best.gain)), estimates=found)
+    if coarse is not None:
+        tests = {"p_value": coarse.p_value, "bound": coarse.bound, "held_out": coarse.held_out}
+    else:
+        # Noise alone has an evidence of e^gain against it with no more than this probability.
+        tests = {"p_value": bank.p_value(view, *searched), "bound": float(np.exp(-best.gain))}
+    return dataclasses.replace(best, estimates=found, **tests)
+
+
+def _settled(
+    bank: Bank, view: View, scan: Scan, tried: set[int], noise_without: Callable[[int, float], Noise]
+) -> tuple[Noise, Scan, int, float]:
+    """Noise without the best shape, the scan in it, the shape, and the amplitude that the noise is without.
+
+    The shape and the noise are estimated in turn. If they do not settle, all are those of the last one.
+    """
+    for _ in range(_ROUNDS):
+        k = scan.best
+        tried.add(k)
+        a = float(scan.amplitude[k])
+        noise = noise_without(k, a)
+        scan = bank.scan(view, noise)
+        if scan.best == k:
+            break
+    return noise, scan, k, a
 
 
 def marginal(

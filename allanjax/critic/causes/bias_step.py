@@ -10,7 +10,14 @@ from jaxtyping import Float, Int
 
 from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import adding, additive, marginal, mean_and_std, shape_parameter
+from allanjax.critic.causes.additive import (
+    HOPELESS,
+    adding,
+    additive,
+    marginal,
+    mean_and_std,
+    shape_parameter,
+)
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View
@@ -43,27 +50,31 @@ class BiasStep(Cause):
     def again(self, view: View, found: Candidate | None = None) -> Candidate | None:
         """Best single step, located on a finer bank if it is strong."""
         bank, places = step_bank(view.n)
-        found = self._one(view, bank, places, 0.0)
+        found = self._one(view, bank, places)
         if found is None:
             return None
         time = found.parameters["time"]
-        k = time.value * view.rate
         spacing = places[1] - places[0]
         if spacing > 1.0 and time.std * view.rate < spacing:
-            fine = np.unique(np.rint(k + np.linspace(-2.0, 2.0, _FINER) * spacing).clip(1, view.n - 1))
-            J = min(FINEST, view.n - 1)
-            finer = Bank(step_coefficients(fine, view.n, J))
-            refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))))
+            near = time.value * view.rate + np.linspace(-2.0, 2.0, _FINER) * spacing
+            fine = np.unique(np.rint(near).clip(1, view.n - 1))
+            finer = Bank(step_coefficients(fine, view.n, min(FINEST, view.n - 1)))
+            refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))), found)
             if refined is not None and refined.gain > found.gain:
-                return dataclasses.replace(
-                    refined, p_value=found.p_value, bound=found.bound, held_out=found.held_out
-                )
+                return refined
         return found
 
     def p_value(self, view: View) -> float:
         return step_bank(view.n)[0].p_value(view, view.noise)
 
-    def _one(self, view: View, bank: Bank, places: np.ndarray, log_trials: float) -> Candidate | None:
+    def _one(
+        self,
+        view: View,
+        bank: Bank,
+        places: np.ndarray,
+        log_trials: float = 0.0,
+        coarse: Candidate | None = None,
+    ) -> Candidate | None:
         """Best single step of a bank."""
         return additive(
             view,
@@ -74,6 +85,7 @@ class BiasStep(Cause):
             lambda k: (places[k] / view.rate, view.duration),
             log_trials,
             lambda k, a: _term(view, places[k], a),
+            coarse=coarse,
         )
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
@@ -86,10 +98,12 @@ class BiasStep(Cause):
                 before, pair = pair, best_pair(bank, view, without, pair.members)
                 if pair.members == before.members:
                     break
+            price = pair.log_trials_factor + float(np.sum(log_occam_factor(pair.snr)))
+            if without.log_evidence - view.noise.log_evidence - price < gain + HOPELESS:
+                continue
             both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
             after = view.with_samples(view.samples - both[0] - both[1])
-            gained = after.log_evidence - view.log_evidence - pair.log_trials_factor
-            gained -= float(np.sum(log_occam_factor(pair.snr)))
+            gained = after.log_evidence - view.log_evidence - price
             if gained > gain:
                 gain, best = gained, (pair, both, after)
         if gain == least:
