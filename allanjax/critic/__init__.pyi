@@ -1,15 +1,15 @@
 # What users import, and where it comes from, as `allanjax/__init__.pyi` has it.
 
+from allanjax.critic.additive import additive as additive
 from allanjax.critic.bank import Bank as Bank
 from allanjax.critic.cause import Cause as Cause
 from allanjax.critic.causes import CAUSES as CAUSES
-from allanjax.critic.causes.additive import additive as additive
-from allanjax.critic.causes.template import Template as Template
 from allanjax.critic.finding import Discrepancy as Discrepancy
 from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.finding import Rival as Rival
 from allanjax.critic.noise import centred as centred
 from allanjax.critic.result import AxisCritique as AxisCritique
 from allanjax.critic.result import Critique as Critique
+from allanjax.critic.template import Template as Template
 from allanjax.critic.view import Candidate as Candidate
 from allanjax.critic.view import View as View

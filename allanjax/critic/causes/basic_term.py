@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import chi2
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.spectral import SHAPE, FineLevels, relative_errors
+from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
 from allanjax.critic.parameters import limited
+from allanjax.critic.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
@@ -29,6 +30,7 @@ class BasicTerm(Cause):
     """
 
     refit = "at once"
+    sensible: ClassVar = {"correlation_time": TIMES}
 
     def __init__(self, term: str) -> None:
         self.name = term

@@ -8,9 +8,7 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import (
+from allanjax.critic.additive import (
     HOPELESS,
     adding,
     additive,
@@ -18,6 +16,8 @@ from allanjax.critic.causes.additive import (
     mean_and_std,
     shape_parameter,
 )
+from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
+from allanjax.critic.cause import Cause
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View

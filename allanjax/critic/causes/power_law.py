@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.spectral import FineLevels, relative_errors
+from allanjax.critic.cause import Cause, Range
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
 from allanjax.critic.parameters import limited
+from allanjax.critic.spectral import FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
@@ -22,6 +24,7 @@ class PowerLaw(Cause):
 
     name = "power_law"
     refit = "at once"
+    sensible: ClassVar = {"exponent": Range(*_EXPONENTS)}
 
     def detect(self, view: View) -> Candidate | None:
         if POWER_LAW in view.allowed:

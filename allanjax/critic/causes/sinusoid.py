@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import folds
-from allanjax.critic.cause import Cause
+from allanjax.critic.cause import FREQUENCIES, Cause
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -53,6 +53,7 @@ class Sinusoid(Cause):
     """The strongest spectral line, at any frequency or at given ones; several are detected one by one."""
 
     name = "sinusoid"
+    sensible: ClassVar = {"frequency": FREQUENCIES._replace(may_be_a_limit=True)}
 
     def __init__(self, places: Sequence[Place] = ()) -> None:
         self._places = tuple(places)

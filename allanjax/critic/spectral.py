@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.optimize import minimize_scalar, nnls
 
-from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, density
+from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, NoiseFamily, density
 from allanjax.critic.view import View
 from allanjax.noise.terms import Markov, PowerLaw
 
@@ -22,15 +23,35 @@ _PER_OCTAVE = 64
 _SCORINGS, _SETTLED, _SMOOTH, _STEP = 8, 1e-4, 9, 0.02
 
 
-def fine_bins(n: int) -> Int[np.ndarray, " bins"]:
-    """First indices of bins of the coefficients 1 … n−1: 64 an octave."""
-    edges = np.rint(2.0 ** (np.arange(0.0, np.log2(n) * _PER_OCTAVE) / _PER_OCTAVE)).astype(int) - 1
-    return np.unique(edges[edges < n - 1])
+class FineBins:
+    """Bins of the coefficients 1 … n−1 of a family, 64 an octave.
+
+    Attributes:
+        size, frequency: number of coefficients in each bin and their mean frequency [Hz].
+        columns: levels of the terms without a free shape, of unit amplitude.
+    """
+
+    def __init__(self, family: NoiseFamily) -> None:
+        edges = (
+            np.rint(2.0 ** (np.arange(0.0, np.log2(family.n) * _PER_OCTAVE) / _PER_OCTAVE)).astype(int) - 1
+        )
+        self._first = np.unique(edges[edges < family.n - 1])
+        self.size = np.diff(self._first, append=family.n - 1).astype(float)
+        self.frequency = self.sums(family.frequency) / self.size
+        self.columns = {
+            name: self.sums(spectrum) / self.size
+            for name, spectrum in zip(FIXED, family.spectra, strict=True)
+        }
+
+    def sums(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
+        """Sums of values over bins."""
+        return np.add.reduceat(values, self._first)
 
 
-def sums(values: Float[np.ndarray, " n-1"], first: np.ndarray) -> Float[np.ndarray, " bins"]:
-    """Sums of values over bins."""
-    return np.add.reduceat(values, first)
+@functools.lru_cache(maxsize=2)
+def fine_bins(family: NoiseFamily) -> FineBins:
+    """Bins of a family, which its axes share."""
+    return FineBins(family)
 
 
 def log_likelihood(
@@ -62,20 +83,14 @@ class FineLevels:
     """
 
     def __init__(self, view: View) -> None:
-        self._first = fine_bins(view.n)
-        self.size = sums(np.ones(view.n - 1), self._first)
+        bins = fine_bins(view.family)
+        self.size, self.frequency = bins.size, bins.frequency
         squares = view.coefficients**2
-        self.squares = sums(squares if view.factor is None else squares / view.factor, self._first)
-        self.frequency = self._mean(view.family.frequency)
-        spectra = [view.family.spectra[FIXED.index(t)] for t in FIXED if t in view.allowed]
-        self.columns = np.stack([self._mean(spectrum) for spectrum in spectra])
+        self.squares = bins.sums(squares if view.factor is None else squares / view.factor)
+        self.columns = np.stack([bins.columns[name] for name in FIXED if name in view.allowed])
         near = np.ones(_SMOOTH)
         level = np.convolve(self.squares, near, "same") / np.convolve(self.size, near, "same")
         self.smooth = np.maximum(level, 1e-300)
-
-    def _mean(self, values: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
-        """Mean in each bin."""
-        return sums(values, self._first) / self.size
 
     def log_likelihood(self, extra: Float[np.ndarray, " bins"]) -> float:
         """Largest log-likelihood [nats] over the powers of the basic terms and one extra term."""
@@ -111,23 +126,21 @@ def relative_errors(view: View, noise: Noise) -> dict[str, float]:
 
     The latter is the logarithm of a Markov process's correlation time, or a power law's exponent.
     """
-
-    first = fine_bins(view.n)
-    size = sums(np.ones(view.n - 1), first)
-    frequency, level = (sums(x, first) / size for x in (view.family.frequency, noise.variance))
+    bins = fine_bins(view.family)
 
     def spectrum(name: str, change: float = 0.0) -> Float[np.ndarray, " bins"]:
         if name == MARKOV:
-            return view.rate * density(Markov(1.0, noise.shape * np.exp(change)), frequency, view.rate)
+            return view.rate * density(Markov(1.0, noise.shape * np.exp(change)), bins.frequency, view.rate)
         if name == POWER_LAW:
-            return view.rate * density(PowerLaw(1.0, noise.shape + change), frequency, view.rate)
-        return sums(view.family.spectra[FIXED.index(name)], first) / size
+            return view.rate * density(PowerLaw(1.0, noise.shape + change), bins.frequency, view.rate)
+        return bins.columns[name]
 
+    level = sum(power * spectrum(name) for name, power in noise.power.items())
     rows = {}
     for name, power in noise.power.items():
         rows[name] = power * spectrum(name)
         if name not in FIXED:
             rows[SHAPE] = power * (spectrum(name, _STEP) - spectrum(name, -_STEP)) / (2.0 * _STEP)
     relative = np.stack(list(rows.values())) / level
-    covariance = np.linalg.pinv(0.5 * (size * relative) @ relative.T)
+    covariance = np.linalg.pinv(0.5 * (bins.size * relative) @ relative.T)
     return dict(zip(rows, np.sqrt(np.diag(covariance)).tolist(), strict=True))

@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from allanjax.critic.additive import additive, shape_parameter
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
