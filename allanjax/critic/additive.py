@@ -23,6 +23,8 @@ _WORTH = 3.5
 #: Gain in the approximate noise [nats] below which an effect is given up. Gains in the exact noise were half
 #: a nat larger on average, and up to four nats larger where both were far below zero.
 HOPELESS = -1.5
+# Largest difference from the best one of those that are compared in the exact noise [nats].
+_ROUGH = 2.0
 # Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3
 # Likelihood relative to the best shape above which an end of the bank is within two standard deviations; and
@@ -61,27 +63,28 @@ def additive(
     Returns:
         The candidate, or None.
     """
-    best: Candidate | None = None
+    # At first the noise is chosen without the shape as in the bank, which costs no transform.
+    rough: dict[int, tuple[float, Scan]] = {}
     tried: set[int] = set()
     for noise in view.noises if coarse is None else (coarse.after.noise,):
         scan = bank.scan(view, noise)
-        k = scan.best
-        if abs(scan.snr[k]) < _WORTH or k in tried:
+        if abs(scan.snr[scan.best]) < _WORTH or scan.best in tried:
             continue
-        # At first the noise is chosen without the shape as in the bank, which costs no transform.
         noise, scan, k, _ = _settled(
             bank, view, scan, tried, lambda k, a: view.noise_without(a * bank.shapes[k])
         )
-        rough = noise.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
-        if rough < HOPELESS:
-            continue
+        gain = noise.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
+        rough[k] = max(rough.get(k, (gain, scan)), (gain, scan), key=lambda pair: pair[0])
+    least = max([HOPELESS, *(gain - _ROUGH for gain, _ in rough.values())])
+    best: Candidate | None = None
+    for scan in (scan for gain, scan in rough.values() if gain >= least):
         after: list[View] = []
 
         def exact(k: int, a: float, left: list[View] = after) -> Noise:
             left.append(view.with_samples(view.samples - a * shape(k)))
             return left[-1].noise
 
-        noise, scan, k, a = _settled(bank, view, scan, tried, exact)
+        noise, scan, k, a = _settled(bank, view, scan, set(), exact)
         gain = log_evidence(view, after[-1], bank, k, a) - view.log_evidence - log_trials
         if best is None or gain > best.gain:
             best = Candidate(
@@ -100,12 +103,12 @@ def additive(
     if best is None or not best.gain > 0.0:
         return None
     found = parameters(*place, *marginal(view, best.after, bank, *place))
+    best = dataclasses.replace(best, estimates=found)
     if coarse is not None:
-        tests = {"p_value": coarse.p_value, "bound": coarse.bound, "held_out": coarse.held_out}
-    else:
-        # Noise alone has an evidence of e^gain against it with no more than this probability.
-        tests = {"p_value": bank.p_value(view, *searched), "bound": float(np.exp(-best.gain))}
-    return dataclasses.replace(best, estimates=found, **tests)
+        return dataclasses.replace(best, p_value=coarse.p_value, bound=coarse.bound, held_out=coarse.held_out)
+    # Noise alone has an evidence of e^gain against it with no more than this probability.
+    p_value = bank.p_value(view, *searched)
+    return dataclasses.replace(best, p_value=p_value, bound=float(np.exp(-best.gain)))
 
 
 def _settled(

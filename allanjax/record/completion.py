@@ -260,7 +260,7 @@ def predicted(
     lengths = _lengths(missing)[gaps]
     long, weight = lengths > GAPS_AT_ONCE, 1.0 / v
     short = np.flatnonzero(~long)
-    blocks = inverses(gaps[short], v)
+    blocks = inverses(gaps[short], lags_of(weight))
     slowest = min(2 * len(d) // int(lengths.max()), len(v) - 1)
     within = np.concatenate([np.full(slowest, v[slowest]), v[slowest:]])
 
@@ -301,12 +301,19 @@ def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return lengths
 
 
+def lags_of(v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n+1"]:
+    """Return the circular covariances at lags 0 … n of twice as long a record with this spectrum."""
+    return dct(np.concatenate([[0.0], v, [0.0]]), type=1, workers=-1) / (len(v) + 1)
+
+
 def inverses(
-    gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
+    gaps: Int[np.ndarray, " gaps"], r: Float[np.ndarray, " n+1"]
 ) -> list[Float[np.ndarray, "block block"]]:
-    """Return inverses of the precision between missing samples, per block: ½[r(i − k) + r(i + k + 1)]."""
-    n = len(v) + 1
-    r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
+    """Return inverses of the precision between missing samples, per block: ½[r(i − k) + r(i + k + 1)].
+
+    Here r are the lags of the inverse spectrum.
+    """
+    n = len(r) - 1
     found = []
     for some in np.split(gaps, range(GAPS_AT_ONCE, len(gaps), GAPS_AT_ONCE)):
         total = some[:, None] + some + 1

@@ -90,7 +90,7 @@ class BiasStep(Cause):
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
         """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
-        gain = least
+        found = []
         for noise in view.noises:
             pair = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
@@ -99,16 +99,15 @@ class BiasStep(Cause):
                 if pair.members == before.members:
                     break
             price = pair.log_trials_factor + float(np.sum(log_occam_factor(pair.snr)))
-            if without.log_evidence - view.noise.log_evidence - price < gain + HOPELESS:
-                continue
-            both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
-            after = view.with_samples(view.samples - both[0] - both[1])
-            gained = after.log_evidence - view.log_evidence - price
-            if gained > gain:
-                gain, best = gained, (pair, both, after)
-        if gain == least:
+            found.append((without.log_evidence - view.noise.log_evidence - price, price, pair))
+        rough, price, pair = max(found, key=lambda each: each[0])
+        if rough < least + HOPELESS:
             return None
-        pair, both, after = best
+        both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
+        after = view.with_samples(view.samples - both[0] - both[1])
+        gain = after.log_evidence - view.log_evidence - price
+        if gain <= least:
+            return None
         first = self._given_other(view, bank, places, pair.members[0], both, after)
         second = self._given_other(view, bank, places, pair.members[1], both[::-1], after)
         first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))

@@ -18,7 +18,7 @@ from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
-from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses
+from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -116,8 +116,8 @@ def _found(
     A large outlier hides others next to it, which are seen once it is replaced by its prediction from all
     other samples, in the noise without it.
     """
-    scores = np.zeros(view.n)
-    seen = z
+    v, scores, seen = view.variance(), np.zeros(view.n), z
+    lags, pulls = lags_of(1.0 / v), view.loo_residuals[0] * float(np.mean(1.0 / v))
     for _ in range(_ROUNDS):
         loud = np.flatnonzero(abs(seen) > threshold)
         if len(loud) == 0:
@@ -126,17 +126,20 @@ def _found(
         if peaks is None:
             return None
         scores[peaks] = seen[peaks]
-        seen = _without(view, np.flatnonzero(scores), bulk)
+        times = np.flatnonzero(scores)
+        parts = np.split(pulls[times], range(GAPS_AT_ONCE, len(times), GAPS_AT_ONCE))
+        excess = [inverse @ part for inverse, part in zip(inverses(times, lags), parts, strict=True)]
+        seen = _without(view, times, np.concatenate(excess), bulk)
     times = np.flatnonzero(scores)
     return times, scores[times]
 
 
-def _without(view: View, times: Int[np.ndarray, " k"], bulk: float) -> Float[np.ndarray, " n"]:
-    """Scores of a record in which these samples are predicted from all others."""
-    spikes, v = np.zeros(view.n), view.variance()
-    pulls = in_time(view.residual / v)[times]
-    parts = np.split(pulls, range(GAPS_AT_ONCE, len(times), GAPS_AT_ONCE))
-    spikes[times] = np.concatenate([a @ b for a, b in zip(inverses(times, v), parts, strict=True)])
+def _without(
+    view: View, times: Int[np.ndarray, " k"], excess: Float[np.ndarray, " k"], bulk: float
+) -> Float[np.ndarray, " n"]:
+    """Scores of a record without the excess of some samples over their prediction from all others."""
+    spikes = np.zeros(view.n)
+    spikes[times] = excess
     c = dct(spikes, norm="ortho", workers=-1)[1:]
     v = view.variance(view.noise_without(c))
     seen = in_time((view.residual - c) / v) / (float(np.mean(1.0 / v)) * bulk)

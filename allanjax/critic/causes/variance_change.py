@@ -114,11 +114,13 @@ class VarianceChange(Cause):
         kind, score = kinds[best], scores[best]
         if score.max() < _WORTH:
             return None
-        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         # The mean over those that last to an end, of which each counts fully, and the others together.
         count = len(kinds) * np.sum(_lasting(len(score))) / _LASTING
         each = np.concatenate([s[_intervals(len(s))] for s in scores])
-        mean = float(np.logaddexp.reduce(each) - np.log(count))
+        gain = float(np.logaddexp.reduce(each) - np.log(count)) - _PRICE
+        if gain <= 0.0:
+            return None
+        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
@@ -142,7 +144,7 @@ class VarianceChange(Cause):
                 view.time_estimate("end", b, spreads[1]),
                 _ratio(view, found, scatter),
             ],
-            mean - _PRICE,
+            gain,
             _p_value(float(score.max()), kinds),
             after,
             lambda: _held_out(kind),
