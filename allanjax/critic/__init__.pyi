@@ -1,8 +1,8 @@
 # What users import, and where it comes from, as `allanjax/__init__.pyi` has it.
 
-from allanjax.critic.additive import additive as additive
 from allanjax.critic.bank import Bank as Bank
 from allanjax.critic.cause import Cause as Cause
+from allanjax.critic.cause import Range as Range
 from allanjax.critic.causes import CAUSES as CAUSES
 from allanjax.critic.finding import Discrepancy as Discrepancy
 from allanjax.critic.finding import Finding as Finding
@@ -10,6 +10,7 @@ from allanjax.critic.finding import Rival as Rival
 from allanjax.critic.noise import centred as centred
 from allanjax.critic.result import AxisCritique as AxisCritique
 from allanjax.critic.result import Critique as Critique
-from allanjax.critic.template import Template as Template
 from allanjax.critic.view import Candidate as Candidate
 from allanjax.critic.view import View as View
+from allanjax.critic.waveform import Template as Template
+from allanjax.critic.waveform import additive as additive

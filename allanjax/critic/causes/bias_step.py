@@ -8,7 +8,12 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critic.additive import (
+from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
+from allanjax.critic.cause import Cause
+from allanjax.critic.noise import Noise
+from allanjax.critic.policy import PRIORS
+from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import (
     HOPELESS,
     adding,
     additive,
@@ -16,11 +21,6 @@ from allanjax.critic.additive import (
     mean_and_std,
     shape_parameter,
 )
-from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
-from allanjax.critic.cause import Cause
-from allanjax.critic.noise import Noise
-from allanjax.critic.policy import PRIORS
-from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

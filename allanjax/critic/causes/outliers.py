@@ -10,13 +10,13 @@ from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from allanjax.critic.additive import shape_parameter
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.cause import Cause
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import shape_parameter
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 

@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
-from allanjax.critic.additive import additive, shape_parameter
 from allanjax.critic.bank import Bank, folds
 from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.noise import centred
 from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time

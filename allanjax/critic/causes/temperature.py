@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
-from allanjax.critic.additive import additive, shape_parameter
 from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.cause import Cause
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

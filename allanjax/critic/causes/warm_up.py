@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.additive import additive, shape_parameter
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

@@ -1,17 +1,18 @@
-"""Matched filters for causes with a known shape, with the noise estimated anew without the effect."""
+"""Effects with a known waveform: matched filters, with the noise estimated anew without the effect."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
-from allanjax.critic.bank import NOTHING, Bank, Scan, log_occam_factor
+from allanjax.critic.bank import NOTHING, SLOW, Bank, Scan, log_occam_factor
+from allanjax.critic.cause import Cause
 from allanjax.critic.model_evidence import SETS, Sets, odds
-from allanjax.critic.noise import Noise
+from allanjax.critic.noise import Noise, centred
 from allanjax.critic.parameters import Detail, Limit
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
@@ -93,7 +94,7 @@ def additive(
                 gain,
                 1.0,
                 after[-1],
-                partial(bank.held_out, view, after[-1]),
+                functools.partial(bank.held_out, view, after[-1]),
                 span(k) if span else (0.0, view.duration),
                 add_to_model=adding(term and term(k, float(scan.amplitude[k]))),
                 has_waveform=True,
@@ -127,6 +128,67 @@ def _settled(
         if scan.best == k:
             break
     return noise, scan, k, a
+
+
+class Template(Cause):
+    """Waveform `amplitude`·`shape`(time, value), searched for at given values of its parameter.
+
+        def sawtooth(time, period):
+            return time / period % 1.0
+
+        heater = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
+        aj.critique(recording, causes=[*allanjax.critic.CAUSES, heater])
+
+    The waveform must be slow: some thousand cosine coefficients have to describe it. Choose the values so
+    densely that neighbouring waveforms have a correlation of at least 0.9.
+    """
+
+    refit = "at once"
+
+    def __init__(
+        self,
+        name: str,
+        shape: Callable[[Float[np.ndarray, " n"], float], Float[np.ndarray, " n"]],
+        values: Float[ArrayLike, " shapes"] | Sequence[float],
+        parameter: str,
+        unit: str = "1",
+    ) -> None:
+        """Make a cause.
+
+        Args:
+            name: name of the cause.
+            shape: function of times since the record's start [s] and a value that returns the waveform.
+            values: values of the parameter to compare, increasing.
+            parameter: name of the parameter.
+            unit: unit of the parameter.
+        """
+        self.name, self.shape, self.parameter, self.unit = name, shape, parameter, unit
+        self.values = np.asarray(values, float)
+
+    def p_value(self, view: View) -> float:
+        return self._bank(view.n, view.rate).p_value(view, view.noise)
+
+    def detect(self, view: View) -> Candidate | None:
+        time = (np.arange(view.n) + 0.5) / view.rate
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
+            amplitude = view.amplitude_estimate("amplitude", a, std)
+            if len(self.values) == 1:
+                return [amplitude]
+            spacing = np.gradient(self.values)
+            value, spread, limit = shape_parameter(self.values, likelihood, spacing)
+            # It is known no better than the spacing of its values.
+            spread = float(np.hypot(spread, np.interp(value, self.values, spacing) / np.sqrt(12.0)))
+            return [amplitude, view.estimate(self.parameter, value, spread, self.unit, limit)]
+
+        bank = self._bank(view.n, view.rate)
+        return additive(view, self.name, bank, lambda k: self.shape(time, self.values[k]), parameters)
+
+    @functools.lru_cache(maxsize=4)  # noqa: B019 - causes are few
+    def _bank(self, n: int, rate: float) -> Bank:
+        """The waveforms for all values."""
+        time = (np.arange(n) + 0.5) / rate
+        return Bank(np.stack([centred(self.shape(time, float(x)))[:SLOW] for x in self.values]))
 
 
 def marginal(
