@@ -56,14 +56,18 @@ class Scan:
 
     @property
     def log_trials_factor(self) -> float:
-        """Log trials factor of the search [nats]: the largest likelihood of a shape over their mean."""
-        half = 0.5 * self.snr**2
-        return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
+        """Log trials factor of the search [nats]."""
+        return log_trials_factor(0.5 * self.snr**2)
 
     @property
     def log_price(self) -> float:
         """Log trials and Occam factors of the best shape [nats]."""
         return self.log_trials_factor + float(log_occam_factor(self.snr[self.best]))
+
+
+def log_trials_factor(gains: Float[np.ndarray, " k"]) -> float:
+    """Log trials factor of a search [nats]: the largest of some gains over their mean."""
+    return float(gains.max() - np.logaddexp.reduce(gains) + np.log(len(gains)))
 
 
 def log_occam_factor(snr: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:

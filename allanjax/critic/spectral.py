@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar, nnls
 
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, Noise, NoiseFamily, density
 from allanjax.critic.view import View
-from allanjax.noise.terms import Markov, PowerLaw
+from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw
 
 #: Name of the free shape in the result of `relative_errors`.
 SHAPE = "shape"
@@ -54,13 +54,6 @@ def fine_bins(family: NoiseFamily) -> FineBins:
     return FineBins(family)
 
 
-def log_likelihood(
-    squares: Float[np.ndarray, " bins"], size: Float[np.ndarray, " bins"], ratio: Float[np.ndarray, " bins"]
-) -> float:
-    """Log-likelihood of sums of whitened squares whose expectation is `ratio` times their number."""
-    return float(-0.5 * np.sum(size * np.log(ratio) + squares / ratio))
-
-
 def non_negative(
     columns: Float[np.ndarray, "terms bins"],
     level: Float[np.ndarray, " bins"],
@@ -78,13 +71,14 @@ class FineLevels:
     Attributes:
         size, squares, frequency: number of coefficients in each bin, the sum of their squares divided by the
             factor of earlier findings, and their mean frequency [Hz].
+        rate: sample rate [Hz].
         columns: levels of the allowed basic terms, except the Markov process, at unit amplitude.
         smooth: mean squares over a few neighbouring bins.
     """
 
     def __init__(self, view: View) -> None:
         bins = fine_bins(view.family)
-        self.size, self.frequency = bins.size, bins.frequency
+        self.size, self.frequency, self.rate = bins.size, bins.frequency, view.rate
         squares = view.coefficients**2
         self.squares = bins.sums(squares if view.factor is None else squares / view.factor)
         self.columns = np.stack([bins.columns[name] for name in FIXED if name in view.allowed])
@@ -99,26 +93,25 @@ class FineLevels:
         for _ in range(_SCORINGS):
             power = non_negative(columns, level, np.sqrt(self.size) / model)
             model = np.maximum(power @ columns, 1e-300)
-            value = log_likelihood(self.squares, self.size, model)
+            value = -0.5 * float(np.sum(self.size * np.log(model) + self.squares / model))
             gained, best = value - best, max(value, best)
             if gained < _SETTLED:
                 break
         return best
 
-    def shape_of(
-        self, likelihood: Callable[[float], float], bounds: tuple[float, float]
-    ) -> tuple[float, float, float]:
-        """Place of the largest log-likelihood, its standard deviation by the curvature, and the maximum.
+    def shape_of(self, law: Callable[[float], NoiseTerm], bounds: tuple[float, float]) -> tuple[float, float]:
+        """Most likely shape of one extra term of unit amplitude, and its standard deviation by the curvature.
 
-        `limited` says whether the place is at a bound.
+        `limited` says whether it is at a bound.
         """
-        found = minimize_scalar(
-            lambda u: -likelihood(u), bounds=bounds, method="bounded", options={"xatol": 1e-3}
-        )
+
+        def loss(u: float) -> float:
+            return -self.log_likelihood(self.rate * density(law(u), self.frequency, self.rate))
+
+        found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-3})
         u = float(found.x)
-        sides = [likelihood(u + _STEP), likelihood(u - _STEP)]
-        curvature = (-2.0 * found.fun - sum(sides)) / _STEP**2
-        return u, float(1.0 / np.sqrt(max(curvature, 1e-2))), -float(found.fun)
+        curvature = (loss(u + _STEP) + loss(u - _STEP) - 2.0 * found.fun) / _STEP**2
+        return u, float(1.0 / np.sqrt(max(curvature, 1e-2)))
 
 
 def relative_errors(view: View, noise: Noise) -> dict[str, float]:

@@ -82,19 +82,19 @@ def additive(
         after: list[View] = []
 
         def exact(k: int, a: float, left: list[View] = after) -> Noise:
-            left.append(view.with_samples(view.samples - a * shape(k)))
-            return left[-1].noise
+            left[:] = [view.with_samples(view.samples - a * shape(k))]
+            return left[0].noise
 
         noise, scan, k, a = _settled(bank, view, scan, set(), exact)
-        gain = log_evidence(view, after[-1], bank, k, a) - view.log_evidence - log_trials
+        gain = log_evidence(view, after[0], bank, k, a) - view.log_evidence - log_trials
         if best is None or gain > best.gain:
             best = Candidate(
                 cause,
                 (),
                 gain,
                 1.0,
-                after[-1],
-                functools.partial(bank.held_out, view, after[-1]),
+                after[0],
+                functools.partial(bank.held_out, view, after[0]),
                 span(k) if span else (0.0, view.duration),
                 add_to_model=adding(term and term(k, float(scan.amplitude[k]))),
                 has_waveform=True,

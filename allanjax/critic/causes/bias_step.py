@@ -8,7 +8,15 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
+from allanjax.critic.bank import (
+    FINEST,
+    Bank,
+    Matched,
+    log_occam_factor,
+    log_trials_factor,
+    step_bank,
+    step_coefficients,
+)
 from allanjax.critic.cause import Cause
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
@@ -234,4 +242,4 @@ def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -
     left = np.maximum(own - common**2 * own[other], 0.0)
     clear = left > _CLEAR**2 * left.max()
     half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)
-    return int(np.argmax(half)), float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
+    return int(np.argmax(half)), log_trials_factor(half)
