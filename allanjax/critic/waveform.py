@@ -64,28 +64,15 @@ def additive(
     Returns:
         The candidate, or None.
     """
-    # At first the noise is chosen without the shape as in the bank, which costs no transform.
-    rough: dict[int, tuple[float, Scan]] = {}
-    tried: set[int] = set()
-    for noise in view.noises if coarse is None else (coarse.after.noise,):
-        scan = bank.scan(view, noise)
-        if abs(scan.snr[scan.best]) < _WORTH or scan.best in tried:
-            continue
-        noise, scan, k, _ = _settled(
-            bank, view, scan, tried, lambda k, a: view.noise_without(a * bank.shapes[k])
-        )
-        gain = noise.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
-        rough[k] = max(rough.get(k, (gain, scan)), (gain, scan), key=lambda pair: pair[0])
-    least = max([HOPELESS, *(gain - _ROUGH for gain, _ in rough.values())])
     best: Candidate | None = None
-    for scan in (scan for gain, scan in rough.values() if gain >= least):
+    for scan in _promising(bank, view, view.noises if coarse is None else (coarse.after.noise,), log_trials):
         after: list[View] = []
 
         def exact(k: int, a: float, left: list[View] = after) -> Noise:
             left[:] = [view.with_samples(view.samples - a * shape(k))]
             return left[0].noise
 
-        noise, scan, k, a = _settled(bank, view, scan, set(), exact)
+        noise, scan, k, a = _settled(bank, view, scan, exact)
         gain = log_evidence(view, after[0], bank, k, a) - view.log_evidence - log_trials
         if best is None or gain > best.gain:
             best = Candidate(
@@ -112,16 +99,33 @@ def additive(
     return dataclasses.replace(best, p_value=p_value, bound=float(np.exp(-best.gain)))
 
 
+def _promising(bank: Bank, view: View, noises: Sequence[Noise], log_trials: float) -> list[Scan]:
+    """Scans in the approximate noise without their best shapes, of the shapes that may gain most.
+
+    The noise is estimated without the shape as in the bank, which costs no transform.
+    """
+    found: dict[int, tuple[float, Scan]] = {}
+    for noise in noises:
+        scan = bank.scan(view, noise)
+        if abs(scan.snr[scan.best]) < _WORTH or scan.best in found:
+            continue
+        without, scan, k, _ = _settled(bank, view, scan, lambda k, a: view.noise_without(a * bank.shapes[k]))
+        gain = without.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
+        if k not in found or gain > found[k][0]:
+            found[k] = gain, scan
+    least = max([HOPELESS, *(gain - _ROUGH for gain, _ in found.values())])
+    return [scan for gain, scan in found.values() if gain >= least]
+
+
 def _settled(
-    bank: Bank, view: View, scan: Scan, tried: set[int], noise_without: Callable[[int, float], Noise]
+    bank: Bank, view: View, scan: Scan, noise_without: Callable[[int, float], Noise]
 ) -> tuple[Noise, Scan, int, float]:
     """Noise without the best shape, the scan in it, the shape, and the amplitude that the noise is without.
 
-    The shape and the noise are estimated in turn. If they do not settle, all are those of the last one.
+    The shape and the noise are estimated in turn. If they do not settle, all are those of the last round.
     """
     for _ in range(_ROUNDS):
         k = scan.best
-        tried.add(k)
         a = float(scan.amplitude[k])
         noise = noise_without(k, a)
         scan = bank.scan(view, noise)
