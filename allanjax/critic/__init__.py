@@ -5,7 +5,8 @@ function and the values of the parameter. Any other cause is a subclass of `Caus
 `detect(view)`, which takes a `View` of one axis and returns its best `Candidate`, or None. The candidate's
 parameters are `Estimate`s made by `View.estimate`, `time_estimate`, `amplitude_estimate` or `log_estimate`.
 Shapes that are known except for some parameters go into a `Bank`, after `centred`, and `additive` finds the
-best of them. `critic.policy` has the rule by which a candidate becomes a finding.
+best of them. `Cause.sensible` has a `Range` for each parameter in which it makes sense. `critic.policy` has
+the rule by which a candidate becomes a finding.
 """
 
 from pathlib import Path

@@ -2,9 +2,8 @@
 
 from allanjax.critic.bank import Bank as Bank
 from allanjax.critic.cause import Cause as Cause
+from allanjax.critic.cause import Range as Range
 from allanjax.critic.causes import CAUSES as CAUSES
-from allanjax.critic.causes.additive import additive as additive
-from allanjax.critic.causes.template import Template as Template
 from allanjax.critic.finding import Discrepancy as Discrepancy
 from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.finding import Rival as Rival
@@ -13,3 +12,5 @@ from allanjax.critic.result import AxisCritique as AxisCritique
 from allanjax.critic.result import Critique as Critique
 from allanjax.critic.view import Candidate as Candidate
 from allanjax.critic.view import View as View
+from allanjax.critic.waveform import Template as Template
+from allanjax.critic.waveform import additive as additive

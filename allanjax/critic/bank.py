@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
@@ -17,13 +18,14 @@ from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from allanjax.base.arrays import seed_of
 from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 
 # Draws of noise from which the law of the largest output is extrapolated: a judgement.
 _DRAWS = 400
+# Number of bands in which that noise is known, and the resolution of its log levels.
+_LEVELS, _COARSE = 6, 0.5
 # Largest growth of the logarithm of the number of independent filters per unit of the output: a judgement.
 _GROWTH = 0.6
 # Neighbouring samples that are held out together.
@@ -54,9 +56,18 @@ class Scan:
 
     @property
     def log_trials_factor(self) -> float:
-        """Log trials factor of the search [nats]: the largest likelihood of a shape over their mean."""
-        half = 0.5 * self.snr**2
-        return float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
+        """Log trials factor of the search [nats]."""
+        return log_trials_factor(0.5 * self.snr**2)
+
+    @property
+    def log_price(self) -> float:
+        """Log trials and Occam factors of the best shape [nats]."""
+        return self.log_trials_factor + float(log_occam_factor(self.snr[self.best]))
+
+
+def log_trials_factor(gains: Float[np.ndarray, " k"]) -> float:
+    """Log trials factor of a search [nats]: the largest of some gains over their mean."""
+    return float(gains.max() - np.logaddexp.reduce(gains) + np.log(len(gains)))
 
 
 def log_occam_factor(snr: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:
@@ -112,13 +123,21 @@ class Bank:
     def matched(self, view: View, noise: Noise) -> Matched:
         """Matched filters in this noise, whose ramp and the shapes in `view.nuisances` are projected out."""
         J = self.shapes.shape[1]
-        v = view.lowest(noise, J)
+        nuisances = [*([view.family.ramp] if noise.ramp else []), *view.nuisances]
+        return self._matched(view.lowest(noise, J), [h[:J] for h in nuisances], view.coefficients[:J])
+
+    def _matched(
+        self,
+        v: Float[np.ndarray, " slow"],
+        nuisances: Sequence[Float[np.ndarray, " slow"]],
+        c: Float[np.ndarray, " slow"],
+    ) -> Matched:
+        """Matched filters for coefficients c whose expected squares are v."""
         root = np.sqrt(v)
-        e, own = view.coefficients[:J] / root, self.squares @ (1.0 / v)
-        others = [view.family.ramp] if noise.ramp else []
-        columns = [shape[:J] / root for shape in (*others, *view.nuisances)]
-        basis = np.zeros((J, 0))
-        if columns:
+        e, own = c / root, self.squares @ (1.0 / v)
+        basis = np.zeros((len(v), 0))
+        if nuisances:
+            columns = [h / root for h in nuisances]
             basis = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
         common = self.shapes @ (basis / root[:, None])
         left = np.maximum(own - np.sum(common**2, axis=1), NOTHING * own)
@@ -154,13 +173,38 @@ class Bank:
         """Probability of an output as large as `snr` in noise alone, by default the view's largest."""
         if snr is None:
             snr = float(np.max(abs(self.scan(view, noise).snr)))
-        matched = self.matched(view, noise)
-        # Seven digits suffice for draws, at half the work. Each record has its own draws; shared draws would
-        # give all p-values the same error.
-        rng = np.random.default_rng(seed_of(view.coefficients[:SLOW]))
-        draws = rng.standard_normal((len(matched.whitened), _DRAWS), np.float32)
+        v = view.lowest(noise, self.shapes.shape[1])
+        edges = np.unique(np.rint(np.geomspace(1.0, len(v) + 1.0, _LEVELS + 1)).astype(int)) - 1
+        level = np.add.reduceat(np.log(v), edges[:-1]) / np.diff(edges)
+        coarse = tuple(np.rint((level - level[-1]) / _COARSE).tolist())
+        ramp = view.family.ramp[: len(v)] if noise.ramp else None
+        if (coarse, noise.ramp) not in self._nulls:
+            self._nulls[coarse, noise.ramp] = self._null(edges, coarse, ramp)
+        return extrapolated(self._nulls[coarse, noise.ramp], abs(snr))
+
+    @functools.cached_property
+    def _nulls(self) -> dict[tuple[tuple[float, ...], bool], Float[np.ndarray, " draws"]]:
+        return {}
+
+    def _null(
+        self,
+        edges: Int[np.ndarray, " k"],
+        coarse: tuple[float, ...],
+        ramp: Float[np.ndarray, " slow"] | None,
+    ) -> Float[np.ndarray, " draws"]:
+        """Draws of the largest output in noise alone, whose spectrum is known by coarse levels in bands.
+
+        The law depends little on the spectrum. Each spectrum has its own draws; shared draws would give all
+        p-values the same error.
+        """
+        middle = 0.5 * np.log(np.maximum(edges[:-1], 0.5) * edges[1:])
+        v = np.exp(np.interp(np.log(np.arange(1, edges[-1] + 1)), middle, _COARSE * np.array(coarse)))
+        matched = self._matched(v, [] if ramp is None else [ramp], np.zeros(len(v)))
+        # Seven digits suffice for draws, at half the work.
+        rng = np.random.default_rng([len(v), *(int(level) % 2**32 for level in coarse)])
+        draws = rng.standard_normal((len(v), _DRAWS), np.float32)
         outputs = matched.rows().astype(np.float32) @ draws
-        return extrapolated(np.max(abs(outputs) / matched.lengths[:, None], axis=0), abs(snr))
+        return np.max(abs(outputs) / matched.lengths[:, None], axis=0)
 
 
 def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:

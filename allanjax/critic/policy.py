@@ -4,10 +4,11 @@ A candidate's log posterior odds are its log Bayes factor `gain` plus the log pr
 accepted if
 
 - the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
-  the axis: zero at the default, more if several axes share the probability; and
+  the axis: zero at the default, more if several axes share the probability;
 - if the test is a p-value, p < α·share. Each cause has its own share of the false alarms, whatever the other
   causes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
-  replaces p if it is smaller or if there is no other test.
+  replaces p if it is smaller or if there is no other test; and
+- its parameters make sense: each is within the range that the cause declares (`Cause.sensible`).
 
 An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
 finding must also gain on held-out data, if it can be tested on them.
@@ -22,6 +23,7 @@ may overlap with those that this study reports.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,7 +31,7 @@ import numpy as np
 from allanjax.critic.noise import FIXED, MARKOV, RAMP
 
 if TYPE_CHECKING:
-    from allanjax.critic.cause import Cause
+    from allanjax.critic.cause import Cause, Range
     from allanjax.critic.view import Candidate
 
 #: Probability of a false finding in a record of one axis for which the prior odds are made.
@@ -161,18 +163,22 @@ def judged(cause: str, name: str) -> float:
 class AcceptanceRule(NamedTuple):
     """Rule by which candidates in one axis are accepted.
 
-    `false_alarms` is the probability of a false finding in the axis; `own` are names of causes that are not
-    in the table.
+    Attributes:
+        false_alarms: probability of a false finding in the axis.
+        own: names of causes that are not in the table.
+        sensible: where the parameters of each cause make sense, by label.
     """
 
     false_alarms: float
     own: tuple[str, ...] = ()
+    sensible: Mapping[str, Mapping[str, Range]] = MappingProxyType({})
 
     @classmethod
     def of(cls, false_alarms: float, causes: Iterable[Cause] = ()) -> AcceptanceRule:
         """Rule for an axis with these causes."""
+        causes = tuple(causes)
         own = (cause.name for cause in causes if cause.name not in PRIORS)
-        return cls(false_alarms, tuple(dict.fromkeys(own)))
+        return cls(false_alarms, tuple(dict.fromkeys(own)), {cause.name: cause.sensible for cause in causes})
 
     def least_log_odds(self, cause: str) -> float:
         """Gain [nats] above which a candidate of a cause has the required posterior odds."""
@@ -184,7 +190,15 @@ class AcceptanceRule(NamedTuple):
         return 1.0 if share is None else self.false_alarms * share
 
     def accepts(self, candidate: Candidate) -> bool:
-        """Whether a candidate is probable enough, and unlikely to be chance."""
+        """Whether a candidate is probable enough, unlikely to be chance, and makes sense."""
         # An effect that is visible directly in the samples has no odds: nan.
         doubtful = candidate.gain < self.least_log_odds(candidate.cause)
-        return bool(not doubtful and candidate.chance < self.level(candidate.cause))
+        probable = not doubtful and candidate.chance < self.level(candidate.cause)
+        return bool(probable and self._makes_sense(candidate))
+
+    def _makes_sense(self, candidate: Candidate) -> bool:
+        """Whether all parameters of a candidate are where its cause declares them to make sense."""
+        ranges = self.sensible.get(candidate.cause, {})
+        return all(
+            ranges[e.label].holds(e, candidate.after) for e in candidate.estimates if e.label in ranges
+        )

@@ -152,8 +152,10 @@ MOST_MISSING = 0.3
 _TURNS, _BANDS, _SETTLED = 20, 64, 0.05
 # Frequencies on either side over which the spectrum is averaged: so many, and this share of the frequency.
 _FEWEST, _SHARE = 4, 0.01
-# Conjugate gradients: most steps, the negligible part of d'C⁻¹d, and samples that are solved for at once.
-_STEPS, _EXACT, _BLOCK = 100, 1e-3, 256
+# Conjugate gradients: most steps, and the negligible part of d'C⁻¹d.
+_STEPS, _EXACT = 100, 1e-3
+#: Neighbouring missing samples that are solved for at once.
+GAPS_AT_ONCE = 256
 
 
 def widening(missing: Bool[np.ndarray, "samples axes"]) -> Float[np.ndarray, " axes"]:
@@ -256,9 +258,9 @@ def predicted(
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
     lengths = _lengths(missing)[gaps]
-    long, weight = lengths > _BLOCK, 1.0 / v
+    long, weight = lengths > GAPS_AT_ONCE, 1.0 / v
     short = np.flatnonzero(~long)
-    blocks = _inverses(gaps[short], v)
+    blocks = inverses(gaps[short], lags_of(weight))
     slowest = min(2 * len(d) // int(lengths.max()), len(v) - 1)
     within = np.concatenate([np.full(slowest, v[slowest]), v[slowest:]])
 
@@ -270,7 +272,7 @@ def predicted(
         if long.any():
             full[gaps] = np.where(long, residual, 0.0)
             solved = filtered(full, within)
-        parts = np.split(residual[short], range(_BLOCK, len(short), _BLOCK))
+        parts = np.split(residual[short], range(GAPS_AT_ONCE, len(short), GAPS_AT_ONCE))
         solved[short] = np.concatenate([inverse @ part for inverse, part in zip(blocks, parts, strict=True)])
         return solved
 
@@ -299,14 +301,21 @@ def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return lengths
 
 
-def _inverses(
-    gaps: Int[np.ndarray, " gaps"], v: Float[np.ndarray, " n-1"]
+def lags_of(v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n+1"]:
+    """Return the circular covariances at lags 0 … n of twice as long a record with this spectrum."""
+    return dct(np.concatenate([[0.0], v, [0.0]]), type=1, workers=-1) / (len(v) + 1)
+
+
+def inverses(
+    gaps: Int[np.ndarray, " gaps"], r: Float[np.ndarray, " n+1"]
 ) -> list[Float[np.ndarray, "block block"]]:
-    """Return inverses of the precision between missing samples, per block: ½[r(i − k) + r(i + k + 1)]."""
-    n = len(v) + 1
-    r = dct(np.concatenate([[0.0], 1.0 / v, [0.0]]), type=1, workers=-1) / n
+    """Return inverses of the precision between missing samples, per block: ½[r(i − k) + r(i + k + 1)].
+
+    Here r are the lags of the inverse spectrum.
+    """
+    n = len(r) - 1
     found = []
-    for some in np.split(gaps, range(_BLOCK, len(gaps), _BLOCK)):
+    for some in np.split(gaps, range(GAPS_AT_ONCE, len(gaps), GAPS_AT_ONCE)):
         total = some[:, None] + some + 1
         precision = 0.5 * (r[abs(some[:, None] - some)] + r[np.minimum(total, 2 * n - total)])
         found.append(np.linalg.inv(precision))

@@ -1,12 +1,14 @@
 """Causes of a user's own, and by them the rule that decides what is a finding."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 import allanjax as aj
-from allanjax.critic import CAUSES, Bank, Candidate, Cause, Template, View, additive, centred
+from allanjax.critic import CAUSES, Bank, Candidate, Cause, Range, Template, View, additive, centred
 
 N, RATE = 16_384, 50.0
 NAN = float("nan")
@@ -154,6 +156,106 @@ def sawtooth(time, period):
 
 HEATER = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
 STEP = next(cause for cause in CAUSES if cause.name == "bias_step")
+
+
+class Fickle(Bank):
+    """Of two shapes, the best one is the other one in every scan."""
+
+    def scan(self, view, noise):
+        scan = super().scan(view, noise)
+        turns.append(len(turns) % 2)
+        loud = np.where(np.arange(2) == turns[-1], scan.snr, 1e-9 * scan.snr)
+        return dataclasses.replace(scan, snr=loud)
+
+
+turns: list[int] = []
+
+
+class Unsettled(Cause):
+    """A bump of unknown place, between two of which the search never settles."""
+
+    name = "unsettled"
+    seen: list[tuple[Candidate, np.ndarray, int]]
+
+    def detect(self, view: View) -> Candidate | None:
+        turns.clear()
+        shapes = [np.roll(hump(view.n), lag) for lag in (0, view.n // 100)]
+        bank = Fickle(np.stack([centred(shape)[:1024] for shape in shapes]))
+        told = []
+
+        def parameters(k, amplitude, std, likelihood):
+            told.append((k, amplitude))
+            return [view.amplitude_estimate("amplitude", amplitude, std)]
+
+        found = additive(view, self.name, bank, lambda k: shapes[k], parameters)
+        if found is not None:
+            ((k, amplitude),) = told
+            self.seen.append((found, (view.samples - found.after.samples), amplitude * shapes[k]))
+        return found
+
+
+def test_what_is_told_is_what_is_subtracted_though_place_and_noise_do_not_settle():
+    cause = Unsettled()
+    cause.seen = []
+    critique(white(2) + 0.6 * hump(N), [cause])
+    assert cause.seen
+    for _, subtracted, told in cause.seen:
+        np.testing.assert_allclose(subtracted, told, atol=0.1 * np.max(abs(told)))
+
+
+class Spy(Cause):
+    """The candidates of a known cause, of which none becomes a finding."""
+
+    def __init__(self, name):
+        self.name, self.cause = name, next(cause for cause in CAUSES if cause.name == name)
+        self.seen = []
+
+    def detect(self, view: View) -> Candidate | None:
+        found = self.cause.detect(view)
+        self.seen.append((view, found))
+        return None
+
+
+def smoothed(seed):
+    return np.convolve(white(seed), [0.25, 0.5, 0.25], "same")
+
+
+def test_the_gain_of_a_spectral_shape_is_measured_on_data_that_it_was_not_fitted_to():
+    first, other = Spy("spectral_shape"), Spy("spectral_shape")
+    critique(smoothed(11), [first])
+    critique(smoothed(12), [other])
+    (view, found), (another, _) = first.seen[0], other.seen[0]
+    there = another.with_structure(found.after.structure)
+    gain = there.log_likelihood(found.after.noise) - another.log_likelihood(view.noise)
+    # The scatter of a gain is its root.
+    assert abs(found.held_out() - gain) < 4.0 * np.sqrt(2.0 * gain)
+    assert found.held_out() != found.gain
+
+
+class Placed(Claim):
+    """A claim with a parameter that has a range, of which its search may have reached a bound."""
+
+    def __init__(self, label, value, limit=""):
+        super().__init__(f"{label} {value} {limit}", 50.0, 1e-9)
+        self.parameter = label, value, limit
+        ranges = {"time_constant": ("interval", "duration"), "frequency": ("resolution", "nyquist")}
+        self.sensible = {label: Range(*ranges[label])}
+
+    def detect(self, view: View) -> Candidate | None:
+        found = super().detect(view)
+        label, value, limit = self.parameter
+        own = view.estimate(label, value, 0.1 * value, "s", limit)
+        return found and dataclasses.replace(found, estimates=[*found.estimates, own])
+
+
+def test_parameters_of_a_finding_make_sense():
+    """Not beyond half the sample rate or the record, nor at a bound of the search."""
+    good = [("time_constant", 0.021), ("time_constant", 300.0), ("frequency", 24.9)]
+    bad = [("time_constant", 0.019), ("time_constant", 330.0), ("frequency", 25.1), ("frequency", 0.002)]
+    bad += [("time_constant", 10.0, "above"), ("frequency", 10.0, "below")]
+    causes = [Placed(*each) for each in good + bad]
+    found = critique(white(1), causes).findings
+    assert {f.cause for f in found} == {cause.name for cause in causes[: len(good)]}
 
 
 def test_a_waveform_of_ones_own_is_found_among_all_causes_with_its_size():

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 from scipy.stats import chi2
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.spectral import SHAPE, FineLevels, relative_errors
+from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.model_evidence import SETS, odds
-from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise, density
+from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise
 from allanjax.critic.parameters import limited
+from allanjax.critic.spectral import SHAPE, FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
@@ -29,6 +30,7 @@ class BasicTerm(Cause):
     """
 
     refit = "at once"
+    sensible: ClassVar = {"correlation_time": TIMES}
 
     def __init__(self, term: str) -> None:
         self.name = term
@@ -111,15 +113,10 @@ def _p_value(view: View, term: str) -> float:
 
 def _correlation_time(view: View, noise: Noise) -> Estimate:
     """Correlation time by maximum likelihood, between the neighbouring values of the grid."""
-    levels = FineLevels(view)
-
-    def likelihood(u: float) -> float:
-        own = density(Markov(1.0, float(np.exp(u))), levels.frequency, view.rate)
-        return levels.log_likelihood(view.rate * own)
-
     times = np.log(view.family.times)
     middle, step = np.log(noise.shape), times[1] - times[0]
-    u = levels.shape_of(likelihood, (middle - step, middle + step))[0]
+    bounds = (middle - step, middle + step)
+    u, _ = FineLevels(view).shape_of(lambda u: Markov(1.0, float(np.exp(u))), bounds)
     std = relative_errors(view, noise)[SHAPE]
     # Beyond the grid a Markov process is the same as another term: white noise, or a random walk.
     return view.log_estimate("correlation_time", *limited(u, std, (times[0], times[-1])), "s")

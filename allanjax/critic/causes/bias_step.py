@@ -8,12 +8,27 @@ from functools import cache, partial
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.critic.bank import FINEST, Bank, Matched, log_occam_factor, step_bank, step_coefficients
+from allanjax.critic.bank import (
+    FINEST,
+    Bank,
+    Matched,
+    log_occam_factor,
+    log_trials_factor,
+    step_bank,
+    step_coefficients,
+)
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import adding, additive, marginal, mean_and_std, shape_parameter
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import (
+    HOPELESS,
+    adding,
+    additive,
+    marginal,
+    mean_and_std,
+    shape_parameter,
+)
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -43,27 +58,31 @@ class BiasStep(Cause):
     def again(self, view: View, found: Candidate | None = None) -> Candidate | None:
         """Best single step, located on a finer bank if it is strong."""
         bank, places = step_bank(view.n)
-        found = self._one(view, bank, places, 0.0)
+        found = self._one(view, bank, places)
         if found is None:
             return None
         time = found.parameters["time"]
-        k = time.value * view.rate
         spacing = places[1] - places[0]
         if spacing > 1.0 and time.std * view.rate < spacing:
-            fine = np.unique(np.rint(k + np.linspace(-2.0, 2.0, _FINER) * spacing).clip(1, view.n - 1))
-            J = min(FINEST, view.n - 1)
-            finer = Bank(step_coefficients(fine, view.n, J))
-            refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))))
+            near = time.value * view.rate + np.linspace(-2.0, 2.0, _FINER) * spacing
+            fine = np.unique(np.rint(near).clip(1, view.n - 1))
+            finer = Bank(step_coefficients(fine, view.n, min(FINEST, view.n - 1)))
+            refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))), found)
             if refined is not None and refined.gain > found.gain:
-                return dataclasses.replace(
-                    refined, p_value=found.p_value, bound=found.bound, held_out=found.held_out
-                )
+                return refined
         return found
 
     def p_value(self, view: View) -> float:
         return step_bank(view.n)[0].p_value(view, view.noise)
 
-    def _one(self, view: View, bank: Bank, places: np.ndarray, log_trials: float) -> Candidate | None:
+    def _one(
+        self,
+        view: View,
+        bank: Bank,
+        places: np.ndarray,
+        log_trials: float = 0.0,
+        coarse: Candidate | None = None,
+    ) -> Candidate | None:
         """Best single step of a bank."""
         return additive(
             view,
@@ -74,11 +93,12 @@ class BiasStep(Cause):
             lambda k: (places[k] / view.rate, view.duration),
             log_trials,
             lambda k, a: _term(view, places[k], a),
+            coarse=coarse,
         )
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
         """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
-        gain = least
+        found = []
         for noise in view.noises:
             pair = best_pair(bank, view, noise)
             for _ in range(_ROUNDS):
@@ -86,15 +106,16 @@ class BiasStep(Cause):
                 before, pair = pair, best_pair(bank, view, without, pair.members)
                 if pair.members == before.members:
                     break
-            both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
-            after = view.with_samples(view.samples - both[0] - both[1])
-            gained = after.log_evidence - view.log_evidence - pair.log_trials_factor
-            gained -= float(np.sum(log_occam_factor(pair.snr)))
-            if gained > gain:
-                gain, best = gained, (pair, both, after)
-        if gain == least:
+            price = pair.log_trials_factor + float(np.sum(log_occam_factor(pair.snr)))
+            found.append((without.log_evidence - view.noise.log_evidence - price, price, pair))
+        rough, price, pair = max(found, key=lambda each: each[0])
+        if rough < least + HOPELESS:
             return None
-        pair, both, after = best
+        both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
+        after = view.with_samples(view.samples - both[0] - both[1])
+        gain = after.log_evidence - view.log_evidence - price
+        if gain <= least:
+            return None
         first = self._given_other(view, bank, places, pair.members[0], both, after)
         second = self._given_other(view, bank, places, pair.members[1], both[::-1], after)
         first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))
@@ -221,4 +242,4 @@ def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -
     left = np.maximum(own - common**2 * own[other], 0.0)
     clear = left > _CLEAR**2 * left.max()
     half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)
-    return int(np.argmax(half)), float(half.max() - np.logaddexp.reduce(half) + np.log(len(half)))
+    return int(np.argmax(half)), log_trials_factor(half)

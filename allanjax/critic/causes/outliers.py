@@ -5,19 +5,20 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critic.bank import any_of, folds
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import shape_parameter
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.record.completion import in_time
+from allanjax.critic.waveform import shape_parameter
+from allanjax.noise.estimate import Estimate
+from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -59,25 +60,16 @@ class Outliers(Cause):
         if gain < _WORTH:
             return None
         threshold = _threshold(share, scale)
-        missing, scores, after = np.zeros(view.n, bool), np.zeros(view.n), view
-        seen = z
-        # A large outlier hides others next to it until it is removed.
-        for _ in range(_ROUNDS):
-            loud = np.flatnonzero(abs(seen) > threshold)
-            if len(loud) == 0:
-                break
-            peaks = _peaks(seen, loud)
-            if peaks is None:
-                return None
-            missing[peaks], scores[peaks] = True, seen[peaks]
-            after = impute_gaussian(after, missing)
-            seen = _scores(after, bulk)
-        times = np.flatnonzero(missing)
-        if len(times) == 0:
+        found = _found(view, z, bulk, threshold)
+        if found is None or len(found[0]) == 0:
             return None
+        times, scores = found
+        missing = np.zeros(view.n, bool)
+        missing[times] = True
+        after = impute_gaussian(view, missing)
         gain -= _log_trials_factor(view.n)
         # For all outliers, including those too small to be detected.
-        log_scale, spread, limit = _log_scale(scores[missing], threshold)
+        log_scale, spread, limit = _log_scale(scores, threshold)
         estimates = [
             view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
             view.log_estimate("scale", log_scale + np.log(bulk / view.scale), spread, limit, view.axis.unit),
@@ -93,8 +85,8 @@ class Outliers(Cause):
             lambda: _held_out(z),
             (times[0] / view.rate, times[-1] / view.rate),
             details={
-                "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times),
-                "sizes": tuple(view.amplitude_estimate("size", size, bulk) for size in sizes),
+                "times": _each(view.estimate("time", 0.0, 1.0 / view.rate, "s"), times / view.rate),
+                "sizes": _each(view.amplitude_estimate("size", 0.0, bulk), sizes / view.scale),
             },
             bound=float(np.exp(-max(gain, 0.0))),
         )
@@ -105,6 +97,54 @@ class Outliers(Cause):
         times = np.array(values_of(found.details["times"])[0], float)
         missing[np.rint(times * view.rate).astype(int)] = True
         return dataclasses.replace(found, after=impute_gaussian(view, missing))
+
+
+def _each(first: Estimate, values: Float[np.ndarray, " k"]) -> tuple[Estimate, ...]:
+    """Estimates like one of zero, of other values with the same error."""
+    (low, high), (inner, outer) = first.interval, first.interval_68
+    return tuple(
+        dataclasses.replace(first, value=x, interval=(x + low, x + high), interval_68=(x + inner, x + outer))
+        for x in values.tolist()
+    )
+
+
+def _found(
+    view: View, z: Float[np.ndarray, " n"], bulk: float, threshold: float
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]] | None:
+    """Samples above a threshold and their scores; None if a train of them is too long for outliers.
+
+    A large outlier hides others next to it, which are seen once it is replaced by its prediction from all
+    other samples, in the noise without it.
+    """
+    v, scores, seen = view.variance(), np.zeros(view.n), z
+    lags, pulls = lags_of(1.0 / v), view.loo_residuals[0] * float(np.mean(1.0 / v))
+    for _ in range(_ROUNDS):
+        loud = np.flatnonzero(abs(seen) > threshold)
+        if len(loud) == 0:
+            break
+        peaks = _peaks(seen, loud)
+        if peaks is None:
+            return None
+        scores[peaks] = seen[peaks]
+        times = np.flatnonzero(scores)
+        parts = np.split(pulls[times], range(GAPS_AT_ONCE, len(times), GAPS_AT_ONCE))
+        excess = [inverse @ part for inverse, part in zip(inverses(times, lags), parts, strict=True)]
+        seen = _without(view, times, np.concatenate(excess), bulk)
+    times = np.flatnonzero(scores)
+    return times, scores[times]
+
+
+def _without(
+    view: View, times: Int[np.ndarray, " k"], excess: Float[np.ndarray, " k"], bulk: float
+) -> Float[np.ndarray, " n"]:
+    """Scores of a record without the excess of some samples over their prediction from all others."""
+    spikes = np.zeros(view.n)
+    spikes[times] = excess
+    c = dct(spikes, norm="ortho", workers=-1)[1:]
+    v = view.variance(view.noise_without(c))
+    seen = in_time((view.residual - c) / v) / (float(np.mean(1.0 / v)) * bulk)
+    seen[times] = 0.0
+    return _at_ends(np.where(view.imputed, 0.0, seen), v)
 
 
 def _p_value(largest: float, n: int) -> float:
@@ -185,13 +225,16 @@ def _threshold(share: float, scale: float) -> float:
 
 
 def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
-    """Leave-one-out residuals over their scale, zero where samples were imputed.
+    """Leave-one-out residuals over their scale, zero where samples were imputed."""
+    return _at_ends(np.where(view.imputed, 0.0, view.loo_residuals[0] / scale), view.variance())
 
-    At the record's ends quantization noise differs from that of the mirrored record, and residuals scatter
-    more; those that stand out there are compared with the scatter at the ends.
+
+def _at_ends(z: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
+    """Scores, of which those that stand out at the ends are compared with the scatter there.
+
+    Quantization noise at the ends differs from that of the mirrored record, so residuals scatter more.
     """
-    z = np.where(view.imputed, 0.0, view.loo_residuals[0] / scale)
-    v, n = view.variance(), view.n
+    n = len(z)
     for k in (*range(_END), *range(n - _END, n)):
         if abs(z[k]) > _NOTICED:
             sample = np.zeros(n)

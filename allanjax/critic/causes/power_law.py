@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.spectral import FineLevels, relative_errors
-from allanjax.critic.noise import MARKOV, POWER_LAW, Noise, density
+from allanjax.critic.cause import Cause, Range
+from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.parameters import limited
+from allanjax.critic.spectral import FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
@@ -22,6 +24,7 @@ class PowerLaw(Cause):
 
     name = "power_law"
     refit = "at once"
+    sensible: ClassVar = {"exponent": Range(*_EXPONENTS)}
 
     def detect(self, view: View) -> Candidate | None:
         if POWER_LAW in view.allowed:
@@ -64,17 +67,12 @@ class PowerLaw(Cause):
 def _exponent(view: View, noise: Noise) -> tuple[float, float]:
     """Exponent by maximum likelihood, with all powers fitted for each value, and its standard deviation."""
     levels = FineLevels(view)
-
-    def likelihood(exponent: float) -> float:
-        law = density(PowerLawTerm(1.0, exponent), levels.frequency, view.rate)
-        return levels.log_likelihood(view.rate * law)
-
     low, high = _EXPONENTS
     middle = noise.shape
     # If the maximum is at the end of the range, the search goes farther.
     for _ in range(_ROUNDS):
         bounds = (max(middle - _REACH, low), min(middle + _REACH, high))
-        exponent, std, _ = levels.shape_of(likelihood, bounds)
+        exponent, std = levels.shape_of(lambda u: PowerLawTerm(1.0, u), bounds)
         if abs(exponent - middle) < 0.95 * _REACH or exponent in (low, high):
             break
         middle = exponent

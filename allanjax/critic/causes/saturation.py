@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.imputation import draw_between
+from allanjax.critic.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import Ends, lattice

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import folds
-from allanjax.critic.cause import Cause
+from allanjax.critic.cause import FREQUENCIES, Cause
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -24,16 +25,35 @@ _PERIODS = judged("sinusoid", "periods")
 # Zero padding, so that frequencies are half a Fourier bin apart; between two of them a line's power may be a
 # fifth larger, so peaks above this share of the highest one are refined, up to this number.
 _PADDING, _SCALLOP, _PEAKS = 2, 0.8, 16
-# Smallest half squared signal-to-noise ratio that is examined more closely, anywhere and at known places.
-_WORTH, _WORTH_THERE = 8.0, 4.0
+# Gain [nats] in the noise with the line below which it is given up: noise alone has some −6, and an estimate
+# of the noise without so weak a line changes little.
+_HOPELESS = -4.0
 # Number of blocks of the record that make up the held-out parts.
 _FOLD_BLOCKS = 256
+
+
+class Line(NamedTuple):
+    """Line in noise: frequency and its deviation [Hz], amplitudes of cosine and sine and their deviation, and
+    the gain: half the squared signal-to-noise ratio."""
+
+    frequency: float
+    frequency_std: float
+    beta: Float[np.ndarray, " 2"]
+    std: float
+    gain: float
+
+    def log_price(self, band: float) -> float:
+        """Log Occam factor [nats]: an amplitude as for `evidence`, any phase and frequency in a band [Hz]."""
+        snr = np.sqrt(2.0 * self.gain)
+        places = np.log(band / (self.frequency_std * np.sqrt(2.0 * np.pi)))
+        return float(np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE) + max(places, 0.0))
 
 
 class Sinusoid(Cause):
     """The strongest spectral line, at any frequency or at given ones; several are detected one by one."""
 
     name = "sinusoid"
+    sensible: ClassVar = {"frequency": FREQUENCIES._replace(may_be_a_limit=True)}
 
     def __init__(self, places: Sequence[Place] = ()) -> None:
         self._places = tuple(places)
@@ -42,24 +62,20 @@ class Sinusoid(Cause):
         return Sinusoid(places)
 
     def p_value(self, view: View) -> float:
-        strongest = _strongest(view, self._places)
-        return 1.0 if strongest is None else _line_p_value(strongest[-1], view, self._places)
+        line = _strongest(view, self._places)
+        return 1.0 if line is None else _line_p_value(line.gain, view, self._places)
 
     def detect(self, view: View) -> Candidate | None:
-        strongest = _strongest(view, self._places)
-        if strongest is None or strongest[-1] < (_WORTH_THERE if self._places else _WORTH):
-            return None
-        f, f_std, beta, std, z = strongest
-        after = view.with_samples(view.samples - wave(f, beta, view.n, view.rate))
-        v = after.variance()
-        f, f_std, beta, std, z = refined(view.coefficients, v, f, view.rate)
-        amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
-        snr = np.sqrt(2.0 * z)
-        gain = after.noise.log_evidence - view.noise.log_evidence
-        # Prior: that of `evidence` for the amplitude, any phase, any frequency of the search.
-        gain -= np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE)
+        line = _strongest(view, self._places)
         band = sum(2.0 * place.reach for place in self._places) or 0.5 * view.rate
-        gain -= max(np.log(band / (f_std * np.sqrt(2.0 * np.pi))), 0.0)
+        if line is None or line.gain - line.log_price(band) < _HOPELESS:
+            return None
+        after = view.with_samples(view.samples - wave(line.frequency, line.beta, view.n, view.rate))
+        v = after.variance()
+        line = refined(view.coefficients, v, line.frequency, view.rate)
+        f, f_std, beta, std, z = line
+        amplitude, phase = float(np.hypot(*beta)), np.asarray(-np.arctan2(beta[1], beta[0]))
+        gain = after.noise.log_evidence - view.noise.log_evidence - line.log_price(band)
         parameters = [
             view.estimate("frequency", f, f_std, "Hz"),
             view.amplitude_estimate("amplitude", amplitude, std),
@@ -67,7 +83,7 @@ class Sinusoid(Cause):
         # A line of fewer periods would appear at the edge of the search, with less power.
         if (
             f < _PERIODS / view.duration
-            and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate)[-1] > z
+            and refined(view.coefficients, v, f - 1.0 / view.duration, view.rate).gain > z
         ):
             least = amplitude - ONE_SIDED_95 * std
             parameters = [
@@ -84,7 +100,7 @@ class Sinusoid(Cause):
         return Candidate(
             self.name,
             parameters,
-            float(gain),
+            gain,
             _line_p_value(z, view, self._places),
             after,
             held_out,
@@ -94,10 +110,8 @@ class Sinusoid(Cause):
         )
 
 
-def _strongest(
-    view: View, places: Sequence[Place]
-) -> tuple[float, float, Float[np.ndarray, " 2"], float, float] | None:
-    """Strongest line of the spectrum, as from `refined`; None if there is none at the places."""
+def _strongest(view: View, places: Sequence[Place]) -> Line | None:
+    """Strongest line of the spectrum; None if there is none at the places."""
     spectrum, spacing = _spectrum(view.whitened, view.rate)
     k = _looked_at(spectrum, spacing, view, places)
     if not len(k):
@@ -108,7 +122,7 @@ def _strongest(
     v = view.variance()
     starts = spacing * k[np.argsort(-spectrum[k])[:_PEAKS]]
     found = [refined(view.coefficients, v, float(start), view.rate) for start in starts]
-    return max(found, key=lambda line: line[-1])
+    return max(found, key=lambda line: line.gain)
 
 
 def _looked_at(
@@ -140,10 +154,8 @@ def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -
     return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
 
 
-def refined(
-    c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: float, rate: float
-) -> tuple[float, float, Float[np.ndarray, " 2"], float, float]:
-    """Line near a frequency: frequency, its deviation, both amplitudes, their deviation, the gain."""
+def refined(c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: float, rate: float) -> Line:
+    """Line near a frequency."""
     n = len(c) + 1
     spacing = rate / (2.0 * n)
     centre = int(np.clip(np.rint(start / spacing), 1, n - 1))
@@ -169,7 +181,7 @@ def refined(
     # Cramér–Rao, of frequency with phase and amplitude unknown (Rife & Boorstyn 1974).
     # √6·σ/(πAT√n), where A²n/2σ² is the squared signal-to-noise ratio 2z.
     f_std = np.sqrt(6.0) / (np.pi * (n / rate) * 2.0 * np.sqrt(max(z, 1e-6)))
-    return f, float(f_std), beta, std, z
+    return Line(f, float(f_std), beta, std, z)
 
 
 def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray, " frequencies"], float]:
@@ -192,7 +204,7 @@ def _held_out(e: Float[np.ndarray, " n"], view: View, places: Sequence[Place]) -
         left, mid, right = spectrum[k - 1 : k + 2]
         f = (k + 0.5 * (left - right) / (left - 2.0 * mid + right)) * spacing
         D = np.column_stack([np.cos(t * f), np.sin(t * f)])
-        beta = np.linalg.lstsq(D[fold], e[fold], rcond=None)[0]
+        beta = np.linalg.solve(D.T @ (D * fold[:, None]), (e * fold) @ D)
         predicted = D[part] @ beta
         gain += float(predicted @ e[part] - 0.5 * predicted @ predicted)
     return gain

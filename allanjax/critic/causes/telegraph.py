@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, folds
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.noise import centred
 from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
@@ -34,6 +35,7 @@ class Telegraph(Cause):
     """A bias that jumps between two levels; the likelihood sums over all paths (hidden Markov model)."""
 
     name = "telegraph"
+    sensible: ClassVar = {"dwell_time": TIMES}
 
     def detect(self, view: View) -> Candidate | None:
         blocks = min(_BLOCKS, view.n // 8)

@@ -8,10 +8,10 @@ from scipy.fft import dct, idct
 
 from allanjax.critic.bank import SLOW, Bank, any_of
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import additive, shape_parameter
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

@@ -114,11 +114,13 @@ class VarianceChange(Cause):
         kind, score = kinds[best], scores[best]
         if score.max() < _WORTH:
             return None
-        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         # The mean over those that last to an end, of which each counts fully, and the others together.
         count = len(kinds) * np.sum(_lasting(len(score))) / _LASTING
         each = np.concatenate([s[_intervals(len(s))] for s in scores])
-        mean = float(np.logaddexp.reduce(each) - np.log(count))
+        gain = float(np.logaddexp.reduce(each) - np.log(count)) - _PRICE
+        if gain <= 0.0:
+            return None
+        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
         a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
         inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
         louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
@@ -142,7 +144,7 @@ class VarianceChange(Cause):
                 view.time_estimate("end", b, spreads[1]),
                 _ratio(view, found, scatter),
             ],
-            mean - _PRICE,
+            gain,
             _p_value(float(score.max()), kinds),
             after,
             lambda: _held_out(kind),
@@ -207,17 +209,16 @@ def interval_gains(
 
 def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """Gain in log-likelihood of each interval, given the sums of squares up to the edges [nats]."""
-    inner, count = total[None, :] - total[:, None], edges[None, :] - edges[:, None]
-    outer, rest = total[-1] - inner, edges[-1] - count
-    shortest = _SHORTEST * edges[-1]
-    valid = (count > shortest) & (rest > shortest)
+    count = edges[None, :] - edges[:, None]
+    shortest, n = _SHORTEST * edges[-1], edges[-1]
+    i, j = np.nonzero((count > shortest) & (n - count > shortest))
+    count, inner = count[i, j], total[j] - total[i]
+    rest, outer = n - count, total[-1] - inner
     with np.errstate(divide="ignore", invalid="ignore"):
-        gains = 0.5 * (
-            edges[-1] * np.log(total[-1] / edges[-1])
-            - count * np.log(inner / count)
-            - rest * np.log(outer / rest)
-        )
-    return np.where(valid & np.isfinite(gains), gains, 0.0)
+        each = n * np.log(total[-1] / n) - count * np.log(inner / count) - rest * np.log(outer / rest)
+    gains = np.zeros((len(edges), len(edges)))
+    gains[i, j] = np.where(np.isfinite(each), 0.5 * each, 0.0)
+    return gains
 
 
 def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float) -> tuple[int, int]:

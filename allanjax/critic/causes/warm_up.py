@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import functools
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.additive import additive, shape_parameter
+from allanjax.critic.cause import TIMES, Cause
 from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -25,6 +26,7 @@ class WarmUp(Cause):
 
     name = "warm_up"
     refit = "at once"
+    sensible: ClassVar = {"time_constant": TIMES._replace(may_be_a_limit=True)}
 
     def p_value(self, view: View) -> float:
         return _bank(view.n, view.rate)[1].p_value(view, view.noise)
