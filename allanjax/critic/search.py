@@ -23,7 +23,6 @@ from allanjax.critic.cause import Cause
 from allanjax.critic.causes.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
 from allanjax.critic.grouping import grouped
-from allanjax.critic.noise import coefficient_folds
 from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.shape import LOW_PASS, Shape, finished
 from allanjax.critic.step import Step, refitted, replay
@@ -191,7 +190,7 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     draft = prune(draft, _sought(draft.end, causes), last=True)
     steps, view, anew = list(draft.steps), draft.end, draft.is_anew
-    shape = finished(view, coefficient_folds(view.n))
+    shape = finished(view)
     if shape is not None:
         steps, anew = _with_shape(steps, shape), True
     elif any(s.candidate.cause == SpectralShape.name for s in steps):

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.fft import dct
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import any_of
 from allanjax.critic.factor import stop_band
-from allanjax.critic.noise import MARKOV, POWER_LAW
+from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.places import Place
 from allanjax.critic.view import View
@@ -108,14 +108,17 @@ def _further(view: View) -> PowerLaw | None:
     return PowerLaw(1.0, float(view.noise.shape)) if power_law else None
 
 
-def _start(view: View, further: PowerLaw | None) -> Structure:
-    """Structure of a view with all terms that it may have."""
+def _start(view: View, further: PowerLaw | None, whole: bool = False) -> Structure:
+    """Structure of a view with all terms that it may have.
+
+    A Markov process that may be filtered white noise is left out, unless the `whole` noise is wanted.
+    """
     columns = [FIXED.index(name) for name in FIXED if name in view.allowed]
     columns += [] if further is None else [FURTHER]
     start = dataclasses.replace(Structure.plain(columns), further=further)
     noise = view.noise
-    # The same spectrum by another name: as filtered white noise it shows where the pass band ends.
-    filtered = "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
+    # As filtered white noise it shows where the pass band ends.
+    filtered = not whole and "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
     for name, power in noise.power.items():
         if name in FIXED:
             start = start.with_column(FIXED.index(name), power)
@@ -241,7 +244,7 @@ class Shape(NamedTuple):
     model: Model
 
 
-def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | None:
+def finished(view: View) -> Shape | None:
     """Final fit of a view's structure and its parts; None if there are only basic terms."""
     if view.structure is None:
         return None
@@ -250,15 +253,17 @@ def finished(view: View, folds: Sequence[Bool[np.ndarray, " n-1"]]) -> Shape | N
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed and further is None)
     while groups := _groups(found.structure):
-        held_out = _held_out(record, spectrum, found.structure, groups, folds)
+        less = [_without(found.structure, group) for group in groups]
+        best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
+        held_out = [loss - best for loss in losses]
         if (least := min(held_out)) > 0.0:
             break
         # What predicts nothing is not reported.
-        found = spectrum.fit(_without(found.structure, groups[held_out.index(least)]))
+        found = spectrum.fit(less[held_out.index(least)])
     else:
         return None
     structure = found.structure
-    without = [spectrum.fit(_without(structure, group)) for group in groups]
+    without = [spectrum.fit(each) for each in less]
     gains = [found.evidence - less.evidence for less in without]
     order = sorted(range(len(groups)), key=lambda k: -gains[k])
     parts = []
@@ -305,26 +310,31 @@ def _without(structure: Structure, group: Sequence[int]) -> Structure:
     return dataclasses.replace(rest, kind=NONE) if _RESPONSE in group else rest
 
 
-def _held_out(
-    record: Record,
-    spectrum: Spectrum,
-    structure: Structure,
-    groups: Sequence[Sequence[int]],
-    folds: Sequence[Bool[np.ndarray, " n-1"]],
-) -> list[float]:
-    """Gain in log-likelihood by each group on half of the coefficients, by fits to the other half [nats]."""
-    gains = np.zeros(len(groups))
-    for fold in folds:
+def held_out_gain(view: View, structure: Structure) -> float:
+    """Gain in log-likelihood by a structure on each half of the coefficients, by fits to the other [nats].
+
+    The noise without it has all terms that it may have.
+    """
+    further = _further(view)
+    record = _record(view, further)
+    before, after = _held_out_losses(
+        record, record.binned(structure), [_start(view, further, True), structure]
+    )
+    return before - after
+
+
+def _held_out_losses(record: Record, spectrum: Spectrum, structures: Sequence[Structure]) -> list[float]:
+    """Minus the log-likelihood of each half of the coefficients under fits to the other half [nats]."""
+    losses = np.zeros(len(structures))
+    for fold in coefficient_folds(record.n):
         mine, other = (
             Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).with_error(
                 spectrum.error
             )
             for half in (fold, ~fold)
         )
-        best = other.loss_of(mine.fit(structure))
-        for k, group in enumerate(groups):
-            gains[k] += other.loss_of(mine.fit(_without(structure, group))) - best
-    return gains.tolist()
+        losses += [other.loss_of(mine.fit(structure)) for structure in structures]
+    return losses.tolist()
 
 
 def _part(

@@ -12,14 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from allanjax.critic.cause import FREQUENCIES, Cause
-from allanjax.critic.noise import FIXED, MARKOV, coefficient_folds
 from allanjax.critic.places import Place
-from allanjax.critic.shape import candidate_structure, conspicuous, structure_at
+from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain, structure_at
 from allanjax.critic.view import Candidate, View
-from allanjax.estimate.spectral.components import MARKOV as KIND_OF_MARKOV
 from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure.search import Record
-from allanjax.estimate.structure.structure import Spectrum, Structure, markov
 
 
 class SpectralShape(Cause):
@@ -54,29 +50,7 @@ class SpectralShape(Cause):
             gain,
             p_value,
             after,
-            lambda: _held_out(view, structure),
+            lambda: held_out_gain(view, structure),
             domain="frequency",
             bound=float(np.exp(-gain)),
         )
-
-
-def _held_out(view: View, structure: Structure) -> float:
-    """Gain in log-likelihood [nats] on each half of the coefficients with the structure from the other half.
-
-    The noise without it has all terms that it may have.
-    """
-    squares = view.residual**2 if view.base is None else view.residual**2 / view.base
-    before = structure.with_shape_of(view.structure or Structure.plain(()))
-    for name in set(FIXED) & set(view.allowed):
-        before = before.with_column(FIXED.index(name), view.noise.power.get(name, 0.0))
-    if MARKOV in view.noise.power and not any(c.kind == KIND_OF_MARKOV for c in before.components):
-        time = view.noise.shape * view.rate
-        before = before.plus(markov(time, 0.5 * view.noise.power[MARKOV] * view.noise.shape))
-    bins = Record(squares, view.rate, structure.further).binned(structure).bins
-    gain = 0.0
-    for fold in coefficient_folds(view.n):
-        mine, other = (
-            Spectrum.of(squares, bins, structure.further, half.astype(float)) for half in (fold, ~fold)
-        )
-        gain += other.loss_of(mine.fit(before)) - other.loss_of(mine.fit(structure))
-    return gain
