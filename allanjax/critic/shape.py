@@ -256,9 +256,11 @@ def finished(view: View) -> Shape | None:
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
         held_out = [loss - best for loss in losses]
+        if groups[0] == [_RESPONSE] and _half_power(found.structure, view.rate) >= 0.5 * view.rate:
+            held_out[0] = -np.inf
         if (least := min(held_out)) > 0.0:
             break
-        # What predicts nothing is not reported.
+        # What predicts nothing, or is a filter whose corner no record can show, is not reported.
         found = spectrum.fit(less[held_out.index(least)])
     else:
         return None
