@@ -14,7 +14,7 @@ import numpy as np
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.common_mode import NAME, common_mode
+from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
@@ -109,7 +109,8 @@ def criticize(
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
-        return AxisCritique(axis, *told)
+        own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
+        return AxisCritique(axis, *told, own)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))

@@ -96,6 +96,8 @@ class AxisCritique(ByValue):
         model: the extended model: noise terms and deterministic terms with their values.
         misfit: how far the baseline's curve is off, if it does not fit the data.
         left_out: causes that no model term describes, such as outliers.
+        given: sum of the lines and other waveforms of a given model, which the stages are without [SI]; None
+            if it has none.
     """
 
     axis: Axis
@@ -108,6 +110,7 @@ class AxisCritique(ByValue):
     model: Model
     misfit: Misfit | None = None
     left_out: tuple[str, ...] = ()
+    given: Float[np.ndarray, " n"] | None = None
 
     def bias(self, rate: float) -> float:
         """Constant to add to samples of the extended model at `rate` [Hz] [SI]."""
@@ -218,14 +221,16 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def refit(self) -> Fit:
         """Fit the samples less the findings: coefficients with intervals, see `fit`.
 
-        The model is the one given to the critique; otherwise its terms are chosen again. Outliers, steps,
-        lines and rounding are removed, and a filter and resonances are fitted jointly with the terms. The
-        intervals are widened for samples that were filled in. It takes as long as a `fit`.
+        The model is the one given to the critique, whose own lines and steps stay in the samples; otherwise
+        its terms are chosen again. Outliers, steps, lines and rounding that were found are removed, and a
+        filter and resonances are fitted jointly with the terms. The intervals are widened for samples that
+        were filled in. It takes as long as a `fit`.
         """
         from allanjax.estimate.fit import fit_inspected
 
-        last, axes = [a.stages[-1] for a in self.results], tuple(a.axis for a in self.results)
-        values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
+        last = [(a.stages[-1], a.given) for a in self.results]
+        values = np.column_stack([s.x if given is None else s.x + given for s, given in last])
+        drawn, axes = np.column_stack([s.drawn for s, _ in last]), tuple(a.axis for a in self.results)
         missing = drawn if drawn.any() else None
         recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
         # The facts are those of the original recording, except for lines, which may have been removed.
