@@ -93,13 +93,11 @@ class StageResiduals:
 
     def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
         """Share of one noise term in the expected squares; None if there is no such term."""
-        if term not in self.stage.powers:
+        family, powers = self.stage.family, dict(self.stage.powers)
+        if term not in powers:
             return None
-        total = np.zeros(self.n - 1)
-        for power, spectrum in self.stage.spectra:
-            total += power * spectrum
-        power, spectrum = self.stage.spectra[list(self.stage.powers).index(term)]
-        return power * spectrum / np.maximum(total, 1e-300)
+        total = family.expected(powers, self.stage.index)
+        return family.expected({term: powers[term]}, self.stage.index) / np.maximum(total, 1e-300)
 
     @functools.cached_property
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:

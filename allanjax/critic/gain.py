@@ -80,42 +80,29 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     2T² times the Allan variance. It is given at the time at which the finding changes the prediction most,
     both halves taken together. An effect with a waveform drifts as the waveform does.
     """
-    halves: dict[int, _Halves] = {}
-    known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
+    known: dict[int, _Halves] = {}
 
-    # The view after one finding is the view before the next, at least in its samples and its factor.
-    def of_samples(view: View) -> _Halves:
-        return halves.setdefault(id(view.samples), _Halves(view))
+    def halves(view: View) -> _Halves:
+        # The view after one finding is the view before the next, at least in its samples.
+        return known.setdefault(id(view.samples), _Halves(view.samples, view.rate))
 
-    def predicted(view: View) -> Float[np.ndarray, "halves m"]:
-        key = id(view.samples), id(view.structure), tuple(view.allowed)
-        if key not in known:
-            known[key] = of_samples(view).predicted(view)
-        return known[key]
-
-    def change(step: Step) -> DriftChange | None:
-        before, after = step.before, step.candidate.after
-        own = of_samples(before)
-        if len(own.m) == 0:
-            return None
-        old, new = predicted(before), predicted(after)
-        if after.samples is not before.samples:
-            # Purely spectral effects have no path.
-            new = new + _mean_squares(before.samples - after.samples, own.m)
-        return _drift_change(before, own, old, new)
-
-    return [change(step) for step in steps]
+    return [_drift_change(step, halves(step.before), halves(step.candidate.after)) for step in steps]
 
 
-def _drift_change(
-    view: View, own: _Halves, old: Float[np.ndarray, "halves m"], new: Float[np.ndarray, "halves m"]
-) -> DriftChange:
-    """Change of the predicted drift at the time at which it is largest."""
-    T = own.m / view.rate
-    measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in (own.measured, old, new))
+def _drift_change(step: Step, before: _Halves, after: _Halves) -> DriftChange | None:
+    """Change of the predicted drift by one finding; None if the record is too short."""
+    axis, m = step.before.axis, before.m
+    if len(m) == 0:
+        return None
+    new = after.predicted(step.candidate.after)
+    if after is not before:
+        # Purely spectral effects have no path.
+        new = new + _mean_squares(before.samples - after.samples, m)
+    T, rows = m / before.rate, (before.measured, before.predicted(step.before), new)
+    measured, old, new = (np.sqrt(2.0 * np.mean(row, axis=0)) * T for row in rows)
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
-    unit = ANGLE[view.axis.sensor]
-    scale = unit_scale(unit, view.axis.sensor)
+    unit = ANGLE[axis.sensor]
+    scale = unit_scale(unit, axis.sensor)
     found, was, now = (float(x[k] / scale) for x in (measured, old, new))
     return DriftChange(float(T[k]), found, was, now, unit)
 
@@ -123,11 +110,10 @@ def _drift_change(
 class _Halves:
     """Halves of a record's samples, each of which predicts the drift of the other."""
 
-    def __init__(self, view: View) -> None:
-        self.samples = view.samples
-        self.half = view.n // 2
-        T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= self.half]
-        self.m = np.rint(T * view.rate).astype(int)
+    def __init__(self, samples: Float[np.ndarray, " n"], rate: float) -> None:
+        self.samples, self.rate, self.half = samples, rate, len(samples) // 2
+        self.m = np.rint(_HORIZONS[_HORIZONS * rate * 4.0 <= self.half] * rate).astype(int)
+        self._known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
 
     @functools.cached_property
     def measured(self) -> Float[np.ndarray, "halves m"]:
@@ -140,7 +126,13 @@ class _Halves:
         return [centred(x) for x in _halves(self.samples)]
 
     def predicted(self, view: View) -> Float[np.ndarray, "halves m"]:
-        """Allan variances of each half by the noise of the other."""
+        """Allan variances of each half by the noise of the other, with the terms and the factor of a view."""
+        key = id(view.structure), tuple(view.allowed)
+        if key not in self._known:
+            self._known[key] = self._predicted(view)
+        return self._known[key]
+
+    def _predicted(self, view: View) -> Float[np.ndarray, "halves m"]:
         half = self.half
         family, bins = family_of(half, view.rate), NarrowBins.of(half)
         weights = allan_weights(half, tuple(self.m.tolist()))

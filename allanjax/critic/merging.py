@@ -155,12 +155,17 @@ _CHANCE = 1e-3
 
 
 class _Mark(NamedTuple):
-    """Stretch of an axis [s]: all of a finding, or its outlier number `place`."""
+    """Stretch of an axis [s]: all of a finding, or its outlier number `place`.
+
+    `ends` are its start and end as parameters, `size` is the size of the effect there.
+    """
 
     start: float
     end: float
     finding: int
-    place: int | None = None
+    place: int | None
+    ends: tuple[Estimate, Estimate]
+    size: Estimate | None
 
 
 def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding], list[Finding]]:
@@ -168,7 +173,8 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
 
     Outliers belong to an event if there are more of them than by chance.
     """
-    marks = sorted(mark for k, f in enumerate(findings) for mark in _marks(k, f, duration))
+    marks = [mark for k, f in enumerate(findings) for mark in _marks(k, f, duration)]
+    marks.sort(key=lambda mark: mark[:3])
     clusters = _clusters(marks)
     rate = _rate(marks, duration)
     found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
@@ -187,14 +193,15 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
 
 def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
     """Stretches of a finding that may be part of an event."""
-    if f.cause == OUTLIERS:
-        return [_Mark(t.value, t.value, k, place) for place, t in enumerate(_numbers(f, "times"))]
     start, end = f.span
+    if f.cause == OUTLIERS:
+        each = enumerate(zip(_numbers(f, "times"), _numbers(f, "sizes"), strict=True))
+        return [_Mark(t.value, t.value, k, place, (t, t), _peak(size)) for place, (t, size) in each]
     if f.cause not in STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
         return []
-    errors = [f.parameters[label].std if label in f.parameters else 0.0 for label in ("start", "end")]
-    before, after = (error if np.isfinite(error) else 0.0 for error in errors)
-    return [_Mark(start - before, end + after, k)]
+    ends = f.parameters["start"], f.parameters["end"]
+    before, after = (e.std if np.isfinite(e.std) else 0.0 for e in ends)
+    return [_Mark(start - before, end + after, k, None, ends, f.size)]
 
 
 def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
@@ -248,10 +255,11 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
     members = [findings[k] for k in places]
     causes = tuple(dict.fromkeys(f.cause for f in members))
     first, last = min(cluster, key=lambda m: m.start), max(cluster, key=lambda m: m.end)
-    start, end = _end(first, findings, "start"), _end(last, findings, "end")
+    start = dataclasses.replace(first.ends[0], label="start")
+    end = dataclasses.replace(last.ends[1], label="end")
     per_axis: dict[str, Estimate] = {}
     for mark in cluster:
-        size, (axis,) = _loudness(mark, findings[mark.finding]), findings[mark.finding].axes
+        size, (axis,) = mark.size, findings[mark.finding].axes
         if size is not None and (axis not in per_axis or _louder(size, per_axis[axis])):
             per_axis[axis] = size
     return together(
@@ -270,26 +278,14 @@ def _numbers(f: Finding, name: str) -> tuple[Estimate, ...]:
     return tuple(e for e in f.details.get(name, ()) if isinstance(e, Estimate))
 
 
-def _loudness(mark: _Mark, f: Finding) -> Estimate | None:
-    """Size of the effect at a mark."""
-    sizes = _numbers(f, "sizes")
-    if mark.place is None or mark.place >= len(sizes):
-        return f.size
-    size = sizes[mark.place]
+def _peak(size: Estimate) -> Estimate:
+    """Magnitude of an outlier."""
     return parameter_estimate(size.axis, "peak", abs(size.value), size.std, size.unit)
 
 
 def _louder(one: Estimate, other: Estimate) -> bool:
     """Whether one describes the size of an event better: a value other than a ratio, then a larger one."""
     return (one.unit != "1", abs(one.value)) > (other.unit != "1", abs(other.value))
-
-
-def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
-    """Start or end of a mark as a parameter."""
-    f = findings[mark.finding]
-    if mark.place is not None:
-        return dataclasses.replace(_numbers(f, "times")[mark.place], label=label)
-    return f.parameters[label]
 
 
 def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:

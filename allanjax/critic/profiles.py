@@ -402,7 +402,7 @@ def compared(
         if k:
             pairs.append(_improved(former, profiles))
             stages[k - 1].forget()
-        former = [profile for profile in profiles if profile.statistic != "drift"]
+        former = profiles
         if k in (0, last):
             if k and raw[1] is not raw[0]:
                 resolution = Resolution.of(raw[1])
@@ -426,8 +426,11 @@ def _improved(
     before: Sequence[Profile], after: Sequence[Profile]
 ) -> tuple[tuple[Discrepancy, Discrepancy], ...]:
     """Pairs of a statistic at two stages, at the place of the largest improvement."""
-    pairs, after = [], [profile for profile in after if profile.statistic != "drift"]
+    pairs = []
     for old, new in zip(before, after, strict=True):
+        # A finding has a drift of its own, see `gain`.
+        if old.statistic == "drift":
+            continue
         change = old.score**2
         change -= new.score**2
         place = int(np.argmax(change))
