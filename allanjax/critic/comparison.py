@@ -120,9 +120,15 @@ class StageResiduals:
             vars(self)["_transform"] = other._transform
 
     def forget(self) -> None:
-        """Drop arrays as long as the record that can be recomputed, except those that are needed outside."""
+        """Drop arrays as long as the record that can be recomputed, except the whitened coefficients."""
         for name in ("_transform", "variance", "whitened"):
             vars(self).pop(name, None)
+
+    def keep_whitened(self) -> None:
+        """Compute the whitened coefficients, for other axes, and drop all else."""
+        if "whitened_coefficients" not in vars(self):
+            _ = self.whitened_coefficients
+            self.forget()
 
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
         """Simulated record of the model [SI], without mean and ramp."""

@@ -18,7 +18,6 @@ from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
-from allanjax.critic.noise import WHITE
 from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.profiles import compared
@@ -82,15 +81,9 @@ def criticize(
         for s, of_axis in zip(searches, stages, strict=True)
     ]
     first, last = ([of_axis[stage] for of_axis in records] for stage in (0, -1))
-    shared = tuple(
-        common_mode(
-            recording.axes,
-            [w.whitened_coefficients for w in last],
-            [w.share(WHITE) for w in last],
-            recording.rate,
-            AcceptanceRule.of(per_axis).level(NAME),
-        )
-    )
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        list(pool.map(StageResiduals.keep_whitened, [*first, *last]))
+    shared = tuple(common_mode(last, AcceptanceRule.of(per_axis).level(NAME)))
 
     def judged(k: int) -> AxisCritique:
         s, axis = searches[k], searches[k].start.axis
