@@ -13,19 +13,19 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
-from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, centred, family_of
+from allanjax.critic.noise import centred
 from allanjax.critic.result import Snapshot
-from allanjax.noise.terms import Markov, PowerLaw
 from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis
 
-# Largest number of coefficients whose weights are in memory at once.
+# Largest number of coefficients in bins of one width.
 _CHUNK = 1 << 16
 # Phase m·a_j/2 beyond which sin⁴ counts by its mean, 3/8.
 _FAST = 40.0
@@ -40,11 +40,13 @@ _CURVE_PER_OCTAVE = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StageResiduals:
-    """One axis at one stage of the critique; `scale` converts its own unit to SI."""
+    """One axis at one stage of the critique; `scale` converts its own unit to SI.
+
+    Arrays as long as the record are made when they are needed, and kept until `forget`.
+    """
 
     axis: Axis
     scale: float
-    rate: float
     stage: Snapshot
 
     @property
@@ -53,58 +55,49 @@ class StageResiduals:
         return len(self.stage.x)
 
     @property
+    def rate(self) -> float:
+        """Sample rate [Hz]."""
+        return self.stage.rate
+
+    @functools.cached_property
     def variance(self) -> Float[np.ndarray, " n-1"]:
         """Expected squares of the cosine coefficients."""
         return self.stage.variance
 
     @functools.cached_property
-    def samples(self) -> Float[np.ndarray, " n"]:
-        """Samples less the findings and the model's ramp, as in simulations [SI]."""
-        x, ramp = self.stage.x, self.stage.ramp
-        if ramp and np.isfinite(ramp):
-            x = x - ramp * (np.arange(len(x)) - (len(x) - 1) / 2.0) / self.rate
-        return x
-
-    @functools.cached_property
-    def coefficients(self) -> Float[np.ndarray, " n-1"]:
-        """Cosine coefficients of the samples."""
-        return centred(self.samples)
+    def _transform(self) -> Float[np.ndarray, " n-1"]:
+        """Cosine coefficients of the samples less the findings, the model's ramp included."""
+        return centred(self.stage.x)
 
     @functools.cached_property
     def whitened_coefficients(self) -> Float[np.ndarray, " n-1"]:
         """Whitened coefficients, independent and standard normal if the model is right."""
-        return self.coefficients / np.sqrt(self.variance)
+        root, ramp = np.sqrt(self.variance), self.stage.ramp
+        if not (ramp and np.isfinite(ramp)):
+            return self._transform / root
+        return (self._transform - ramp * self.stage.family.ramp) / root
 
     @functools.cached_property
     def whitened(self) -> Float[np.ndarray, " n"]:
         """Whitened residuals in time order."""
         return in_time(self.whitened_coefficients)
 
-    @functools.cached_property
-    def _spectra(self) -> list[Float[np.ndarray, " n-1"]]:
-        """Spectra of the noise terms at unit amplitude."""
-        family, shaped = family_of(self.n, self.rate), {MARKOV: Markov, POWER_LAW: PowerLaw}
-        return [
-            family.spectra[FIXED.index(name)]
-            if name in FIXED
-            else family.spectrum(shaped[name](1.0, self.stage.shape))
-            for name in self.stage.powers
-        ]
-
-    def shares(self, part: slice = slice(None)) -> Float[np.ndarray, "terms some"]:
-        """Share of each noise term in some of the expected squares; no rows if the terms are unknown.
-
-        The shares of all coefficients at all stages would take gigabytes.
-        """
-        rows = [p * x[part] for p, x in zip(self.stage.powers.values(), self._spectra, strict=True)]
+    def shares(
+        self, places: Int[np.ndarray, " some"] | slice = slice(None)
+    ) -> Float[np.ndarray, "terms some"]:
+        """Share of each noise term in some of the expected squares; no rows if the terms are unknown."""
+        rows = [p * x[places] for p, x in self.stage.spectra]
         if not rows:
-            return np.zeros((0, len(self.variance[part])))
+            return np.zeros((0, len(self.stage.family.frequency[places])))
         return np.stack(rows) / np.maximum(np.sum(rows, axis=0), 1e-300)
 
     def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
         """Share of one noise term in the expected squares; None if there is no such term."""
-        names = list(self.stage.powers)
-        return self.shares()[names.index(term)] if term in names else None
+        family, powers = self.stage.family, dict(self.stage.powers)
+        if term not in powers:
+            return None
+        total = family.expected(powers, self.stage.index)
+        return family.expected({term: powers[term]}, self.stage.index) / np.maximum(total, 1e-300)
 
     @functools.cached_property
     def level_covariance(self) -> Float[np.ndarray, "terms terms"]:
@@ -117,18 +110,80 @@ class StageResiduals:
     @functools.cached_property
     def level_information(self) -> Float[np.ndarray, "terms terms"]:
         """Fisher information about the logarithms of the terms' powers: ½ Σ_j q_k q_l, q the shares."""
-        k = len(self.stage.powers)
-        return 0.5 * sum((q @ q.T for q in map(self.shares, _chunks(self.n - 1))), start=np.zeros((k, k)))
+        bins = NarrowBins.of(self.n)
+        q = self.shares(bins.middle)
+        return 0.5 * (q * bins.size) @ q.T
+
+    def reuse(self, other: StageResiduals) -> None:
+        """Take what another stage of the axis has computed of the same samples."""
+        if self.stage.x is other.stage.x and "_transform" in vars(other):
+            vars(self)["_transform"] = other._transform
 
     def forget(self) -> None:
-        """Drop arrays as long as the record that can be recomputed, except those that are needed outside."""
-        for name in ("samples", "coefficients", "whitened", "_spectra"):
+        """Drop arrays as long as the record that can be recomputed, except the whitened coefficients."""
+        for name in ("_transform", "variance", "whitened"):
             vars(self).pop(name, None)
+
+    def keep_whitened(self) -> None:
+        """Compute the whitened coefficients, for other axes, and drop all else."""
+        if "whitened_coefficients" not in vars(self):
+            _ = self.whitened_coefficients
+            self.forget()
 
     def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
         """Simulated record of the model [SI], without mean and ramp."""
         draw = np.random.default_rng(seed).standard_normal(self.n - 1)
-        return in_time(draw * np.sqrt(self.variance))
+        draw *= np.sqrt(self.variance)
+        return in_time(draw)
+
+
+class NarrowBins(NamedTuple):
+    """Bins of coefficients in which the noise and Allan weights hardly change, the lowest ones a bin each.
+
+    Attributes:
+        first, size: place of the first coefficient in each, counted from 0; their number.
+        chunk: first coefficient of a stretch of bins of one width.
+    """
+
+    first: Int[np.ndarray, " bins"]
+    size: Int[np.ndarray, " bins"]
+    chunk: Int[np.ndarray, " bins"]
+
+    @classmethod
+    @functools.lru_cache(maxsize=4)
+    def of(cls, n: int) -> NarrowBins:
+        """Bins of the coefficients of n samples."""
+        first, chunk = [], []
+        for part in _chunks(n - 1):
+            # No weight changes phase by more than a small angle within a bin, unless it oscillates fast.
+            edges = np.arange(part.start, part.stop, max(int(part.start * _TURN / _FAST), 1))
+            first.append(edges)
+            chunk.append(np.full(len(edges), part.start))
+        edges = np.concatenate(first)
+        return cls(edges, np.diff(edges, append=n - 1), np.concatenate(chunk))
+
+    @property
+    def middle(self) -> Int[np.ndarray, " bins"]:
+        """Place of a coefficient in the middle of each bin."""
+        return self.first + self.size // 2
+
+    def sums(self, x: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " bins"]:
+        """Sums over the coefficients in each bin."""
+        return np.add.reduceat(x, self.first)
+
+
+@functools.lru_cache(maxsize=4)
+def allan_weights(n: int, sizes: tuple[int, ...]) -> Float[np.ndarray, "m bins"]:
+    """Weights w_j(m)/n of squared coefficients of n samples in Allan variances, in narrow bins."""
+    bins = NarrowBins.of(n)
+    a = np.pi * (bins.first + 0.5 * (bins.size + 1)) / (2.0 * n)
+    start = np.pi * (bins.chunk + 1) / (2.0 * n)
+    weights = np.empty((len(sizes), len(a)))
+    for row, m in zip(weights, sizes, strict=True):
+        # Where the weight oscillates fast in j it is replaced by its mean.
+        np.copyto(row, np.where(m * start > _FAST, 0.375, np.sin(m * a) ** 4))
+        row *= 2.0 / (n * (m * np.sin(a)) ** 2)
+    return weights
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -169,60 +224,20 @@ def degrees_of_freedom(covariance: Float[np.ndarray, "m m"]) -> Float[np.ndarray
 
 def allan_law(record: StageResiduals, sizes: Int[np.ndarray, " m"]) -> AllanLaw:
     """Allan law of a record for clusters of these sizes [samples]."""
-    (law,) = allan_laws([record], sizes)
-    return law
-
-
-def allan_laws(records: Sequence[StageResiduals], sizes: Int[np.ndarray, " m"]) -> list[AllanLaw]:
-    """Allan laws of several records of one length, for which the weights are computed once."""
-    n = records[0].n
-    m, sums = len(sizes), []
-    for record in records:
-        terms = len(record.stage.powers)
-        sums.append((np.zeros(m), np.zeros(m), np.zeros((m, m)), np.zeros((m, terms))))
-    for part in _chunks(n - 1):
-        # Neighbours between which no weight changes phase by more than a small angle count only by their sum.
-        edges = np.arange(0, part.stop - part.start, max(int(part.start * _TURN / _FAST), 1))
-        last = np.append(edges[1:], part.stop - part.start)
-        a = np.pi * (part.start + 0.5 * (edges + last + 1)) / (2.0 * n)
-        # Where the weight oscillates fast in j it is replaced by its mean: one row for all such clusters.
-        fast = sizes * a[0] > _FAST
-        weight = np.ones((np.sum(~fast) + 1, len(a)))
-        weight[:-1] = np.sin(np.outer(sizes[~fast], a)) ** 2
-        weight *= weight
-        weight /= np.sin(a) ** 2
-        rows = np.zeros((len(sizes), len(weight)))
-        rows[~fast, :-1] = np.diag(2.0 / sizes[~fast] ** 2.0)
-        rows[fast, -1] = 0.75 / sizes[fast] ** 2.0
-        for record, (measured, mean, square, slope) in zip(records, sums, strict=True):
-            v = record.variance[part]
-            c2, v2 = (np.add.reduceat(y**2, edges) for y in (record.coefficients[part], v))
-            measured += rows @ (weight @ c2)
-            mean += rows @ (weight @ np.add.reduceat(v, edges))
-            square += rows @ ((weight * v2) @ weight.T) @ rows.T
-            slope += rows @ (weight @ np.add.reduceat(record.shares(part) * v, edges, axis=1).T)
-    return [_law(record, sizes, *total) for record, total in zip(records, sums, strict=True)]
-
-
-def _law(
-    record: StageResiduals,
-    sizes: Int[np.ndarray, " m"],
-    measured: Float[np.ndarray, " m"],
-    mean: Float[np.ndarray, " m"],
-    square: Float[np.ndarray, "m m"],
-    slope: Float[np.ndarray, "m terms"],
-) -> AllanLaw:
-    """Allan law by sums over all coefficients: weighted squares, their mean and covariance, parts by term."""
-    slope = slope / mean[:, None]
-    known = 2.0 * square / np.outer(mean, mean)
-    L = record.level_covariance
+    bins, weights = NarrowBins.of(record.n), allan_weights(record.n, tuple(sizes.tolist()))
+    v, z = record.variance, record.whitened_coefficients
+    level = bins.sums(v)
+    measured, mean = weights @ bins.sums(z * z * v), weights @ level
+    known = 2.0 * (weights * bins.sums(v * v)) @ weights.T / np.outer(mean, mean)
+    slope = weights @ (record.shares(bins.middle) * level).T / mean[:, None]
     # The errors of the levels, L·score, are correlated with the record: their covariance with it is slope·L,
     # and that of the score is its Fisher information.
+    L = record.level_covariance
     followed = 2.0 * L - L @ record.level_information @ L
     return AllanLaw(
         sizes / record.rate,
-        measured / record.n,
-        mean / record.n,
+        measured,
+        mean,
         known + slope @ L @ slope.T,
         known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
     )
@@ -288,5 +303,5 @@ def summaries(record: StageResiduals) -> tuple[SimulationEnvelope, SimulationEnv
     density = 2.0 / record.rate / count
     low, median, high = (density * expected * chi2.ppf(p, dof) / dof for p in (0.025, 0.5, 0.975))
     middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * n)
-    measured = density * np.add.reduceat(record.coefficients**2, first)
+    measured = density * np.add.reduceat(record.whitened_coefficients**2 * record.variance, first)
     return allan, SimulationEnvelope("psd", middle, measured, low, median, high)

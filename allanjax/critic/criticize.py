@@ -15,14 +15,13 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
 from allanjax.critic.cause import Cause
-from allanjax.critic.causes.common_mode import NAME, common_mode
+from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
-from allanjax.critic.noise import WHITE
 from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import AcceptanceRule, judged
-from allanjax.critic.profiles import before_and_after, discrepancies
+from allanjax.critic.profiles import compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search
 from allanjax.critic.step import Step
@@ -67,42 +66,35 @@ def criticize(
     tell("comparing the measurement with simulations")
     stages = [_stages(s) for s in searches]
 
-    def residuals(k: int, stage: int) -> StageResiduals:
-        view = searches[k].start
-        return StageResiduals(view.axis, view.scale, view.rate, stages[k][stage])
-
-    first, last = ([residuals(k, stage) for k in range(len(searches))] for stage in (0, -1))
-    shared = tuple(
-        common_mode(
-            recording.axes,
-            [w.whitened_coefficients for w in last],
-            [w.share(WHITE) for w in last],
-            recording.rate,
-            AcceptanceRule.of(per_axis).level(NAME),
-        )
-    )
+    # Axes are compared with others at the first and the last stage.
+    records = [
+        [StageResiduals(s.start.axis, s.start.scale, stage) for stage in of_axis]
+        for s, of_axis in zip(searches, stages, strict=True)
+    ]
+    first, last = ([of_axis[stage] for of_axis in records] for stage in (0, -1))
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        list(pool.map(StageResiduals.keep_whitened, [*first, *last]))
+    shared = tuple(common_mode(last, AcceptanceRule.of(per_axis).level(NAME)))
 
     def judged(k: int) -> AxisCritique:
         s, axis = searches[k], searches[k].start.axis
         result = fit[axis.name]
-        before = _compared(k, first, s.start.recorded(s.start.raw), recording)
-        now = s.end.samples if s.preprocessed else s.start.raw
-        after = _compared(k, last, s.end.recorded(now), recording)
+        raw = s.start.recorded(s.start.raw)
+        others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
+        seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
+        before, after, pairs = compared(records[k], seen, (others[0], others[1]), recording.auxiliary)
         tell(f"{axis.name}: testing findings on held-out data")
-        middle = [residuals(k, stage) for stage in range(1, len(stages[k]) - 1)]
-        records = [first[k], *middle, *([last[k]] if s.steps else [])]
         findings = [
-            _finding(step, (*pairs, *_of_samples(step, before, after)), drift)
-            for step, pairs, drift in zip(
-                s.steps, before_and_after(records, recording.auxiliary), drift_changes(s.steps), strict=True
-            )
+            _finding(step, (*pair, *_of_samples(step, before, after)), drift)
+            for step, pair, drift in zip(s.steps, pairs, drift_changes(s.steps), strict=True)
         ]
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
-        return AxisCritique(axis, *told)
+        own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
+        return AxisCritique(axis, *told, own)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
@@ -259,15 +251,10 @@ def _stages(s: Search) -> tuple[Snapshot, ...]:
 
 def _snapshot(view: View) -> Snapshot:
     noise = view.noise
-    own = noise.terms, noise.power, noise.shape, view.slope
-    return Snapshot(view.samples, view.variance(), *own, view.imputed)
-
-
-def _compared(
-    k: int, records: Sequence[StageResiduals], raw: np.ndarray, recording: Recording
-) -> tuple[Discrepancy, ...]:
-    others = {w.axis.name: w for i, w in enumerate(records) if i != k}
-    return discrepancies(records[k], raw, others, recording.auxiliary)
+    slope = view.slope
+    view.forget()
+    own = noise.power, noise.shape, noise.index, slope
+    return Snapshot(view.samples, view.rate, *own, view.factor, view.imputed)
 
 
 def _of_samples(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from allanjax.critic.comparison import NarrowBins, allan_weights
 from allanjax.critic.finding import CoefficientChange, DriftChange
-from allanjax.critic.model_evidence import SpectralMask
+from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
 from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
@@ -20,6 +21,7 @@ from allanjax.estimate.structure.structure import FIXED as COLUMNS
 from allanjax.estimate.structure.structure import Structure, term_of
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
+from allanjax.spectrum.cosine import SpectralStatistics
 
 # Times over which drift is predicted [s].
 _HORIZONS = 4.0 ** np.arange(0.0, 10.0)
@@ -78,88 +80,101 @@ def drift_changes(steps: Sequence[Step]) -> list[DriftChange | None]:
     2T² times the Allan variance. It is given at the time at which the finding changes the prediction most,
     both halves taken together. An effect with a waveform drifts as the waveform does.
     """
-    known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
+    known: dict[int, _Halves] = {}
 
-    def predicted(view: View) -> Float[np.ndarray, "halves m"]:
-        # The view after one finding is the view before the next, at least in its samples and its factor.
-        key = id(view.samples), id(view.structure), tuple(view.allowed)
-        if key not in known:
-            known[key] = _predicted(view)
-        return known[key]
+    def halves(view: View) -> _Halves:
+        # The view after one finding is the view before the next, at least in its samples.
+        return known.setdefault(id(view.samples), _Halves(view.samples, view.rate))
 
-    return [_drift_change(step, predicted) for step in steps]
+    return [_drift_change(step, halves(step.before), halves(step.candidate.after)) for step in steps]
 
 
-def _drift_change(
-    step: Step, predicted: Callable[[View], Float[np.ndarray, "halves m"]]
-) -> DriftChange | None:
+def _drift_change(step: Step, before: _Halves, after: _Halves) -> DriftChange | None:
     """Change of the predicted drift by one finding; None if the record is too short."""
-    before, after = step.before, step.candidate.after
-    T, m = _horizons(before)
-    if len(T) == 0:
+    axis, m = step.before.axis, before.m
+    if len(m) == 0:
         return None
-    # Purely spectral effects have no path.
-    path = None if after.samples is before.samples else before.samples - after.samples
-    rows = []
-    for mine, old, new in zip(_halves(before), predicted(before)[::-1], predicted(after)[::-1], strict=True):
-        effect = 0.0 if path is None else _mean_squares(path[mine], m)
-        rows.append((_mean_squares(before.samples[mine], m), old, new + effect))
-    measured, old, new = (np.sqrt(2.0 * np.mean(part, axis=0)) * T for part in zip(*rows, strict=True))
+    new = after.predicted(step.candidate.after)
+    if after is not before:
+        # Purely spectral effects have no path.
+        new = new + _mean_squares(before.samples - after.samples, m)
+    T, rows = m / before.rate, (before.measured, before.predicted(step.before), new)
+    measured, old, new = (np.sqrt(2.0 * np.mean(row, axis=0)) * T for row in rows)
     k = int(np.argmax(abs(np.log(np.maximum(new, 1e-300) / np.maximum(old, 1e-300)))))
-    unit = ANGLE[before.axis.sensor]
-    scale = unit_scale(unit, before.axis.sensor)
+    unit = ANGLE[axis.sensor]
+    scale = unit_scale(unit, axis.sensor)
     found, was, now = (float(x[k] / scale) for x in (measured, old, new))
     return DriftChange(float(T[k]), found, was, now, unit)
 
 
-def _horizons(view: View) -> tuple[Float[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-    """Times of the drift that fit into half the record, in s and in samples."""
-    T = _HORIZONS[_HORIZONS * view.rate * 4.0 <= view.n // 2]
-    return T, np.rint(T * view.rate).astype(int)
+class _Halves:
+    """Halves of a record's samples, each of which predicts the drift of the other."""
+
+    def __init__(self, samples: Float[np.ndarray, " n"], rate: float) -> None:
+        self.samples, self.rate, self.half = samples, rate, len(samples) // 2
+        self.m = np.rint(_HORIZONS[_HORIZONS * rate * 4.0 <= self.half] * rate).astype(int)
+        self._known: dict[tuple, Float[np.ndarray, "halves m"]] = {}
+
+    @functools.cached_property
+    def measured(self) -> Float[np.ndarray, "halves m"]:
+        """Allan variances of the halves."""
+        return _mean_squares(self.samples, self.m)
+
+    @functools.cached_property
+    def coefficients(self) -> list[Float[np.ndarray, " half-1"]]:
+        """Cosine coefficients of the halves."""
+        return [centred(x) for x in _halves(self.samples)]
+
+    def predicted(self, view: View) -> Float[np.ndarray, "halves m"]:
+        """Allan variances of each half by the noise of the other, with the terms and the factor of a view."""
+        key = id(view.structure), tuple(view.allowed)
+        if key not in self._known:
+            self._known[key] = self._predicted(view)
+        return self._known[key]
+
+    def _predicted(self, view: View) -> Float[np.ndarray, "halves m"]:
+        half = self.half
+        family, bins = family_of(half, view.rate), NarrowBins.of(half)
+        weights = allan_weights(half, tuple(self.m.tolist()))
+        # Every other coefficient of the whole record has the frequency of one of a half.
+        factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
+        mask = SpectralMask.of(family, factor)
+        evidences = [mask.evidence(c) for c in self.coefficients]
+        both = _joint(evidences)
+        found = []
+        for c, evidence in zip(self.coefficients, evidences, strict=True):
+            if not c.any():
+                # A silent half predicts no drift.
+                found.append(np.zeros(len(self.m)))
+                continue
+            noise = dataclasses.replace(evidence, like=both).best(view.allowed)
+            v = noise.variance if factor is None else noise.variance * factor
+            ramp = family.slope(c, v)[0] if noise.ramp else 0.0
+            found.append(weights @ bins.sums(v) + 0.5 * (ramp * self.m / view.rate) ** 2)
+        return np.stack(found[::-1])
 
 
-def _halves(view: View) -> tuple[slice, slice]:
-    """First and second half of the record."""
-    half = view.n // 2
-    return slice(0, half), slice(half, 2 * half)
+def _joint(evidences: Sequence[ModelEvidence]) -> ModelEvidence:
+    """Evidence of the subsets of the noise terms, given several records of one length under one mask."""
+    levels = SpectralStatistics(*(sum(x) for x in zip(*(e.levels for e in evidences), strict=True)))
+    first = evidences[0]
+    return ModelEvidence(first.family, levels, len(evidences) * first.size, len(evidences) * first.constant)
 
 
-def _mean_squares(x: Float[np.ndarray, " n"], m: np.ndarray) -> Float[np.ndarray, " m"]:
-    """Half the mean square difference of successive means of m samples."""
-    total = np.concatenate([[0.0], np.cumsum(x - x.mean())])
-    found = []
-    for k in m:
-        d = (total[2 * k :] - 2.0 * total[k:-k] + total[: -2 * k]) / k
-        found.append(0.5 * float(np.mean(d**2)))
-    return np.array(found)
+def _halves(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " half"], Float[np.ndarray, " half"]]:
+    """First and second half of a record."""
+    half = len(x) // 2
+    return x[:half], x[half : 2 * half]
 
 
-def _predicted(view: View) -> Float[np.ndarray, "halves m"]:
-    """Allan variances of the noise estimated from each half of the record."""
-    half = view.n // 2
-    _, m = _horizons(view)
-    family = family_of(half, view.rate)
-    # Every other coefficient of the whole record has the frequency of one of a half.
-    factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
-    mask = SpectralMask.of(family, factor)
-    found = []
-    for rows in _halves(view):
-        c = centred(view.samples[rows])
-        if not c.any():
-            # A silent half predicts no drift.
-            found.append(np.zeros(len(m)))
-            continue
-        noise = mask.evidence(c, view.model_evidence).best(view.allowed)
-        v = noise.variance if factor is None else noise.variance * factor
-        ramp = family.slope(c, v)[0] if noise.ramp else 0.0
-        variances = _weights(half, tuple(int(k) for k in m)) @ v
-        found.append(variances + 0.5 * (ramp * m / view.rate) ** 2)
-    return np.stack(found)
-
-
-@functools.lru_cache(maxsize=1)
-def _weights(n: int, m: tuple[int, ...]) -> Float[np.ndarray, "m n-1"]:
-    """Weights of the levels of n samples in Allan variances: (1/n)·2 sin⁴(m·a/2)/(m² sin²(a/2))."""
-    a = np.pi * np.arange(1, n) / n
-    sine = np.sin(a / 2.0) ** 2
-    return np.stack([2.0 * np.sin(k * a / 2.0) ** 4 / (sine * n * k**2) for k in m])
+def _mean_squares(x: Float[np.ndarray, " n"], m: Int[np.ndarray, " m"]) -> Float[np.ndarray, "halves m"]:
+    """Half the mean square difference of successive means of m samples, in either half of a record."""
+    found = np.empty((2, len(m)))
+    for row, y in zip(found, _halves(x), strict=True):
+        total = np.concatenate([[0.0], np.cumsum(y - y.mean())])
+        for i, k in enumerate(m):
+            d = total[k:-k] * -2.0
+            d += total[2 * k :]
+            d += total[: -2 * k]
+            row[i] = 0.5 * float(d @ d) / (len(d) * k**2)
+    return found

@@ -1,7 +1,6 @@
 """Findings of a recording: those of single axes, with each cause reported once.
 
-The rule for a kind of cause determines which findings are one, and describes them. A cause without a rule is
-not merged.
+A kind of cause determines which findings are one, and describes them. A cause without a kind is not merged.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.special import gammainc
 
 from allanjax.critic.finding import CoefficientChange, Finding, Rival
-from allanjax.critic.parameters import Detail, parameter_estimate, side_of_limit, values_of
+from allanjax.critic.parameters import Detail, Limit, parameter_estimate, side_of_limit, values_of
 from allanjax.noise.estimate import Estimate
 
 # Rivals with longer odds against them than this are not reported, as in the search.
@@ -30,29 +29,32 @@ def together(
     per_axis: Mapping[str, Estimate],
     details: Mapping[str, Detail] | None = None,
     counted: Sequence[Finding] | None = None,
+    span: tuple[float, float] | None = None,
 ) -> Finding:
     """Several findings joined into one; p-value, evidence and gain come from the `counted` ones.
 
     The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
-    different axes or were found one after the other. Rivals are those of all of them.
+    different axes or were found one after the other. Rivals are those of all of them. Coefficients, drift and
+    discrepancies are those of the one with the largest effect.
     """
     counted = members if counted is None else counted
     p = [f.p_value for f in counted if f.p_value is not None]
     start, end = zip(*(f.span for f in members), strict=True)
+    axes = tuple(dict.fromkeys(axis for f in members for axis in f.axes))
     whole = Finding(
         cause=cause,
-        axes=tuple(dict.fromkeys(axis for f in members for axis in f.axes)),
+        axes=axes,
         parameters=parameters,
         p_value=min(1.0, min(p) * len(counted)) if p else None,
         evidence=_sum(f.evidence for f in counted),
         gain=_sum(f.gain for f in counted),
         rivals=_rivals(counted),
-        span=(min(start), max(end)),
+        span=span or (min(start), max(end)),
         domain=members[0].domain,
         details=details or {},
         # The rest of a finding represents it.
         members=tuple(made for f in members for made in f.members or (f,)),
-        per_axis=per_axis,
+        per_axis={axis: per_axis[axis] for axis in axes if axis in per_axis},
     )
     if not counted:
         return whole
@@ -64,23 +66,28 @@ def together(
 
 def shared(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
     """Parameters that all members have in common."""
-    found = {}
-    for label in labels:
-        each = [f.parameters[label] for f in members if label in f.parameters]
-        if each and (mean := mean_of(each)) is not None:
-            found[label] = mean
-    return found
+    means = {label: mean_of(each) for label in labels if (each := _each(members, label))}
+    return {label: mean for label, mean in means.items() if mean is not None}
 
 
 def summed(members: Sequence[Finding], labels: Iterable[str]) -> dict[str, Estimate]:
     """Sums of parameters over the members that have them."""
     found = {}
     for label in labels:
-        each = [f.parameters[label] for f in members if label in f.parameters]
-        if each:
-            value, std = sum(e.value for e in each), float(np.sqrt(sum(e.std**2 for e in each)))
-            found[label] = parameter_estimate(each[0].axis, label, value, std, each[0].unit)
+        if each := _each(members, label):
+            std = float(np.linalg.norm([e.std for e in each]))
+            found[label] = _changed(each[0], sum(e.value for e in each), std)
     return found
+
+
+def _each(members: Sequence[Finding], label: str) -> list[Estimate]:
+    """A parameter in the members that have it."""
+    return [f.parameters[label] for f in members if label in f.parameters]
+
+
+def _changed(e: Estimate, value: float, std: float, limit: Limit = "") -> Estimate:
+    """Estimate of another value."""
+    return parameter_estimate(e.axis, e.label, value, std, e.unit, limit)
 
 
 def mean_of(each: Sequence[Estimate]) -> Estimate | None:
@@ -103,7 +110,7 @@ def mean_of(each: Sequence[Estimate]) -> Estimate | None:
     mean = float(weight @ value / weight.sum())
     scatter = float(np.sqrt(weight @ (value - mean) ** 2 / max(len(known) - 1, 1)))
     error = max(scatter, 1.0) / float(np.sqrt(weight.sum()))
-    return parameter_estimate(known[0].axis, known[0].label, mean, error, known[0].unit)
+    return _changed(known[0], mean, error)
 
 
 def largest(members: Sequence[Finding]) -> dict[str, Estimate]:
@@ -148,12 +155,17 @@ _CHANCE = 1e-3
 
 
 class _Mark(NamedTuple):
-    """Stretch of an axis [s]: all of a finding, or its outlier number `place`."""
+    """Stretch of an axis [s]: all of a finding, or its outlier number `place`.
+
+    `ends` are its start and end as parameters, `size` is the size of the effect there.
+    """
 
     start: float
     end: float
     finding: int
-    place: int | None = None
+    place: int | None
+    ends: tuple[Estimate, Estimate]
+    size: Estimate | None
 
 
 def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding], list[Finding]]:
@@ -161,7 +173,8 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
 
     Outliers belong to an event if there are more of them than by chance.
     """
-    marks = sorted(mark for k, f in enumerate(findings) for mark in _marks(k, f, duration))
+    marks = [mark for k, f in enumerate(findings) for mark in _marks(k, f, duration)]
+    marks.sort(key=lambda mark: mark[:3])
     clusters = _clusters(marks)
     rate = _rate(marks, duration)
     found = [c for cluster in clusters if (c := _crowd(cluster, rate, duration))]
@@ -180,14 +193,15 @@ def events(findings: Sequence[Finding], duration: float) -> tuple[list[Finding],
 
 def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
     """Stretches of a finding that may be part of an event."""
-    if f.cause == OUTLIERS:
-        return [_Mark(t.value, t.value, k, place) for place, t in enumerate(_numbers(f, "times"))]
     start, end = f.span
+    if f.cause == OUTLIERS:
+        each = enumerate(zip(_numbers(f, "times"), _numbers(f, "sizes"), strict=True))
+        return [_Mark(t.value, t.value, k, place, (t, t), _peak(size)) for place, (t, size) in each]
     if f.cause not in STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
         return []
-    errors = [f.parameters[label].std if label in f.parameters else 0.0 for label in ("start", "end")]
-    before, after = (error if np.isfinite(error) else 0.0 for error in errors)
-    return [_Mark(start - before, end + after, k)]
+    ends = f.parameters["start"], f.parameters["end"]
+    before, after = (e.std if np.isfinite(e.std) else 0.0 for e in ends)
+    return [_Mark(start - before, end + after, k, None, ends, f.size)]
 
 
 def _clusters(marks: Sequence[_Mark]) -> list[list[_Mark]]:
@@ -240,25 +254,23 @@ def _event(cluster: Sequence[_Mark], findings: Sequence[Finding], counted: Seque
     places = sorted({mark.finding for mark in cluster})
     members = [findings[k] for k in places]
     causes = tuple(dict.fromkeys(f.cause for f in members))
-    start, end = min(cluster, key=lambda m: m.start), max(cluster, key=lambda m: m.end)
+    first, last = min(cluster, key=lambda m: m.start), max(cluster, key=lambda m: m.end)
+    start = dataclasses.replace(first.ends[0], label="start")
+    end = dataclasses.replace(last.ends[1], label="end")
     per_axis: dict[str, Estimate] = {}
     for mark in cluster:
-        size, (axis,) = _loudness(mark, findings[mark.finding]), findings[mark.finding].axes
+        size, (axis,) = mark.size, findings[mark.finding].axes
         if size is not None and (axis not in per_axis or _louder(size, per_axis[axis])):
             per_axis[axis] = size
-    one = together(
+    return together(
         next((cause for cause in STRETCHES if cause in causes), EVENT),
         members,
-        {"start": _end(start, findings, "start"), "end": _end(end, findings, "end")},
-        {
-            axis: per_axis[axis]
-            for axis in dict.fromkeys(a for f in members for a in f.axes)
-            if axis in per_axis
-        },
+        {"start": start, "end": end},
+        per_axis,
         {"seen_as": causes} if len(causes) > 1 else {},
         [findings[k] for k in places if k in counted],
+        (start.value, end.value),
     )
-    return dataclasses.replace(one, span=(one.parameters["start"].value, one.parameters["end"].value))
 
 
 def _numbers(f: Finding, name: str) -> tuple[Estimate, ...]:
@@ -266,26 +278,14 @@ def _numbers(f: Finding, name: str) -> tuple[Estimate, ...]:
     return tuple(e for e in f.details.get(name, ()) if isinstance(e, Estimate))
 
 
-def _loudness(mark: _Mark, f: Finding) -> Estimate | None:
-    """Size of the effect at a mark."""
-    sizes = _numbers(f, "sizes")
-    if mark.place is None or mark.place >= len(sizes):
-        return f.size
-    size = sizes[mark.place]
+def _peak(size: Estimate) -> Estimate:
+    """Magnitude of an outlier."""
     return parameter_estimate(size.axis, "peak", abs(size.value), size.std, size.unit)
 
 
 def _louder(one: Estimate, other: Estimate) -> bool:
     """Whether one describes the size of an event better: a value other than a ratio, then a larger one."""
     return (one.unit != "1", abs(one.value)) > (other.unit != "1", abs(other.value))
-
-
-def _end(mark: _Mark, findings: Sequence[Finding], label: str) -> Estimate:
-    """Start or end of a mark as a parameter."""
-    f = findings[mark.finding]
-    if mark.place is not None:
-        return dataclasses.replace(_numbers(f, "times")[mark.place], label=label)
-    return f.parameters[label]
 
 
 def _without(k: int, f: Finding, taken: set[tuple[int, int | None]], is_home: bool) -> Finding | None:
@@ -306,16 +306,16 @@ def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> F
         for name in f.details
         if _numbers(f, name)
     }
-    count = len(details["times"])
-    parameters = {
-        label: parameter_estimate(e.axis, label, count, e.std, e.unit) if label == "count" else e
-        for label, e in f.parameters.items()
-    }
-    span = (details["times"][0].value, details["times"][-1].value)
-    one = together(
-        f.cause, [f], parameters, f.amplitudes, {**f.details, **details}, [f] if is_counted else []
+    times, count = details["times"], f.parameters["count"]
+    return together(
+        f.cause,
+        [f],
+        {**f.parameters, "count": _changed(count, len(times), count.std)},
+        f.amplitudes,
+        {**f.details, **details},
+        [f] if is_counted else [],
+        (times[0].value, times[-1].value),
     )
-    return dataclasses.replace(one, span=span)
 
 
 #: A remaining discrepancy, which has no cause.
@@ -340,22 +340,40 @@ _STEP_TIME, _APART = 1e-3, 2e-2
 # different axes; and above which they give the start and end of the event. Judgements.
 _NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
 
-#: Whether a finding belongs to the strongest one of its kind, in a record of this length [s].
+#: Whether two findings of a kind are one, in a record of this length [s].
 Same: TypeAlias = Callable[[Finding, Finding, float], bool]
 
 
-class Rule(NamedTuple):
-    """Rule for one kind of cause.
+class Kind(NamedTuple):
+    """Kind of findings of which several are reported as one.
 
     Attributes:
         applies: whether a finding is of this kind.
-        family: findings of this kind that belong to the strongest one, itself included.
+        same: whether a finding is one with the strongest one.
         combine: combines several findings into one.
+        is_once: whether only one finding of each axis is meant.
+        grows: whether what is one with any of them is meant, too.
+        anchor: the finding that is compared with the others, instead of the strongest one.
     """
 
     applies: Callable[[Finding], bool]
-    family: Callable[[Finding, Sequence[Finding], float], list[Finding]]
+    same: Same
     combine: Callable[[Sequence[Finding]], Finding]
+    is_once: bool = False
+    grows: bool = False
+    anchor: Callable[[Finding, Sequence[Finding], float], Finding] = lambda first, findings, duration: first
+
+    def family(self, findings: Sequence[Finding], duration: float) -> list[Finding]:
+        """Those of these findings of this kind that are one with the strongest, itself included."""
+        by_weight = sorted(findings, key=_weight, reverse=True)
+        anchor = self.anchor(by_weight[0], findings, duration)
+        family = [by_weight[0]] if anchor is by_weight[0] else [by_weight[0], anchor]
+        for known in family if self.grows else [anchor]:
+            for f in by_weight:
+                taken = _among(f, family) or (self.is_once and f.axes in [g.axes for g in family])
+                if not taken and self.same(known, f, duration):
+                    family.append(f)
+        return [f for f in findings if _among(f, family)]
 
 
 def merged(
@@ -367,13 +385,13 @@ def merged(
     """
     happened, left = events(findings, duration)
     found, left = [], [*happened, *left]
-    for rule in RULES:
-        kind = [f for f in left if rule.applies(f)]
-        left = [f for f in left if not rule.applies(f)]
-        while kind:
-            family = rule.family(max(kind, key=_weight), kind, duration)
-            kind = [f for f in kind if not _among(f, family)]
-            found.append(rule.combine(family) if len(family) > 1 else family[0])
+    for kind in KINDS:
+        own = [f for f in left if kind.applies(f)]
+        left = [f for f in left if not kind.applies(f)]
+        while own:
+            family = kind.family(own, duration)
+            own = [f for f in own if not _among(f, family)]
+            found.append(kind.combine(family) if len(family) > 1 else family[0])
     return tuple(sorted([*found, *left, *of_several], key=_place))
 
 
@@ -421,15 +439,7 @@ def _sensor(f: Finding) -> str:
     return next((e.axis.sensor for e in f.parameters.values()), "")
 
 
-def _same_sensor(one: Finding, other: Finding, duration: float) -> bool:
-    return _sensor(one) == _sensor(other)
-
-
-def _always(one: Finding, other: Finding, duration: float) -> bool:
-    return True
-
-
-def _same_bandwidth(one: Finding, other: Finding, duration: float) -> bool:
+def _same_filter(one: Finding, other: Finding, duration: float) -> bool:
     return _sensor(one) == _sensor(other) and _similar(one, other, "bandwidth", 1.0 + _BANDWIDTH)
 
 
@@ -441,50 +451,26 @@ def _same_resonance(one: Finding, other: Finding, duration: float) -> bool:
     )
 
 
-def _same_step(one: Finding, other: Finding, duration: float) -> bool:
-    return _near(one, other, "time", _TIME, _STEP_TIME * duration, _APART * duration)
-
-
 def _overlap(one: Finding, other: Finding) -> float:
     """Common length of two stretches, as a share of the longer one."""
     (a, b), (c, d) = one.span, other.span
     return (min(b, d) - max(a, c)) / max(b - a, d - c, 1e-300)
 
 
-def _same_warm_up(one: Finding, other: Finding, duration: float) -> bool:
-    return _similar(one, other, "time_constant", _FACTOR)
+# --- Kinds --------------------------------------------------------------------------------------------------
 
 
-def _same_channel(one: Finding, other: Finding, duration: float) -> bool:
-    return one.details.get("channel") == other.details.get("channel")
-
-
-# --- Rules --------------------------------------------------------------------------------------------------
-
-
-def _rule(
+def _simple(
     causes: Sequence[str],
     same: Same,
     parameters: Sequence[str] = (),
     totals: Sequence[str] = (),
     is_once: bool = True,
-) -> Rule:
-    """Rule for causes that are merged if `same`; with `is_once` only if an axis has one of them.
+) -> Kind:
+    """Kind of causes of which several findings are merged if they are `same`.
 
     The `parameters` are those that the axes share; for the `totals` the sum is reported.
     """
-
-    def family(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
-        found = {first.axes: first} if is_once else {}
-        others = sorted((f for f in findings if f is not first), key=_weight, reverse=True)
-        alike = [f for f in others if f.cause == first.cause and same(first, f, duration)]
-        if not is_once:
-            chosen = [first, *alike]
-        else:
-            for f in alike:
-                found.setdefault(f.axes, f)
-            chosen = list(found.values())
-        return [f for f in findings if _among(f, chosen)]
 
     def combine(members: Sequence[Finding]) -> Finding:
         words = {
@@ -495,22 +481,12 @@ def _rule(
         own = shared(members, parameters) | summed(members, totals)
         return together(members[0].cause, members, own, largest(members), words)
 
-    return Rule(lambda f: f.cause in causes, family, combine)
+    return Kind(lambda f: f.cause in causes, same, combine, is_once)
 
 
-def _stretches(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
-    """Stretches that form one event with the strongest one: they last as long, or overlap on one axis.
-
-    A second finding within a stretch of the same axis is the rest of the event.
-    """
-    family, left = [first], [f for f in findings if f is not first]
-    for known in family:
-        again = [
-            f for f in left if _overlap(known, f) > (_NESTED if set(known.axes) & set(f.axes) else _SAME)
-        ]
-        family += again
-        left = [f for f in left if not _among(f, again)]
-    return [f for f in findings if _among(f, family)]
+def _same_stretch(one: Finding, other: Finding, duration: float) -> bool:
+    """Whether two stretches last as long, or overlap on one axis: one is then the rest of the event."""
+    return _overlap(one, other) > (_NESTED if set(one.axes) & set(other.axes) else _SAME)
 
 
 def _stretch(members: Sequence[Finding]) -> Finding:
@@ -541,7 +517,7 @@ def _sizes(members: Sequence[Finding]) -> dict[str, Estimate]:
             value = float(np.prod([e.value for e in each]))
             std = value * float(np.linalg.norm([e.std / e.value for e in each]))
             limit = max(map(side_of_limit, each), key=bool)
-            found[axis] = parameter_estimate(size.axis, size.label, value, std, "1", limit)
+            found[axis] = _changed(size, value, std, limit)
     return found
 
 
@@ -569,28 +545,22 @@ def _width(f: Finding) -> float:
     return _value(f, "frequency")[0] / _value(f, "quality_factor")[0] if f.cause == "resonance" else 0.0
 
 
-def _lines(first: Finding, findings: Sequence[Finding], duration: float) -> list[Finding]:
-    """Lines at the frequency of the strongest one, its fundamental, or harmonics of that."""
+def _fundamental(first: Finding, findings: Sequence[Finding], duration: float) -> Finding:
+    """Lowest line of which the strongest one is a harmonic, or itself."""
 
     def frequency(f: Finding) -> float:
         return f.parameters["frequency"].value
 
-    below = [
-        f
-        for f in findings
-        if f is not first and frequency(f) <= frequency(first) and _order(f, first, duration)
-    ]
-    lowest = min([first, *below], key=frequency)
-    return [f for f in findings if f is first or f is lowest or _order(lowest, f, duration)]
+    below = (f for f in findings if frequency(f) <= frequency(first) and _order(f, first, duration))
+    return min([first, *below], key=frequency)
 
 
 def _line(members: Sequence[Finding]) -> Finding:
     """One line with its harmonics, and its amplitude in each axis at the lowest frequency found there."""
     lowest = min(f.parameters["frequency"].value for f in members)
     orders = [max(round(f.parameters["frequency"].value / lowest), 1) for f in members]
-    fundamental = [
-        _divided(f.parameters["frequency"], order) for f, order in zip(members, orders, strict=True)
-    ]
+    each = zip((f.parameters["frequency"] for f in members), orders, strict=True)
+    fundamental = [e if order == 1 else _changed(e, e.value / order, e.std / order) for e, order in each]
     frequency, cause = mean_of(fundamental), max(members, key=_weight).cause
     per_axis: dict[str, Estimate] = {}
     for f, order in sorted(zip(members, orders, strict=True), key=lambda pair: (pair[1], -_weight(pair[0]))):
@@ -605,11 +575,7 @@ def _line(members: Sequence[Finding]) -> Finding:
         cause,
         members,
         ({} if frequency is None else {"frequency": frequency}) | shared(members, ["quality_factor"]),
-        {
-            axis: per_axis[axis]
-            for axis in dict.fromkeys(a for f in members for a in f.axes)
-            if axis in per_axis
-        },
+        per_axis,
         {"harmonics": tuple(parameter_estimate(whose, "harmonic", k, 0.0, "1") for k in every)}
         if every
         else {},
@@ -624,22 +590,29 @@ def _harmonics(f: Finding, fundamental: float) -> set[int]:
     return {round(k) for k in each if abs(k - round(k)) < _BY_CHANCE * k and round(k) > 1}
 
 
-def _divided(e: Estimate, order: int) -> Estimate:
-    """Frequency of the fundamental from that of a harmonic."""
-    if order == 1:
-        return e
-    return parameter_estimate(e.axis, e.label, e.value / order, e.std / order, e.unit)
-
-
-#: Rules for all causes that are reported once for several axes.
-RULES: tuple[Rule, ...] = (
-    Rule(_is_line, _lines, _line),
-    _rule(["low_pass"], _same_bandwidth, ["bandwidth", "order"]),
-    _rule(["resonance"], _same_resonance, ["frequency", "quality_factor"]),
-    _rule(["bias_step"], _same_step, ["time"]),
-    _rule(["warm_up"], _same_warm_up, ["time_constant"]),
-    _rule(["temperature"], _same_channel, ["lag"]),
-    Rule(lambda f: f.cause in STRETCHES, _stretches, _stretch),
-    _rule([OUTLIERS], _same_sensor, totals=["count"], is_once=False),
-    _rule(["rounding", "saturation", "repeated_samples"], _always),
+#: Kinds of findings that are reported once for several axes.
+KINDS: tuple[Kind, ...] = (
+    Kind(_is_line, lambda one, other, duration: _order(one, other, duration) > 0, _line, anchor=_fundamental),
+    _simple(["low_pass"], _same_filter, ["bandwidth", "order"]),
+    _simple(["resonance"], _same_resonance, ["frequency", "quality_factor"]),
+    _simple(
+        ["bias_step"],
+        lambda one, other, duration: _near(
+            one, other, "time", _TIME, _STEP_TIME * duration, _APART * duration
+        ),
+        ["time"],
+    ),
+    _simple(
+        ["warm_up"], lambda one, other, _: _similar(one, other, "time_constant", _FACTOR), ["time_constant"]
+    ),
+    _simple(
+        ["temperature"],
+        lambda one, other, _: one.details.get("channel") == other.details.get("channel"),
+        ["lag"],
+    ),
+    Kind(lambda f: f.cause in STRETCHES, _same_stretch, _stretch, grows=True),
+    _simple(
+        [OUTLIERS], lambda one, other, _: _sensor(one) == _sensor(other), totals=["count"], is_once=False
+    ),
+    _simple(("rounding", "saturation", "repeated_samples"), lambda one, other, _: one.cause == other.cause),
 )

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Real
@@ -19,13 +19,12 @@ from scipy.fft import dct, rfft
 from scipy.stats import binom, chi2, kurtosistest, norm
 
 from allanjax.allan.estimators import cluster_sizes
-from allanjax.critic import profiles
 from allanjax.critic.bank import any_of, extrapolated
 from allanjax.critic.causes.rounding import HARMLESS
 from allanjax.critic.comparison import (
     AllanLaw,
     StageResiduals,
-    allan_laws,
+    allan_law,
     degrees_of_freedom,
     octave_bins,
 )
@@ -53,38 +52,40 @@ class Profile:
     """A statistic at all places where it is compared with simulations: times, frequencies, lags, channels.
 
     Attributes:
-        simulated: its median in simulations.
-        score: difference of the two: standard normal under the model, or a magnitude that grows like one.
+        score: difference between measurement and simulations at each place: standard normal under the model,
+            or a magnitude that grows like one.
         law: p-value of the largest magnitude among the scores.
+        numbers: place, measured value, and median of simulations, by the number of the place.
         channels: other axes or channels, one place each, for correlations.
     """
 
     statistic: str
-    where: Places
     where_unit: str
-    measured: Places
-    simulated: Places
     unit: str
     score: Places
     law: Callable[[float], float]
+    numbers: Callable[[int], tuple[float, float, float]]
     channels: tuple[str, ...] = ()
 
     def at(self, place: int) -> Discrepancy:
         """Discrepancy at one place; its p-value is corrected for having searched all places."""
+        where, measured, simulated = map(float, self.numbers(place))
+        p_value = float(np.clip(self.law(float(abs(self.score[place]))), TINY, 1.0))
+        channel = self.channels[place] if self.channels else ""
         return Discrepancy(
-            self.statistic,
-            float(self.where[place]),
-            self.where_unit,
-            float(self.measured[place]),
-            float(self.simulated[place]),
-            self.unit,
-            float(np.clip(self.law(float(abs(self.score[place]))), TINY, 1.0)),
-            self.channels[place] if self.channels else "",
+            self.statistic, where, self.where_unit, measured, simulated, self.unit, p_value, channel
         )
 
     def worst(self) -> Discrepancy:
         """Discrepancy at the place where measurement and simulation differ most."""
         return self.at(int(np.argmax(abs(self.score))))
+
+
+def _listed(
+    where: Places, measured: Places, simulated: Places
+) -> Callable[[int], tuple[float, float, float]]:
+    """Numbers of a profile from arrays."""
+    return lambda place: (where[place], measured[place], simulated[place])
 
 
 def _independent(count: int) -> Callable[[float], float]:
@@ -113,17 +114,15 @@ def cluster_times(record: StageResiduals) -> list[Profile]:
     octaves = cluster_sizes(record.n, record.rate)
     horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
     stretches = np.unique(np.clip(np.rint(horizons * record.rate), 1, record.n // 2)).astype(int)
-    (law,) = allan_laws([record], np.concatenate([octaves, stretches]))
-    k = len(octaves)
+    law, k = allan_law(record, np.concatenate([octaves, stretches])), len(octaves)
     allan, drift = law.at(slice(k)), law.at(slice(k, None))
     angle = ANGLE[record.axis.sensor]
     factors = np.sqrt(2.0) * drift.time / unit_scale(angle, record.axis.sensor)
-    return [allan_deviation(record, allan), _of_law("drift", drift, factors, angle)]
-
-
-def allan_deviation(record: StageResiduals, law: AllanLaw) -> Profile:
-    """Profile of the Allan deviation at the cluster times of a law."""
-    return _of_law("allan_deviation", law, np.full(len(law.time), 1.0 / record.scale), record.axis.unit)
+    scale = np.full(k, 1.0 / record.scale)
+    return [
+        _of_law("allan_deviation", allan, scale, record.axis.unit),
+        _of_law("drift", drift, factors, angle),
+    ]
 
 
 def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile:
@@ -135,9 +134,8 @@ def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = abs(root @ np.random.default_rng(0).standard_normal((len(z), _DRAWS))).max(axis=0)
     measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))
-    return Profile(
-        statistic, law.time, "s", measured, simulated, unit, z, lambda score: extrapolated(draws, score)
-    )
+    p_value = functools.partial(extrapolated, draws)
+    return Profile(statistic, "s", unit, z, p_value, _listed(law.time, measured, simulated))
 
 
 # --- Frequencies --------------------------------------------------------------------------------------------
@@ -153,29 +151,28 @@ def psd(record: StageResiduals) -> Profile:
     middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * record.n)
     measured, simulated = (level * x / count for x in (squares, chi2.median(count)))
     unit = f"({record.axis.unit})²/Hz"
-    return Profile("psd", middle, "Hz", measured, simulated, unit, z, _independent(len(z)))
+    return Profile("psd", "Hz", unit, z, _independent(len(z)), _listed(middle, measured, simulated))
 
 
 def line(record: StageResiduals) -> Profile:
     """Profile of the amplitude at the Fourier frequencies, where white noise is independent."""
     n = record.n
     spectrum = rfft(record.whitened, workers=-1)[1 : (n + 1) // 2]
-    power = (spectrum.real**2 + spectrum.imag**2) / n
-    count = len(power)
-    noise = np.sqrt(record.variance[1 : 2 * count : 2]) / record.scale
+    power = spectrum.real**2
+    power += spectrum.imag**2
+    score = np.sqrt(np.multiply(power, 2.0 / n, out=power), out=power)
+    count = len(score)
     # Median of the largest of so many: half of all simulations stay below it.
-    typical = -np.log(-np.expm1(np.log(0.5) / count))
-    measured, simulated = (2.0 * np.sqrt(u / n) * noise for u in (power, typical))
-    return Profile(
-        "psd_line",
-        np.arange(1, count + 1) * record.rate / n,
-        "Hz",
-        measured,
-        simulated,
-        record.axis.unit,
-        np.sqrt(2.0 * power),
-        lambda score: any_of(float(np.exp(-0.5 * score**2)), count),
-    )
+    typical = np.sqrt(-2.0 * np.log(-np.expm1(np.log(0.5) / count)))
+
+    def numbers(place: int) -> tuple[float, float, float]:
+        noise = float(np.sqrt(2.0 * record.variance[2 * place + 1] / n)) / record.scale
+        return (place + 1) * record.rate / n, noise * score[place], noise * typical
+
+    def law(score: float) -> float:
+        return any_of(float(np.exp(-0.5 * score**2)), count)
+
+    return Profile("psd_line", "Hz", record.axis.unit, score, law, numbers)
 
 
 def autocorrelation(record: StageResiduals) -> Profile:
@@ -189,7 +186,8 @@ def autocorrelation(record: StageResiduals) -> Profile:
     lags = min(_LAGS, n // 10)
     r = dct(squares, type=1, workers=-1)[1 : lags + 1] / (2.0 * n)
     lag = np.arange(1, lags + 1) / record.rate
-    return Profile("autocorrelation", lag, "s", r, np.zeros(lags), "1", r * np.sqrt(n), _independent(lags))
+    numbers = _listed(lag, r, np.zeros(lags))
+    return Profile("autocorrelation", "s", "1", r * np.sqrt(n), _independent(lags), numbers)
 
 
 # --- Values -------------------------------------------------------------------------------------------------
@@ -200,24 +198,19 @@ def tails(record: StageResiduals) -> Profile:
     squares = record.whitened**2
     excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
     p = max(float(kurtosistest(record.whitened).pvalue), TINY)
-    nowhere, measured, score = np.zeros(1), np.array([excess]), np.array([float(norm.isf(0.5 * p))])
-    return Profile("tails", nowhere, "", measured, np.zeros(1), "1", score, lambda _: p)
+    score = np.array([float(norm.isf(0.5 * p))])
+    return Profile("tails", "", "1", score, lambda _: p, lambda _: (0.0, excess, 0.0))
 
 
 def largest_residual(record: StageResiduals) -> Profile:
     """Profile of the magnitudes of the whitened residuals."""
-    n = record.n
+    n, e = record.n, record.whitened
     typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
-    return Profile(
-        "largest_residual",
-        np.arange(n) / record.rate,
-        "s",
-        abs(record.whitened),
-        np.full(n, typical),
-        "σ",
-        record.whitened,
-        _independent(n),
-    )
+
+    def numbers(place: int) -> tuple[float, float, float]:
+        return place / record.rate, abs(float(e[place])), typical
+
+    return Profile("largest_residual", "s", "σ", e, _independent(n), numbers)
 
 
 # --- Time ---------------------------------------------------------------------------------------------------
@@ -240,12 +233,10 @@ def windows(record: StageResiduals) -> list[Profile]:
         ("window_mean", means, total / length, 0.0),
         ("window_variance", variances, square / length, 1.0),
     ):
-        null = _window_null(finest, statistic == "window_mean")
-        middle = (start + 0.5 * length) / record.rate
+        law = functools.partial(extrapolated, _window_null(finest, statistic == "window_mean"))
+        middle, simulated = (start + 0.5 * length) / record.rate, np.full(len(z), expected)
         unit = "σ" if statistic == "window_mean" else "1"
-        simulated = np.full(len(z), expected)
-        law = functools.partial(extrapolated, null)
-        found.append(Profile(statistic, middle, "s", value, simulated, unit, z, law))
+        found.append(Profile(statistic, "s", unit, z, law, _listed(middle, value, simulated)))
     return found
 
 
@@ -278,10 +269,8 @@ def cross_correlation(record: StageResiduals, others: Mapping[str, StageResidual
     score = np.array(
         [_matched(record.whitened_coefficients, other.whitened_coefficients)[0] for other in others.values()]
     )
-    none, r = np.zeros(len(score)), score / np.sqrt(record.n)
-    return Profile(
-        "cross_correlation", none, "", r, none, "1", score, _independent(len(score)), tuple(others)
-    )
+    none, r, law = np.zeros(len(score)), score / np.sqrt(record.n), _independent(len(score))
+    return Profile("cross_correlation", "", "1", score, law, _listed(none, r, none), tuple(others))
 
 
 def auxiliary_correlation(
@@ -299,18 +288,9 @@ def auxiliary_correlation(
     ]
     score = np.array([z for z, _, _ in found])
     error = np.array([rms / length for _, length, rms in found]) / np.sqrt(record.n) / record.scale
-    typical = float(norm.isf(0.25)) * error
-    return Profile(
-        "auxiliary_correlation",
-        np.zeros(len(score)),
-        "",
-        abs(score) * error,
-        typical,
-        record.axis.unit,
-        score,
-        _independent(len(score)),
-        tuple(channels),
-    )
+    numbers = _listed(np.zeros(len(score)), abs(score) * error, float(norm.isf(0.25)) * error)
+    law = _independent(len(score))
+    return Profile("auxiliary_correlation", "", record.axis.unit, score, law, numbers, tuple(channels))
 
 
 def _matched(z: Float[np.ndarray, " n-1"], h: Float[np.ndarray, " n-1"]) -> tuple[float, float]:
@@ -319,89 +299,146 @@ def _matched(z: Float[np.ndarray, " n-1"], h: Float[np.ndarray, " n-1"]) -> tupl
     return float(z @ h) / max(length, 1e-300), max(length, 1e-300)
 
 
-def discrepancies(
-    record: StageResiduals,
-    raw: Float[np.ndarray, " recorded"],
-    others: Mapping[str, StageResiduals] | None = None,
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None,
-    seed: int = 0,
-) -> tuple[Discrepancy, ...]:
-    """Discrepancy of one axis at one stage from its simulations in every statistic, also where p is near 1.
+# --- The samples themselves ---------------------------------------------------------------------------------
 
-    Args:
-        record: the axis.
-        raw: its samples as recorded [SI], without missing ones; imputed ones after a finding that explains
-            their distribution, such as rounding.
-        others, auxiliary: other axes and other channels, by name.
-        seed: seed of the simulation in which repeated values are counted.
+
+class Resolution(NamedTuple):
+    """What the samples as recorded tell of their resolution.
+
+    Attributes:
+        length: number of samples.
+        mean: their mean [SI].
+        lattice: step of which all are multiples; None if there is none.
+        gap: smallest difference of two values; 0 if all are equal.
+        repeated: number of samples equal to the one before.
     """
-    of_samples = [_lattice(record, raw), _repeated(record, raw, seed)]
-    first = [*profiles.cluster_times(record), profiles.psd(record), profiles.line(record)]
-    first += [of(record) for of in (profiles.autocorrelation, profiles.tails, profiles.largest_residual)]
-    last = profiles.windows(record)
-    if others:
-        last.append(profiles.cross_correlation(record, others))
-    if channels := _varying(auxiliary):
-        last.append(profiles.auxiliary_correlation(record, channels))
-    return (*(p.worst() for p in first), *of_samples, *(p.worst() for p in last))
+
+    length: int
+    mean: float
+    lattice: float | None
+    gap: float
+    repeated: int
+
+    @classmethod
+    def of(cls, raw: Float[np.ndarray, " recorded"]) -> Resolution:
+        """Resolution of these samples."""
+        gaps = np.diff(np.unique(raw))
+        repeated = int(np.count_nonzero(raw[1:] == raw[:-1]))
+        gap = float(gaps.min()) if len(gaps) else 0.0
+        return cls(len(raw), float(np.mean(raw)), lattice(raw), gap, repeated)
 
 
-def before_and_after(
-    records: Sequence[StageResiduals], auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None = None
-) -> list[tuple[tuple[Discrepancy, Discrepancy], ...]]:
-    """Pairs of a statistic before and after each finding, at the place of the largest improvement.
-
-    The records are those of an axis before its first finding and after each.
-    """
-    laws = allan_laws(records, cluster_sizes(records[0].n, records[0].rate))
-    channels = _varying(auxiliary)
-    stages = []
-    for record, law in zip(records, laws, strict=True):
-        # Those that cost little compared with the transforms.
-        cheap = (profiles.psd, profiles.line, profiles.tails, profiles.largest_residual)
-        of_record = [profiles.allan_deviation(record, law), *(of(record) for of in cheap)]
-        of_record += profiles.windows(record)
-        if channels:
-            of_record.append(profiles.auxiliary_correlation(record, channels))
-        stages.append(of_record)
-        record.forget()
-    found = []
-    for before, after in itertools.pairwise(stages):
-        pairs = []
-        for old, new in zip(before, after, strict=True):
-            place = int(np.argmax(abs(old.score) ** 2 - abs(new.score) ** 2))
-            pairs.append((old.at(place), new.at(place)))
-        found.append(tuple(pairs))
-    return found
-
-
-def _varying(
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]] | None,
-) -> dict[str, Float[np.ndarray, " n-1"]]:
-    """Cosine coefficients of the channels that are finite and not constant."""
-    channels = {name: np.asarray(h, float) for name, h in (auxiliary or {}).items()}
-    return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
-
-
-def _lattice(record: StageResiduals, raw: Float[np.ndarray, " recorded"]) -> Discrepancy:
+def _lattice(record: StageResiduals, raw: Resolution) -> Discrepancy:
     """Share of the samples on a lattice; one finer than the noise only reflects the number format of the
     file."""
-    q = lattice(raw)
+    q = raw.lattice
     if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
         return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
     return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
 
 
-def _repeated(record: StageResiduals, raw: Float[np.ndarray, " recorded"], seed: int) -> Discrepancy:
+def _repeated(record: StageResiduals, raw: Resolution, seed: int = 0) -> Discrepancy:
     """Share of samples equal to the one before, also in simulations with the recording's resolution."""
-    gaps = np.diff(np.unique(raw))
-    q = float(gaps.min()) if len(gaps) else 0.0
-    count = int(np.sum(raw[1:] == raw[:-1]))
-    simulated = 0
+    count, simulated, q = raw.repeated, 0, raw.gap
     if q > 0.0:
-        x = np.rint((record.simulate(seed)[: len(raw)] + float(np.mean(raw))) / q)
-        simulated = int(np.sum(x[1:] == x[:-1]))
+        x = record.simulate(seed)[: raw.length]
+        x += raw.mean
+        x /= q
+        np.rint(x, out=x)
+        simulated = int(np.count_nonzero(x[1:] == x[:-1]))
     # Two counts with the same expectation: an event is in either of them by chance.
     p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
-    n = len(raw) - 1
+    n = raw.length - 1
     return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
+
+
+# --- All of them --------------------------------------------------------------------------------------------
+
+# Their order in a critique.
+_ORDER = (
+    *("allan_deviation", "drift", "psd", "psd_line", "autocorrelation", "tails", "largest_residual"),
+    *("lattice", "repeated_values", "window_mean", "window_variance"),
+    *("cross_correlation", "auxiliary_correlation"),
+)
+
+
+class Comparison(NamedTuple):
+    """Discrepancies of an axis from its simulations before the first finding and after the last one.
+
+    Attributes:
+        before, after: in every statistic, also where p is near 1.
+        pairs: for each finding a statistic before and after it, at the place of the largest improvement.
+    """
+
+    before: tuple[Discrepancy, ...]
+    after: tuple[Discrepancy, ...]
+    pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
+
+
+def compared(
+    stages: Sequence[StageResiduals],
+    raw: tuple[Float[np.ndarray, " recorded"], Float[np.ndarray, " recorded"]],
+    others: tuple[Mapping[str, StageResiduals], Mapping[str, StageResiduals]],
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
+) -> Comparison:
+    """Comparison of an axis with simulations, at the stages before the first finding and after each.
+
+    Args:
+        stages: the axis at these stages.
+        raw: its samples as recorded [SI], without missing ones, before the first finding and after the last;
+            then with imputed ones if a finding explains their distribution, such as rounding.
+        others: other axes by name, at their first stage and at their last.
+        auxiliary: other channels by name.
+    """
+    channels, last = _varying(auxiliary), len(stages) - 1
+    ends: list[tuple[Discrepancy, ...]] = []
+    pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]] = []
+    former: list[Profile] = []
+    resolution = Resolution.of(raw[0])
+    for k, record in enumerate(stages):
+        if k:
+            record.reuse(stages[k - 1])
+        profiles = _profiles(record, channels)
+        if k:
+            pairs.append(_improved(former, profiles))
+            stages[k - 1].forget()
+        former = profiles
+        if k in (0, last):
+            if k and raw[1] is not raw[0]:
+                resolution = Resolution.of(raw[1])
+            found = [p.worst() for p in (*profiles, autocorrelation(record))]
+            found += [_lattice(record, resolution), _repeated(record, resolution)]
+            for end in {0: others[:1], last: others[1:]}[k] if last else others:
+                axes = [cross_correlation(record, end).worst()] if end else []
+                ends.append(tuple(sorted([*found, *axes], key=lambda d: _ORDER.index(d.statistic))))
+    stages[-1].forget()
+    return Comparison(ends[0], ends[1], pairs)
+
+
+def _profiles(record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> list[Profile]:
+    """Profiles of an axis at a stage, except those that take long compared with the transforms."""
+    found = [*cluster_times(record), psd(record), line(record), tails(record), largest_residual(record)]
+    found += windows(record)
+    return [*found, auxiliary_correlation(record, channels)] if channels else found
+
+
+def _improved(
+    before: Sequence[Profile], after: Sequence[Profile]
+) -> tuple[tuple[Discrepancy, Discrepancy], ...]:
+    """Pairs of a statistic at two stages, at the place of the largest improvement."""
+    pairs = []
+    for old, new in zip(before, after, strict=True):
+        # A finding has a drift of its own, see `gain`.
+        if old.statistic == "drift":
+            continue
+        change = old.score**2
+        change -= new.score**2
+        place = int(np.argmax(change))
+        pairs.append((old.at(place), new.at(place)))
+    return tuple(pairs)
+
+
+def _varying(auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " n-1"]]:
+    """Cosine coefficients of the channels that are finite and not constant."""
+    channels = {name: np.asarray(h, float) for name, h in auxiliary.items()}
+    return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}

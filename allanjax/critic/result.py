@@ -17,6 +17,7 @@ from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
+from allanjax.critic.noise import RAMP, NoiseFamily, family_of
 from allanjax.critic.parameters import side_of_limit, values_of
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
@@ -38,21 +39,44 @@ class Snapshot(ByValue):
 
     Attributes:
         x: samples less the earlier findings [SI].
-        variance: expected squared cosine coefficients of x [rate²].
-        terms: names of the basic terms in the noise.
-        powers: their squared coefficients (a ramp has none).
-        shape: correlation time [s] or exponent of the term that has one, else nan.
+        rate: sample rate [Hz].
+        powers: squared coefficients of the basic terms in the noise, by name (a ramp has none).
+        shape, index: correlation time [s] or exponent of the term that has one, else nan; its place in the
+            grid of shapes.
         ramp: slope of a drift ramp [rate/s].
+        factor: ratio of the spectrum to that of these terms; None for 1.
         drawn: whether each sample was filled in: drawn given the others.
     """
 
     x: Float[np.ndarray, " n"]
-    variance: Float[np.ndarray, " n-1"]
-    terms: tuple[str, ...]
+    rate: float
     powers: Mapping[str, float]
     shape: float
+    index: int
     ramp: float
+    factor: Float[np.ndarray, " n-1"] | None
     drawn: Bool[np.ndarray, " n"]
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the basic terms in the noise."""
+        return (*self.powers, RAMP) if self.ramp else tuple(self.powers)
+
+    @property
+    def family(self) -> NoiseFamily:
+        """Noise family of records of this length and rate."""
+        return family_of(len(self.x), self.rate)
+
+    @property
+    def spectra(self) -> list[tuple[float, Float[np.ndarray, " n-1"]]]:
+        """Powers of the terms, with their expected squared coefficients at unit power."""
+        return [(p, self.family.unit(name, self.index)[1]) for name, p in self.powers.items()]
+
+    @property
+    def variance(self) -> Float[np.ndarray, " n-1"]:
+        """Expected squared cosine coefficients of x [rate²]; they are computed, as all stages' are large."""
+        v = self.family.expected(dict(self.powers), self.index)
+        return v if self.factor is None else np.multiply(v, self.factor, out=v)
 
     def __repr__(self) -> str:
         return f"<Snapshot: {len(self.x)} samples less findings; noise {' + '.join(self.terms)}>"
@@ -72,6 +96,8 @@ class AxisCritique(ByValue):
         model: the extended model: noise terms and deterministic terms with their values.
         misfit: how far the baseline's curve is off, if it does not fit the data.
         left_out: causes that no model term describes, such as outliers.
+        given: sum of the lines and other waveforms of a given model, which the stages are without [SI]; None
+            if it has none.
     """
 
     axis: Axis
@@ -84,6 +110,7 @@ class AxisCritique(ByValue):
     model: Model
     misfit: Misfit | None = None
     left_out: tuple[str, ...] = ()
+    given: Float[np.ndarray, " n"] | None = None
 
     def bias(self, rate: float) -> float:
         """Constant to add to samples of the extended model at `rate` [Hz] [SI]."""
@@ -194,14 +221,16 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     def refit(self) -> Fit:
         """Fit the samples less the findings: coefficients with intervals, see `fit`.
 
-        The model is the one given to the critique; otherwise its terms are chosen again. Outliers, steps,
-        lines and rounding are removed, and a filter and resonances are fitted jointly with the terms. The
-        intervals are widened for samples that were filled in. It takes as long as a `fit`.
+        The model is the one given to the critique, whose own lines and steps stay in the samples; otherwise
+        its terms are chosen again. Outliers, steps, lines and rounding that were found are removed, and a
+        filter and resonances are fitted jointly with the terms. The intervals are widened for samples that
+        were filled in. It takes as long as a `fit`.
         """
         from allanjax.estimate.fit import fit_inspected
 
-        last, axes = [a.stages[-1] for a in self.results], tuple(a.axis for a in self.results)
-        values, drawn = (np.column_stack(of) for of in zip(*((s.x, s.drawn) for s in last), strict=True))
+        last = [(a.stages[-1], a.given) for a in self.results]
+        values = np.column_stack([s.x if given is None else s.x + given for s, given in last])
+        drawn, axes = np.column_stack([s.drawn for s, _ in last]), tuple(a.axis for a in self.results)
         missing = drawn if drawn.any() else None
         recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
         # The facts are those of the original recording, except for lines, which may have been removed.

@@ -145,7 +145,7 @@ class _Stage(NamedTuple):
 
 def _record(critique: Critique, axis: str, stage: int) -> StageResiduals:
     """Residuals of an axis at a stage."""
-    return StageResiduals(critique[axis].axis, 1.0, critique.rate, critique[axis].stages[stage])
+    return StageResiduals(critique[axis].axis, 1.0, critique[axis].stages[stage])
 
 
 def _draw(critique: Critique, job: _Job, record: Callable[[str, int], StageResiduals]) -> Figure:

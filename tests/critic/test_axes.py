@@ -335,6 +335,27 @@ def test_coefficients_of_what_is_left_are_of_the_given_model_and_know_less_by_ou
     assert again["gyro_x"].widening == pytest.approx(np.sqrt(1.0 / (1.0 - share) + share), rel=1e-3)
 
 
+def test_lines_and_steps_of_the_given_model_are_fitted_again_to_what_is_left():
+    """Only what the critique itself has found is taken out: here an outlier, beside a step and a line."""
+    x, place = np.random.default_rng(4).standard_normal(N), np.arange(N)
+    x += line(0.5) + 0.4 * (place >= 8_000)
+    x[5_000] += 25.0
+    record = aj.Recording.from_array(x, RATE, gyro_unit="deg/s", names=["gyro_x"])
+    model = aj.AngleRandomWalk() + aj.Sinusoid() + aj.BiasStep(time=8_000 / RATE)
+    given = aj.fit(record, model, "whittle", as_is=True)
+    found = aj.critique(record, given)
+    assert [f.cause for f in found.findings] == ["outliers"]
+    old, new = (fit["gyro_x"].coefficients for fit in (given, found.refit()))
+    assert list(new) == list(old)
+    deg = np.pi / 180.0
+    for label, true in (("sinusoid_amplitude", 0.5 * deg), ("sinusoid_frequency", 3.2173)):
+        assert abs(new[label].value - true) < 4.0 * new[label].std
+    step = new["bias_step_amplitude"]
+    assert abs(step.value - 0.4 * deg) < 4.0 * step.std
+    # Without the outlier the white noise is at its level.
+    assert new["angle_random_walk"].value < old["angle_random_walk"].value
+
+
 BEHIND = [("rounded", "gyro_x", 0.06), ("more", "gyro_2", 0.025), ("rounded", "gyro_y", 0.04)]
 
 

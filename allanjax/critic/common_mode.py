@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float
 from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
+from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Finding
-from allanjax.critic.noise import NEARLY_ALL
+from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.record.recording import Axis
 
@@ -109,31 +110,30 @@ class _Member(NamedTuple):
     z: Float[np.ndarray, " n-1"]
     white: Float[np.ndarray, " n-1"] | None
 
+    @classmethod
+    def of(cls, record: StageResiduals) -> _Member:
+        """An axis at a stage; if nearly all noise is white, white noise and all noise are the same."""
+        white = record.share(WHITE)
+        if white is not None and np.mean(white) > NEARLY_ALL:
+            white = None
+        return cls(record.axis, record.whitened_coefficients, white)
+
 
 #: Pairs of axes, their links and p-values.
 Links: TypeAlias = dict[tuple[int, int], tuple[_Link, float]]
 
 
-def common_mode(
-    axes: Sequence[Axis],
-    z: Sequence[Float[np.ndarray, " n-1"]],
-    white: Sequence[Float[np.ndarray, " n-1"] | None],
-    rate: float,
-    alpha: float,
-) -> list[Finding]:
-    """Groups of axes whose whitened cosine coefficients z are correlated.
+def common_mode(records: Sequence[StageResiduals], alpha: float) -> list[Finding]:
+    """Groups of axes whose whitened cosine coefficients are correlated.
 
-    `white` is the share of white noise in each axis's noise, None if it has none; `alpha` is the probability
-    of a false finding.
+    `alpha` is the probability of a false finding.
     """
-    # If nearly all noise is white, white noise and all noise are the same.
-    told = [None if w is None or np.mean(w) > NEARLY_ALL else w for w in white]
-    members = [_Member(*one) for one in zip(axes, z, told, strict=True)]
-    tops = [len(z[0])]
-    while tops[-1] // _SPLIT >= _LEAST:
-        tops.append(tops[-1] // _SPLIT)
+    members = [_Member.of(record) for record in records] if len(records) > 1 else []
     pairs = [(a, b) for a in range(len(members)) for b in range(a)]
     linked: Links = {}
+    tops = [records[0].n - 1]
+    while tops[-1] // _SPLIT >= _LEAST:
+        tops.append(tops[-1] // _SPLIT)
     for a, b in pairs:
         noises = _noises([members[a], members[b]])
         links = [_Link.of(members[a], members[b], noise, top) for noise in noises for top in tops]
@@ -141,7 +141,7 @@ def common_mode(
         p = any_of(link.p_value, len(pairs) * len(links))
         if p < alpha and link.held_out > 0.0:
             linked[a, b] = link, p
-    return [_finding(members, group, linked, rate) for group in _groups(linked)]
+    return [_finding(members, group, linked, records[0].rate) for group in _groups(linked)]
 
 
 def _noises(members: Sequence[_Member]) -> Sequence[str]:
