@@ -1,9 +1,9 @@
 # What users import, and where it comes from, as `allanjax/__init__.pyi` has it.
 
 from allanjax.critic.bank import Bank as Bank
-from allanjax.critic.cause import Cause as Cause
-from allanjax.critic.cause import Range as Range
-from allanjax.critic.causes import CAUSES as CAUSES
+from allanjax.critic.effect import Effect as Effect
+from allanjax.critic.effect import Range as Range
+from allanjax.critic.effects import EFFECTS as EFFECTS
 from allanjax.critic.finding import Discrepancy as Discrepancy
 from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.finding import Rival as Rival

@@ -92,7 +92,7 @@ def basic_model(view: View, random: Model | None = None) -> Model:
 
 
 def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
-    """Model of an axis with all findings, and the causes that no model term can describe."""
+    """Model of an axis with all findings, and the effects that no model term can describe."""
     model, left_out = basic_model(search.end, search.noise_model), []
     for step in search.steps:
         before, model = model, step.candidate.add_to_model(model)

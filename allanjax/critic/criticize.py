@@ -1,4 +1,4 @@
-"""A critique: fit, compare with simulations, find causes, extend, compare again."""
+"""A critique: fit, compare with simulations, find effects, extend, compare again."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import numpy as np
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
-from allanjax.critic.cause import Cause
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
+from allanjax.critic.effect import Effect
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
@@ -50,7 +50,7 @@ _WORKERS = 2
 def criticize(
     recording: Recording,
     given: Fit | None,
-    causes: Sequence[Cause],
+    effects: Sequence[Effect],
     false_alarms: float,
     vibrating: bool,
     tell: Callable[[str], None],
@@ -61,7 +61,7 @@ def criticize(
     per_axis = false_alarms / len(recording.axes)
 
     failed: dict[str, DeadAxis] = {}
-    searches, fit = _searches(recording, seen, given, causes, per_axis, tell, failed)
+    searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
     tell("comparing the measurement with simulations")
     stages = [_stages(s) for s in searches]
@@ -170,14 +170,14 @@ def _searches(
     recording: Recording,
     seen: Inspection,
     given: Fit | None,
-    causes: Sequence[Cause],
+    effects: Sequence[Effect],
     false_alarms: float,
     tell: Callable[[str], None],
     failed: dict[str, DeadAxis],
 ) -> tuple[list[Search], Fit]:
     """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
 
-    rule = AcceptanceRule.of(false_alarms, causes)
+    rule = AcceptanceRule.of(false_alarms, effects)
 
     def searched(k: int) -> Draft:
         """Search in one axis, starting from the given model."""
@@ -185,15 +185,15 @@ def _searches(
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         drawn = None if recording.missing is None else recording.missing[:, k]
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-        return search(view, causes, rule, tell)
+        return search(view, effects, rule, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
-        there = [again for cause in causes if (again := cause.at(others)) is not None]
+        there = [again for effect in effects if (again := effect.at(others)) is not None]
         draft = going_on(drafts[k], there, rule, tell) if others else drafts[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
-        return dataclasses.replace(concluded(draft, causes), others=further or None)
+        return dataclasses.replace(concluded(draft, effects), others=further or None)
 
     # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
     # the search needs no fit: the fit is for the report.

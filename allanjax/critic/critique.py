@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from allanjax.base.cache import release_programs
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.policy import FALSE_ALARMS
 from allanjax.critic.result import Critique
 from allanjax.estimate.result import Fit
@@ -17,7 +17,7 @@ def critique(
     recording: RecordingLike,
     fit: Fit | None = None,
     *,
-    causes: Sequence[Cause] | None = None,
+    effects: Sequence[Effect] | None = None,
     false_alarms: float = FALSE_ALARMS,
     vibrating: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -34,13 +34,13 @@ def critique(
     The best one is accepted if it is significant and predicts data from which it was not estimated; it is
     subtracted, and the search starts again. Earlier findings are refitted if the new one affects them, and
     dropped if nothing remains of them. Disturbed parts at the beginning and the end of the recording are left
-    out, see `inspect`. See `allanjax.critic` for adding your own causes.
+    out, see `inspect`. See `allanjax.critic` for adding your own effects.
 
     Args:
         recording: a recording from `read`, or anything else that `allanjax.fit` accepts.
         fit: the baseline; by default `fit(recording)`. If its terms were given, basic terms that it lacks
-            are causes, too; if they were chosen, they are chosen again with every finding.
-        causes: causes to look for; by default `allanjax.critic.causes.CAUSES`.
+            are effects, too; if they were chosen, they are chosen again with every finding.
+        effects: effects to look for; by default `allanjax.critic.effects.EFFECTS`.
         false_alarms: probability of any finding in a recording without an effect, shared by its axes. Basic
             terms that a given model lacks have the same probability in addition (`critic.policy`).
         vibrating: whether the platform is meant to move or vibrate; the test for rest is then skipped.
@@ -58,13 +58,13 @@ def critique(
     # Its imports take half a second.
     from threadpoolctl import threadpool_limits
 
-    from allanjax.critic.causes import CAUSES
     from allanjax.critic.criticize import criticize
+    from allanjax.critic.effects import EFFECTS
 
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     # Earlier than in a fit, so that it does not happen while axes are processed.
     release_programs(0.5)
-    causes, tell = CAUSES if causes is None else causes, progress or (lambda text: None)
+    effects, tell = EFFECTS if effects is None else effects, progress or (lambda text: None)
     # Axes are processed in parallel with one BLAS thread each, as idle BLAS threads spin and occupy cores.
     with threadpool_limits(limits=1, user_api="blas"):
-        return criticize(recording, fit, causes, false_alarms, vibrating, tell)
+        return criticize(recording, fit, effects, false_alarms, vibrating, tell)

@@ -1,20 +1,20 @@
 """Which candidates are accepted as findings: one rule, and its assumptions in two tables.
 
-A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its cause. It is
+A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its effect. It is
 accepted if
 
 - the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
   the axis: zero at the default, more if several axes share the probability;
-- if the test is a p-value, p < α·share. Each cause has its own share of the false alarms, whatever the other
-  causes. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
+- if the test is a p-value, p < α·share. Each effect has its own share of the false alarms, whatever the other
+  effects. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
   replaces p if it is smaller or if there is no other test; and
-- its parameters make sense: each is within the range that the cause declares (`Cause.sensible`).
+- its parameters make sense: each is within the range that the effect declares (`Effect.sensible`).
 
 An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
 finding must also gain on held-out data, if it can be tested on them.
 
-`PRIORS` has the prior odds and the share of each cause, `JUDGEMENTS` the limits of what counts as an
-instance of a cause at all, both with their provenance. Other constants of the critic are numerical: grids,
+`PRIORS` has the prior odds and the share of each effect, `JUDGEMENTS` the limits of what counts as an
+instance of an effect at all, both with their provenance. Other constants of the critic are numerical: grids,
 resolutions, numbers of rounds, thresholds of a closer search. Measured values were counted by the study
 `critic` on records of one generator (benchmarks/common/hidden_effects.py); their seeds were not recorded and
 may overlap with those that this study reports.
@@ -31,7 +31,7 @@ import numpy as np
 from allanjax.critic.noise import FIXED, MARKOV, RAMP
 
 if TYPE_CHECKING:
-    from allanjax.critic.cause import Cause, Range
+    from allanjax.critic.effect import Effect, Range
     from allanjax.critic.view import Candidate
 
 #: Probability of a false finding in a record of one axis for which the prior odds are made.
@@ -42,7 +42,7 @@ _TWENTY = "judgement: twenty to one against an effect; the share is one of fifte
 
 
 class Prior(NamedTuple):
-    """Assumptions about a cause.
+    """Assumptions about an effect.
 
     Attributes:
         log_odds: log prior odds for it [nats], including those that acceptance requires at `FALSE_ALARMS`.
@@ -59,7 +59,7 @@ _OF_SAMPLES = (
     "its probability follows from the samples, beyond any threshold; the share is one of fifteen equal"
 )
 
-#: Prior odds and shares by the name of the cause.
+#: Prior odds and shares by the name of the effect.
 PRIORS: Mapping[str, Prior] = {
     **dict.fromkeys(
         (*FIXED, MARKOV, RAMP),
@@ -108,18 +108,20 @@ PRIORS: Mapping[str, Prior] = {
         0.0, _EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
     ),
 }
-#: Prior of all user-defined causes together, which share it equally.
-OWN = Prior(-3.0, _EQUAL, "judgement: as for any other cause; the share is reserved for user-defined causes")
+#: Prior of all user-defined effects together, which share it equally.
+OWN = Prior(
+    -3.0, _EQUAL, "judgement: as for any other effect; the share is reserved for user-defined effects"
+)
 
 
 class Judgement(NamedTuple):
-    """Limit of what counts as an instance of a cause, and its reason."""
+    """Limit of what counts as an instance of an effect, and its reason."""
 
     value: float
     provenance: str
 
 
-#: Limits by cause and name.
+#: Limits by effect and name.
 JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("disturbance", "smooth"): Judgement(
         0.75,
@@ -165,8 +167,8 @@ class AcceptanceRule(NamedTuple):
 
     Attributes:
         false_alarms: probability of a false finding in the axis.
-        own: names of causes that are not in the table.
-        sensible: where the parameters of each cause make sense, by label.
+        own: names of effects that are not in the table.
+        sensible: where the parameters of each effect make sense, by label.
     """
 
     false_alarms: float
@@ -174,18 +176,20 @@ class AcceptanceRule(NamedTuple):
     sensible: Mapping[str, Mapping[str, Range]] = MappingProxyType({})
 
     @classmethod
-    def of(cls, false_alarms: float, causes: Iterable[Cause] = ()) -> AcceptanceRule:
-        """Rule for an axis with these causes."""
-        causes = tuple(causes)
-        own = (cause.name for cause in causes if cause.name not in PRIORS)
-        return cls(false_alarms, tuple(dict.fromkeys(own)), {cause.name: cause.sensible for cause in causes})
+    def of(cls, false_alarms: float, effects: Iterable[Effect] = ()) -> AcceptanceRule:
+        """Rule for an axis with these effects."""
+        effects = tuple(effects)
+        own = (effect.name for effect in effects if effect.name not in PRIORS)
+        return cls(
+            false_alarms, tuple(dict.fromkeys(own)), {effect.name: effect.sensible for effect in effects}
+        )
 
     def least_log_odds(self, cause: str) -> float:
-        """Gain [nats] above which a candidate of a cause has the required posterior odds."""
+        """Gain [nats] above which a candidate of an effect has the required posterior odds."""
         return float(np.log(FALSE_ALARMS / self.false_alarms)) - PRIORS.get(cause, OWN).log_odds
 
     def level(self, cause: str) -> float:
-        """Probability of a false finding of a cause; 1 where its odds are the test."""
+        """Probability of a false finding of an effect; 1 where its odds are the test."""
         share = PRIORS[cause].share if cause in PRIORS else _EQUAL / max(len(self.own), 1)
         return 1.0 if share is None else self.false_alarms * share
 
@@ -197,7 +201,7 @@ class AcceptanceRule(NamedTuple):
         return bool(probable and self._makes_sense(candidate))
 
     def _makes_sense(self, candidate: Candidate) -> bool:
-        """Whether all parameters of a candidate are where its cause declares them to make sense."""
+        """Whether all parameters of a candidate are where its effect declares them to make sense."""
         ranges = self.sensible.get(candidate.cause, {})
         return all(
             ranges[e.label].holds(e, candidate.after) for e in candidate.estimates if e.label in ranges

@@ -20,7 +20,6 @@ from scipy.stats import binom, chi2, kurtosistest, norm
 
 from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
-from allanjax.critic.causes.rounding import HARMLESS
 from allanjax.critic.comparison import (
     AllanLaw,
     StageResiduals,
@@ -28,6 +27,7 @@ from allanjax.critic.comparison import (
     degrees_of_freedom,
     octave_bins,
 )
+from allanjax.critic.effects.rounding import HARMLESS
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.noise import centred
 from allanjax.inspection.plausible import lattice

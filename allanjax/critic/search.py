@@ -1,7 +1,7 @@
 """The critic's main loop in one axis.
 
 1. *Compare*: a view is the record as the model so far leaves it, whitened by that model.
-2. *Propose*: every cause searches it and offers the correction of the model that explains most.
+2. *Propose*: every effect searches it and offers the correction of the model that explains most.
 3. *Measure*: the offer with the largest evidence is accepted if it is significant and predicts data that it
    was not estimated from.
 4. *Extend*: what it explains is taken out of the view or becomes part of the noise, which is estimated anew.
@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.base.wording import plain
-from allanjax.critic.cause import Cause
-from allanjax.critic.causes.spectral_shape import SpectralShape
+from allanjax.critic.effect import Effect
+from allanjax.critic.effects.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
 from allanjax.critic.grouping import grouped
 from allanjax.critic.policy import AcceptanceRule
@@ -35,10 +35,10 @@ _ODDS = 1000.0
 _MOST = 8
 # p-value below which a rejected candidate is reported as undecided: a judgement.
 _CERTAIN = 1e-6
-# No further cause is tried once a candidate has gained this much [nats], and so many times the gain that any
-# other cause offered in the round before: judgements.
+# No further effect is tried once a candidate has gained this much [nats], and so many times the gain that any
+# other effect offered in the round before: judgements.
 _EARLY_STOP_NATS, _EARLY_STOP_RATIO = 30.0, 4.0
-# Share of imputed samples above which no other cause is sought: a judgement.
+# Share of imputed samples above which no other effect is sought: a judgement.
 _TOO_MANY = 0.5
 
 
@@ -49,8 +49,8 @@ class Draft:
     Attributes:
         start, end: view of the axis without findings, and with all of them subtracted.
         steps: the findings in order.
-        tests: `Cause.p_value` at the start, of those causes that have one.
-        notes: notes for the user: causes about as probable as noise terms, or an early end of the search.
+        tests: `Effect.p_value` at the start, of those effects that have one.
+        notes: notes for the user: effects about as probable as noise terms, or an early end of the search.
         preprocessed: whether a finding concerns the samples themselves, such as rounding.
         is_anew: whether findings were refitted, so that the views of the steps are outdated.
     """
@@ -85,29 +85,29 @@ class Search(Draft):
 
 
 class Proposals(NamedTuple):
-    """Candidates of a round by their causes, and causes that were not tried, as they had offered far less."""
+    """Candidates of a round by their effects, and effects not tried, as they had offered far less."""
 
-    candidates: dict[Cause, Candidate]
-    untried: list[Cause]
+    candidates: dict[Effect, Candidate]
+    untried: list[Effect]
 
 
-def search(view: View, causes: Sequence[Cause], rule: AcceptanceRule, tell: Callable[[str], None]) -> Draft:
-    """Search for causes in one axis; `tell` is called with a text that describes the step."""
-    draft = prepared(view, causes, rule)
-    tests = {c.name: p for c in _sought(draft.end, causes) if (p := c.p_value(draft.end)) is not None}
-    return going_on(dataclasses.replace(draft, tests=tests), causes, rule, tell)
+def search(view: View, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]) -> Draft:
+    """Search for effects in one axis; `tell` is called with a text that describes the step."""
+    draft = prepared(view, effects, rule)
+    tests = {c.name: p for c in _sought(draft.end, effects) if (p := c.p_value(draft.end)) is not None}
+    return going_on(dataclasses.replace(draft, tests=tests), effects, rule, tell)
 
 
 def going_on(
-    draft: Draft, causes: Sequence[Cause], rule: AcceptanceRule, tell: Callable[[str], None]
+    draft: Draft, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
 ) -> Draft:
-    """Continued search, with causes that have not been tried yet."""
-    causes, promised = _sought(draft.end, causes), dict[Cause, float]()
+    """Continued search, with effects that have not been tried yet."""
+    effects, promised = _sought(draft.end, effects), dict[Effect, float]()
     # Findings that are dropped again count too.
     for _ in range(2 * _MOST):
         if len(draft.steps) >= _MOST:
             break
-        proposals = propose(draft.end, causes, promised, tell)
+        proposals = propose(draft.end, effects, promised, tell)
         step = measure(proposals, draft.end, rule)
         if step is None and proposals.untried:
             rest = propose(draft.end, proposals.untried, {}, tell)
@@ -116,18 +116,18 @@ def going_on(
         if step is None:
             return draft.noting(_undecided(c, draft.end) for c in proposals.candidates.values())
         longer = extend(draft, step)
-        draft = prune(longer, causes)
-        # A waveform may have hidden any effect, others hardly; in the end all causes are tried again.
+        draft = prune(longer, effects)
+        # A waveform may have hidden any effect, others hardly; in the end all effects are tried again.
         alone = len(draft.steps) < len(longer.steps) or step.candidate.has_waveform
-        promised = {} if alone else _promised(proposals, promised, causes)
+        promised = {} if alone else _promised(proposals, promised, effects)
     return draft.noting([f"the search stopped at {len(draft.steps)} findings; there may be more"])
 
 
-def prepared(view: View, causes: Sequence[Cause], rule: AcceptanceRule) -> Draft:
+def prepared(view: View, effects: Sequence[Effect], rule: AcceptanceRule) -> Draft:
     """Draft with what is visible directly in the samples and must be undone before the search for others."""
     draft = Draft(view, (), view, {})
-    for cause in (c for c in causes if c.is_preprocessing):
-        candidate = cause.detect(draft.end)
+    for effect in (c for c in effects if c.is_preprocessing):
+        candidate = effect.detect(draft.end)
         # Gains that cannot be held out are nan.
         if candidate and rule.accepts(candidate) and not (gain := candidate.held_out()) <= 0.0:
             step = Step.of(candidate, gain, (), draft.end)
@@ -136,19 +136,19 @@ def prepared(view: View, causes: Sequence[Cause], rule: AcceptanceRule) -> Draft
 
 
 def propose(
-    view: View, causes: Sequence[Cause], promised: Mapping[Cause, float], tell: Callable[[str], None]
+    view: View, effects: Sequence[Effect], promised: Mapping[Effect, float], tell: Callable[[str], None]
 ) -> Proposals:
-    """Candidates of the causes in a view, until one gains far more than the others promise."""
-    left = sorted(causes, key=lambda cause: -promised.get(cause, np.inf))
-    candidates: dict[Cause, Candidate] = {}
+    """Candidates of the effects in a view, until one gains far more than the others promise."""
+    left = sorted(effects, key=lambda effect: -promised.get(effect, np.inf))
+    candidates: dict[Effect, Candidate] = {}
     most = 0.0
     while left and most < max(_EARLY_STOP_NATS, _EARLY_STOP_RATIO * promised.get(left[0], np.inf)):
-        cause = left.pop(0)
-        tell(f"{view.axis.name}: looking for {cause_title(cause.name, view.axis.sensor)}")
-        if (candidate := cause.detect(view)) is not None and candidate.gain > 0.0:
+        effect = left.pop(0)
+        tell(f"{view.axis.name}: looking for {cause_title(effect.name, view.axis.sensor)}")
+        if (candidate := effect.detect(view)) is not None and candidate.gain > 0.0:
             for part in (candidate, *candidate.parts):
                 part.after.forget()
-            candidates[cause] = candidate
+            candidates[effect] = candidate
             most = max(most, float(candidate.gain))
     return Proposals(candidates, left)
 
@@ -179,16 +179,16 @@ def extend(draft: Draft, step: Step) -> Draft:
     return dataclasses.replace(draft, steps=tuple(steps), end=view)
 
 
-def prune(draft: Draft, causes: Sequence[Cause], last: bool = False) -> Draft:
+def prune(draft: Draft, effects: Sequence[Effect], last: bool = False) -> Draft:
     """Draft with findings refitted where others changed their conditions, and without superfluous ones."""
-    steps, end = refitted(draft.steps, draft.end, causes, last)
+    steps, end = refitted(draft.steps, draft.end, effects, last)
     anew = [s.candidate for s in steps] != [s.candidate for s in draft.steps]
     return dataclasses.replace(draft, steps=tuple(steps), end=end, is_anew=draft.is_anew or anew)
 
 
-def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
+def concluded(draft: Draft, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
-    draft = prune(draft, _sought(draft.end, causes), last=True)
+    draft = prune(draft, _sought(draft.end, effects), last=True)
     steps, view, anew = list(draft.steps), draft.end, draft.is_anew
     shape = finished(view)
     if shape is not None:
@@ -211,19 +211,19 @@ def concluded(draft: Draft, causes: Sequence[Cause]) -> Search:
     )
 
 
-def _sought(view: View, causes: Sequence[Cause]) -> list[Cause]:
+def _sought(view: View, effects: Sequence[Effect]) -> list[Effect]:
     """Causes that are not visible directly in the samples; none in a record that is mostly imputed."""
-    return [c for c in causes if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
+    return [c for c in effects if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
 
 
 def _promised(
-    proposals: Proposals, before: Mapping[Cause, float], causes: Sequence[Cause]
-) -> dict[Cause, float]:
-    """Gains that causes offered last, of those that a spectral finding hardly affects."""
+    proposals: Proposals, before: Mapping[Effect, float], effects: Sequence[Effect]
+) -> dict[Effect, float]:
+    """Gains that effects offered last, of those that a spectral finding hardly affects."""
     found, untried = proposals
-    nothing = {cause: 0.0 for cause in causes if cause not in untried and cause not in found}
-    in_time = {cause: float(c.gain) for cause, c in found.items() if c.domain == "time"}
-    return {cause: before[cause] for cause in untried} | nothing | in_time
+    nothing = {effect: 0.0 for effect in effects if effect not in untried and effect not in found}
+    in_time = {effect: float(c.gain) for effect, c in found.items() if c.domain == "time"}
+    return {effect: before[effect] for effect in untried} | nothing | in_time
 
 
 def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:

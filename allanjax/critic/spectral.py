@@ -1,4 +1,4 @@
-"""Likelihood of the spectrum in fine bins, for causes that change the spectrum."""
+"""Likelihood of the spectrum in fine bins, for effects that change the spectrum."""
 
 from __future__ import annotations
 

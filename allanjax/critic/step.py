@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.critic.bank import FINEST, SLOW
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.noise import centred
 from allanjax.critic.view import Candidate, View
 
@@ -119,14 +119,14 @@ _SURE, _LOST = 20.0, 2.5
 
 
 def refitted(
-    steps: Sequence[Step], view: View, causes: Sequence[Cause], last: bool = False
+    steps: Sequence[Step], view: View, effects: Sequence[Effect], last: bool = False
 ) -> tuple[list[Step], View]:
     """Steps, refitted if later ones changed their conditions, and the final view.
 
     A finding that gains nothing given the others is dropped, unless much evidence would be lost without it.
     Before the search is over (`last`), nothing is done unless a finding is to be refitted "at once".
     """
-    again = {cause.name: cause for cause in causes if cause.refit}
+    again = {effect.name: effect for effect in effects if effect.refit}
     found = list(steps)
     for k, s in enumerate(found):
         if s.conditions is None:

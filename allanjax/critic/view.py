@@ -1,4 +1,4 @@
-"""Views of an axis, in which causes are searched for, and the candidates that they return."""
+"""Views of an axis, in which effects are searched for, and the candidates that they return."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ EVERYTHING = (*FIXED, MARKOV, RAMP)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class View:
-    """One axis with earlier findings subtracted, in which causes search for the next one.
+    """One axis with earlier findings subtracted, in which effects search for the next one.
 
     Attributes:
         axis, scale: the axis; the factor from its own unit to SI.
@@ -46,7 +46,7 @@ class View:
         allowed: basic terms that the noise may have.
         family: noise family for records of this length and rate.
         imputed: whether each sample was filled in and carries no information.
-        found: causes detected so far.
+        found: effects detected so far.
         structure: the detected filter and resonances, with the noise fitted jointly.
         nuisances: coefficients of subtracted waveforms, whose amplitudes are nuisances.
         drawn: whether each sample was missing and has been filled in: `imputed` from the start.
@@ -271,7 +271,7 @@ class View:
         return view
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
-        """View with these causes found, keeping everything computed for it.
+        """View with these effects found, keeping everything computed for it.
 
         `nuisances` are coefficients of subtracted waveforms, whose amplitudes are nuisances.
         """

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.critic.bank import NOTHING, SLOW, Bank, Scan, log_occam_factor
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.model_evidence import SETS, Sets, odds
 from allanjax.critic.noise import Noise, centred
 from allanjax.critic.parameters import Detail, Limit
@@ -134,14 +134,14 @@ def _settled(
     return noise, scan, k, a
 
 
-class Template(Cause):
+class Template(Effect):
     """Waveform `amplitude`·`shape`(time, value), searched for at given values of its parameter.
 
         def sawtooth(time, period):
             return time / period % 1.0
 
         heater = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
-        aj.critique(recording, causes=[*allanjax.critic.CAUSES, heater])
+        aj.critique(recording, effects=[*allanjax.critic.EFFECTS, heater])
 
     The waveform must be slow: some thousand cosine coefficients have to describe it. Choose the values so
     densely that neighbouring waveforms have a correlation of at least 0.9.
@@ -188,7 +188,7 @@ class Template(Cause):
         bank = self._bank(view.n, view.rate)
         return additive(view, self.name, bank, lambda k: self.shape(time, self.values[k]), parameters)
 
-    @functools.lru_cache(maxsize=4)  # noqa: B019 - causes are few
+    @functools.lru_cache(maxsize=4)  # noqa: B019 - effects are few
     def _bank(self, n: int, rate: float) -> Bank:
         """The waveforms for all values."""
         time = (np.arange(n) + 0.5) / rate

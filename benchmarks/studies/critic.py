@@ -49,15 +49,16 @@ def run(
     multiples: tuple[float, ...] = (2.0, 5.0),
     duration: float = 0.0,
     rate: float = 0.0,
+    seed: int = 0,
 ) -> Iterator[str]:
     size = duration, rate
-    tasks = [("clean", "", 1.0, seed, *size) for seed in range(clean)]
-    tasks += [("hidden", c, m, s, *size) for m in multiples for c in causes for s in range(records)]
+    tasks = [("clean", "", 1.0, seed + k, *size) for k in range(clean)]
+    tasks += [("hidden", c, m, seed + k, *size) for m in multiples for c in causes for k in range(records)]
     two = list(itertools.combinations([c for c in causes if c not in TERMS], 2))
     some = np.random.default_rng(0).permutation(len(two))[:pairs]
-    tasks += [("pairs", "+".join(two[k]), OF_PAIRS, seed, *size) for seed, k in enumerate(some)]
+    tasks += [("pairs", "+".join(two[k]), OF_PAIRS, seed + i, *size) for i, k in enumerate(some)]
     tasks += [
-        (study, c, m, APART * (k + 1) + s, *size)
+        (study, c, m, seed + APART * (k + 1) + s, *size)
         for study in ("sensitivity", "white")
         for k, m in enumerate(SWEEP)
         for c in SWEPT

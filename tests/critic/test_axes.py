@@ -10,13 +10,13 @@ from bench import critique, recording, truth
 from scipy.stats import beta
 
 import allanjax as aj
-from allanjax.critic import CAUSES
+from allanjax.critic import EFFECTS
 
 RATE, N = 50.0, ct.N
 
 
 def only(*names):
-    return [cause for cause in CAUSES if cause.name in names]
+    return [effect for effect in EFFECTS if effect.name in names]
 
 
 def white_of(record, axis):
@@ -52,7 +52,7 @@ def six_axes():
 @functools.cache
 def moved():
     """Their critique."""
-    options = {"causes": only("sinusoid", "bias_step"), "false_alarms": 0.06}
+    options = {"effects": only("sinusoid", "bias_step"), "false_alarms": 0.06}
     names = golden.GYROS + golden.ACCELS
     return aj.critique(six_axes(), rate=RATE, gyro_unit="deg/s", accel_unit="g", names=names, **options)
 
@@ -76,7 +76,7 @@ def test_what_acts_on_several_axes_is_one_finding_and_what_does_not_is_not():
 
 
 def test_a_weak_line_is_found_where_another_axis_has_a_strong_one_and_not_alone():
-    options = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_y"], "causes": only("sinusoid")}
+    options = {"rate": RATE, "gyro_unit": "deg/s", "names": ["gyro_y"], "effects": only("sinusoid")}
     assert aj.critique(six_axes()[:, 1], **options).findings == ()
     both = together("gyro_x", "gyro_y")
     for axis, amplitude in (("gyro_x", 5.0 * WEAK), ("gyro_y", WEAK)):
@@ -166,7 +166,7 @@ def test_what_is_left_of_an_event_is_reported_with_it_and_another_event_within_a
     x[4_600:5_100, :2] *= 3.0
     x[N // 2 :, 2] *= 1.5
     x[12_000:12_100, 2] *= 6.0
-    options = {"rate": RATE, "gyro_unit": "deg/s", "causes": only("variance_change")}
+    options = {"rate": RATE, "gyro_unit": "deg/s", "effects": only("variance_change")}
     found = aj.critique(x, **options)
     several = [f for f in found.findings if f.axes == ("gyro_x", "gyro_y")]
     alone = sorted((f for f in found.findings if f.axes == ("gyro_z",)), key=lambda f: f.span[1] - f.span[0])
@@ -189,7 +189,7 @@ def test_single_samples_of_several_axes_at_one_time_are_an_event_and_the_others_
     x[scattered, 0] += 14.0
     for k in range(3):
         x[6_000 + 4 * k, k] += 20.0 + 5.0 * k
-    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", causes=only("outliers"))
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", effects=only("outliers"))
     event, left = sorted(found.findings, key=lambda f: f.cause)
     assert (event.cause, event.axes) == ("event", ("gyro_x", "gyro_y", "gyro_z"))
     assert (event.parameters["start"].value, event.parameters["end"].value) == (120.0, 120.16)
@@ -207,7 +207,7 @@ def test_the_p_value_of_shared_noise_counts_pairs_and_bands():
     """Three pairs of axes, each in all coefficients, the lowest quarter, its lowest quarter, and so on."""
     x = np.random.default_rng(44).standard_normal((N, 3))
     x[:, 2] -= 0.15 * x[:, 0]
-    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", causes=only("common_mode"))
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", effects=only("common_mode"))
     (shared,) = found.shared_findings
     stages = [found[axis].stages[-1] for axis in shared.axes]
     whites = [ct.coefficients(stage.x) / np.sqrt(stage.variance) for stage in stages]
@@ -376,8 +376,8 @@ def test_steps_of_the_output_and_a_range_are_those_of_measured_samples():
     """What was drawn is no multiple of a step, and may be beyond a range."""
     x = np.random.default_rng(12).standard_normal((N, 2))
     x = np.column_stack([np.round(x[:, 0]), np.clip(x[:, 1], -1.5, 1.5)])
-    causes = [c for c in CAUSES if c.name in ("rounding", "saturation", "repeated_samples")]
-    found = aj.critique(np.where(LOST[:, None], np.nan, x), **OPTIONS, causes=causes)
+    effects = [c for c in EFFECTS if c.name in ("rounding", "saturation", "repeated_samples")]
+    found = aj.critique(np.where(LOST[:, None], np.nan, x), **OPTIONS, effects=effects)
     (step,), (limits,) = ([f for f in found[axis].findings if f.cause != "unexplained"] for axis in found)
     assert step.parameters["step"].value == pytest.approx(1.0)
     assert limits.parameters["upper_level"].value == pytest.approx(1.5)

@@ -220,7 +220,7 @@ def test_a_clean_record_has_no_finding(name):
 
 
 def test_p_values_of_axes_without_an_effect_are_uniform():
-    """Of discrepancies that take any value, and of the causes' tests, in fifteen axes or more."""
+    """Of discrepancies that take any value, and of the effects' tests, in fifteen axes or more."""
     axes = []
     for name in {*CLEAN, *golden.EFFECTS} - {"common"}:
         hidden = {axis for effect in truth(name).effects for axis in effect.axes}

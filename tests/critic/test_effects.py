@@ -7,7 +7,6 @@ from golden_records import UNITS
 from scipy.stats import norm
 
 import allanjax as aj
-from allanjax.critic import CAUSES
 
 #: Coefficients in time have dimensions, parameters of shape these.
 TIMES = ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time")
@@ -99,7 +98,9 @@ def test_noise_that_two_axes_share_is_named_and_measured():
 def test_all_causes_are_looked_for_here():
     """A filter and resonances are one cause to look for and two to name; `test_axes` has a disturbance."""
     named = {h.values[1].cause for h in EFFECTS} - {"low_pass", "resonance"}
-    assert named | {"spectral_shape", "common_mode", "disturbance"} >= {cause.name for cause in CAUSES}
+    assert named | {"spectral_shape", "common_mode", "disturbance"} >= {
+        effect.name for effect in aj.critic.EFFECTS
+    }
 
 
 def worth(hidden, axis):

@@ -201,7 +201,7 @@ def test_what_has_no_term_or_no_channel_is_left_out_with_a_note():
 
 
 def test_what_no_cause_explains_is_reported_once_for_each_axis():
-    found = aj.critique(recording("two_effects"), causes=[])
+    found = aj.critique(recording("two_effects"), effects=[])
     for axis in found.results:
         worst = min(axis.after, key=lambda d: d.p_value)
         if worst.p_value >= 1e-6:
@@ -218,7 +218,7 @@ def test_what_no_cause_explains_is_reported_once_for_each_axis():
     assert len(found["accel_z"].findings) == 1
     assert found.gain == 0.0
     assert all(axis.before == axis.after for axis in found.results)
-    # With its causes nothing is left.
+    # With its effects nothing is left.
     whole = critique("two_effects")
     assert all(d.p_value > 1e-6 for axis in whole.results for d in axis.after)
 

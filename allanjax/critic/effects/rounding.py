@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -14,7 +14,7 @@ from allanjax.inspection.plausible import TOLERANCE, lattice
 HARMLESS = judged("rounding", "harmless")
 
 
-class Rounding(Cause):
+class Rounding(Effect):
     """A resolution of which all samples are multiples."""
 
     name = "rounding"

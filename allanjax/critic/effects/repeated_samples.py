@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import norm
 
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -20,7 +20,7 @@ _LEAST, _DOUBTLESS, _PREDICTED = (
 _APART = 12
 
 
-class RepeatedSamples(Cause):
+class RepeatedSamples(Effect):
     """More samples equal to the previous one than rounding explains."""
 
     name = "repeated_samples"

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, folds
-from allanjax.critic.cause import TIMES, Cause
+from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.noise import centred
 from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
@@ -31,7 +31,7 @@ _WHITE = (32, 4)
 _SHORTEST, _DWELLS = 4.0, 12
 
 
-class Telegraph(Cause):
+class Telegraph(Effect):
     """A bias that jumps between two levels; the likelihood sums over all paths (hidden Markov model)."""
 
     name = "telegraph"

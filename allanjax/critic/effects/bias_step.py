@@ -17,7 +17,7 @@ from allanjax.critic.bank import (
     step_bank,
     step_coefficients,
 )
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View
@@ -39,7 +39,7 @@ _SURE = 20.0
 _FINER, _ROUNDS = 64, 3
 
 
-class BiasStep(Cause):
+class BiasStep(Effect):
     """A step of the bias; several are detected one by one, or two together if they hide each other."""
 
     name = "bias_step"

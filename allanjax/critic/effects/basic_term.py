@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.cause import TIMES, Cause
+from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise
 from allanjax.critic.parameters import limited
@@ -22,7 +22,7 @@ from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 
 
-class BasicTerm(Cause):
+class BasicTerm(Effect):
     """A basic noise term that the given model lacks: quantization, random walks, instability, ramp, Markov.
 
     The evidence decides between subsets of basic terms. The p-value, by Wilks's theorem, ignores other

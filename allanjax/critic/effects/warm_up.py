@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.cause import TIMES, Cause
+from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import additive, shape_parameter
@@ -21,7 +21,7 @@ from allanjax.noise.estimate import Estimate
 _TIMES = 48
 
 
-class WarmUp(Cause):
+class WarmUp(Effect):
     """Exponential a·exp(−t/T), T from 1/500 to 1/2 of the record; a slower one is a ramp."""
 
     name = "warm_up"

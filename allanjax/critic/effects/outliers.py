@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from allanjax.critic.bank import any_of, folds
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
@@ -41,7 +41,7 @@ _FOLD_BLOCK = 16
 _WEIGHED = 201
 
 
-class Outliers(Cause):
+class Outliers(Effect):
     """Errors in a share of the samples that are much larger than the noise."""
 
     name = "outliers"

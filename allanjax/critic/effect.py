@@ -1,4 +1,4 @@
-"""Interface of the causes that a critique looks for."""
+"""Interface of the effects that a critique looks for."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Range(NamedTuple):
 TIMES, FREQUENCIES = Range("interval", "duration"), Range("resolution", "nyquist")
 
 
-class Cause(ABC):
+class Effect(ABC):
     """An effect that a sensor's model may lack; `critic.policy` has the rule for accepting it."""
 
     name: str
@@ -56,23 +56,23 @@ class Cause(ABC):
     sensible: ClassVar[Mapping[str, Range]] = {}
 
     def __repr__(self) -> str:
-        return f"<Cause {self.name}>"
+        return f"<Effect {self.name}>"
 
     @abstractmethod
     def detect(self, view: View) -> Candidate | None:
-        """Best candidate of this cause in a view, or None."""
+        """Best candidate of this effect in a view, or None."""
 
     def again(self, view: View, found: Candidate) -> Candidate | None:
         """The finding refitted in a view with other findings; None if nothing remains of it."""
         return self.detect(view)
 
-    def at(self, places: Sequence[Place]) -> Cause | None:
-        """This cause, searching only at places known from other axes; None if it has no such search."""
+    def at(self, places: Sequence[Place]) -> Effect | None:
+        """This effect, searching only at places known from other axes; None if it has no such search."""
         return None
 
     def p_value(self, view: View) -> float | None:
-        """p-value of this cause's statistic under noise alone, corrected for the search over places.
+        """p-value of this effect's statistic under noise alone, corrected for the search over places.
 
-        None if the cause has no such statistic.
+        None if the effect has no such statistic.
         """
         return None

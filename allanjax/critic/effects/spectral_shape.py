@@ -11,14 +11,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from allanjax.critic.cause import FREQUENCIES, Cause
+from allanjax.critic.effect import FREQUENCIES, Effect
 from allanjax.critic.places import Place
 from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain, structure_at
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.model import response_of
 
 
-class SpectralShape(Cause):
+class SpectralShape(Effect):
     """A low-pass filter and resonances, or narrow resonances at given frequencies."""
 
     name = "spectral_shape"

@@ -8,21 +8,21 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 import allanjax as aj
-from allanjax.critic import CAUSES, Bank, Candidate, Cause, Range, Template, View, additive, centred
+from allanjax.critic import EFFECTS, Bank, Candidate, Effect, Range, Template, View, additive, centred
 
 N, RATE = 16_384, 50.0
 NAN = float("nan")
 
 
-def critique(x, causes, **options):
-    return aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"], causes=causes, **options)
+def critique(x, effects, **options):
+    return aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"], effects=effects, **options)
 
 
 def white(seed):
     return np.random.default_rng(seed).standard_normal(N)
 
 
-class Claim(Cause):
+class Claim(Effect):
     """A cause that offers what it is made with, once."""
 
     def __init__(self, name, gain, p_value=None, bound=1.0, held_out=1.0):
@@ -69,7 +69,7 @@ TOO_LITTLE = [
 
 def test_what_is_just_enough_is_a_finding():
     found = critique(white(1), ENOUGH).findings
-    assert {f.cause for f in found} == {cause.name for cause in ENOUGH}
+    assert {f.cause for f in found} == {effect.name for effect in ENOUGH}
     own = next(f for f in found if f.cause == "my own")
     assert (own.evidence, own.p_value, own.gain) == (3.01, 6.6e-4, 1.0)
     assert own.odds == pytest.approx(np.exp(3.01))
@@ -87,7 +87,7 @@ def test_one_tenth_of_the_false_alarms_needs_ten_times_the_odds_and_a_tenth_of_t
     enough = [Claim("warm_up", 3.31, 6.6e-5), Claim("telegraph", 5.31, None, np.exp(-5.31))]
     less = [Claim("markov", 3.8, 0.9), Claim("my own", 50.0, 6.7e-5), Claim("bias_step", 3.3, 1e-9)]
     found = critique(white(1), [*enough, *less], false_alarms=0.001).findings
-    assert {f.cause for f in found} == {cause.name for cause in enough}
+    assert {f.cause for f in found} == {effect.name for effect in enough}
 
 
 def test_causes_of_ones_own_share_what_is_reserved_for_them_and_change_no_other():
@@ -106,7 +106,7 @@ class Broken(Claim):
 def test_a_fault_in_one_axis_is_reported_for_it_and_the_others_are_given():
     def critique_of(name):
         x = np.stack([white(1), white(2)], axis=1)
-        options = {"names": ["gyro_x", "gyro_y"], "causes": [Broken(name, 0.0)]}
+        options = {"names": ["gyro_x", "gyro_y"], "effects": [Broken(name, 0.0)]}
         return aj.critique(x, rate=RATE, gyro_unit="deg/s", **options)
 
     found = critique_of("gyro_y")
@@ -132,7 +132,7 @@ def hump(n):
     return np.exp(-0.5 * ((np.arange(n) / n - 0.5) / 0.03) ** 2)
 
 
-class Hump(Cause):
+class Hump(Effect):
     """The bias is off for a while in the middle of the record."""
 
     name = "hump"
@@ -155,7 +155,7 @@ def sawtooth(time, period):
 
 
 HEATER = Template("heater", sawtooth, np.geomspace(20.0, 60.0, 200), "period", "s")
-STEP = next(cause for cause in CAUSES if cause.name == "bias_step")
+STEP = next(effect for effect in EFFECTS if effect.name == "bias_step")
 
 
 class Fickle(Bank):
@@ -171,7 +171,7 @@ class Fickle(Bank):
 turns: list[int] = []
 
 
-class Unsettled(Cause):
+class Unsettled(Effect):
     """A bump of unknown place, between two of which the search never settles."""
 
     name = "unsettled"
@@ -203,11 +203,11 @@ def test_what_is_told_is_what_is_subtracted_though_place_and_noise_do_not_settle
         np.testing.assert_allclose(subtracted, told, atol=0.1 * np.max(abs(told)))
 
 
-class Spy(Cause):
+class Spy(Effect):
     """The candidates of a known cause, of which none becomes a finding."""
 
     def __init__(self, name):
-        self.name, self.cause = name, next(cause for cause in CAUSES if cause.name == name)
+        self.name, self.cause = name, next(effect for effect in EFFECTS if effect.name == name)
         self.seen = []
 
     def detect(self, view: View) -> Candidate | None:
@@ -253,14 +253,14 @@ def test_parameters_of_a_finding_make_sense():
     good = [("time_constant", 0.021), ("time_constant", 300.0), ("frequency", 24.9)]
     bad = [("time_constant", 0.019), ("time_constant", 330.0), ("frequency", 25.1), ("frequency", 0.002)]
     bad += [("time_constant", 10.0, "above"), ("frequency", 10.0, "below")]
-    causes = [Placed(*each) for each in good + bad]
-    found = critique(white(1), causes).findings
-    assert {f.cause for f in found} == {cause.name for cause in causes[: len(good)]}
+    effects = [Placed(*each) for each in good + bad]
+    found = critique(white(1), effects).findings
+    assert {f.cause for f in found} == {effect.name for effect in effects[: len(good)]}
 
 
 def test_a_waveform_of_ones_own_is_found_among_all_causes_with_its_size():
     x = white(2) + 0.35 * hump(N)
-    (found,) = critique(x, [*CAUSES, Hump()]).findings
+    (found,) = critique(x, [*EFFECTS, Hump()]).findings
     assert found.cause == "hump"
     assert found.span == pytest.approx((0.4 * N / RATE, 0.6 * N / RATE))
     std = 1.0 / np.linalg.norm(hump(N) - hump(N).mean())
@@ -306,7 +306,7 @@ def test_a_p_value_counts_the_places_of_a_bank():
 def test_the_last_bits_of_a_record_change_nothing():
     """Numbers are the same within rounding for records that differ by a few units in the last place."""
     x = 0.3 + white(7) + 0.4 * (np.arange(N) > 6_000)
-    warm_up = next(cause for cause in CAUSES if cause.name == "warm_up")
+    warm_up = next(effect for effect in EFFECTS if effect.name == "warm_up")
     first, again = (critique(x * (1.0 + k * 2.2e-16), [STEP, warm_up]) for k in (0, 3))
     assert first["gyro_x"].tests == pytest.approx(again["gyro_x"].tests, rel=1e-9)
     numbers = [
@@ -320,12 +320,12 @@ def test_the_best_of_several_channels_is_corrected_for_their_number():
     rng = np.random.default_rng(9)
     x = white(8)
     channels = {name: np.convolve(rng.standard_normal(N + 600), np.hanning(601), "valid") for name in "abc"}
-    cause = [c for c in CAUSES if c.name == "temperature"]
+    cause = [c for c in EFFECTS if c.name == "temperature"]
 
     def p_value(*names):
         auxiliary = {name: channels[name] for name in names}
         recording = aj.Recording.from_array(x, RATE, gyro_unit="deg/s", names=["gyro_x"], auxiliary=auxiliary)
-        return aj.critique(recording, causes=cause)["gyro_x"].tests["temperature"]
+        return aj.critique(recording, effects=cause)["gyro_x"].tests["temperature"]
 
     least = min(p_value(name) for name in channels)
     # Draws of a bank are those of the record, so that its p-value is the same whatever else there is.
@@ -372,6 +372,6 @@ def test_a_resonance_that_predicts_nothing_is_not_reported():
         r = np.exp(-np.pi * f / quality)
         y = lfilter([1.0], [1.0, -2.0 * r * np.cos(2.0 * np.pi * f), r * r], rng.standard_normal(N))
         x += y * rng.uniform(0.03, 0.15) / y.std()
-    found = critique(x, [cause for cause in CAUSES if cause.name == "spectral_shape"]).findings
+    found = critique(x, [effect for effect in EFFECTS if effect.name == "spectral_shape"]).findings
     assert [f.cause for f in found] == ["resonance"]
     assert all(f.gain > 0.0 for f in found)

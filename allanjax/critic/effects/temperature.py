@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
 from allanjax.critic.bank import SLOW, Bank, any_of
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -20,7 +20,7 @@ _LAGS = 48
 _CLOCK = judged("temperature", "clock")
 
 
-class Temperature(Cause):
+class Temperature(Effect):
     """Effect coefficient · channel(t − lag) of an auxiliary channel; lags up to a tenth of the record."""
 
     name = "temperature"

@@ -8,7 +8,7 @@ from scipy.fft import dct
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import folds
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -30,7 +30,7 @@ _FADING, _UNSEEN = 10, 0.1
 _FOLD_BLOCK = 16
 
 
-class Disturbance(Cause):
+class Disturbance(Effect):
     """A time span whose residuals are correlated and much larger than the noise."""
 
     name = "disturbance"

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal, norm
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import any_of, extrapolated, folds
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -95,7 +95,7 @@ def _kinds(view: View) -> list[_Kind]:
     return kinds
 
 
-class VarianceChange(Cause):
+class VarianceChange(Effect):
     """A time span in which the noise, or its white part, has another variance.
 
     A priori it is as likely to reach an end of the record as to begin and end within it.

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import folds
-from allanjax.critic.cause import FREQUENCIES, Cause
+from allanjax.critic.effect import FREQUENCIES, Effect
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -49,7 +49,7 @@ class Line(NamedTuple):
         return float(np.log(snr * (snr + 1.0) * LOG_PRIOR_RANGE) + max(places, 0.0))
 
 
-class Sinusoid(Cause):
+class Sinusoid(Effect):
     """The strongest spectral line, at any frequency or at given ones; several are detected one by one."""
 
     name = "sinusoid"

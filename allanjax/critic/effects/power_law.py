@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from allanjax.critic.cause import Cause, Range
+from allanjax.critic.effect import Effect, Range
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.parameters import limited
 from allanjax.critic.spectral import FineLevels, relative_errors
@@ -19,7 +19,7 @@ _REACH = 0.6
 _EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
 
-class PowerLaw(Cause):
+class PowerLaw(Effect):
     """Noise with a power law of any exponent; it replaces the Markov process."""
 
     name = "power_law"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critic.cause import Cause
+from allanjax.critic.effect import Effect
 from allanjax.critic.imputation import draw_between
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -12,7 +12,7 @@ from allanjax.inspection.plausible import Ends, lattice
 from allanjax.noise.estimate import Estimate
 
 
-class Saturation(Cause):
+class Saturation(Effect):
     """Too many samples at the largest value, at the smallest, or at both."""
 
     name = "saturation"
