@@ -109,9 +109,7 @@ PRIORS: Mapping[str, Prior] = {
     ),
 }
 #: Prior of all user-defined effects together, which share it equally.
-OWN = Prior(
-    -3.0, _EQUAL, "judgement: as for any other effect; the share is reserved for effects of users"
-)
+OWN = Prior(-3.0, _EQUAL, "judgement: as for any other effect; the share is reserved for effects of users")
 
 
 class Judgement(NamedTuple):
