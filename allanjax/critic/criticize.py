@@ -21,7 +21,7 @@ from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import AcceptanceRule, judged
-from allanjax.critic.profiles import compared
+from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search
 from allanjax.critic.step import Step
@@ -82,11 +82,12 @@ def criticize(
         raw = s.start.recorded(s.start.raw)
         others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
-        before, after, pairs = compared(records[k], seen, (others[0], others[1]), recording.auxiliary)
+        made = compared(records[k], seen, (others[0], others[1]), recording.auxiliary)
+        before, after = made.before, made.after
         tell(f"{axis.name}: testing findings on held-out data")
         findings = [
-            _finding(step, (*pair, *_of_samples(step, before, after)), drift)
-            for step, pair, drift in zip(s.steps, pairs, drift_changes(s.steps), strict=True)
+            _finding(step, (*pairs, *_of_samples(step, before, after)), drift, made)
+            for step, pairs, drift in zip(s.steps, made.pairs, drift_changes(s.steps), strict=True)
         ]
         findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
         # The fit may have failed because of an effect.
@@ -267,10 +268,16 @@ def _of_samples(
 
 
 def _finding(
-    step: Step, pairs: tuple[tuple[Discrepancy, Discrepancy], ...], drift: DriftChange | None
+    step: Step,
+    pairs: tuple[tuple[Discrepancy, Discrepancy], ...],
+    drift: DriftChange | None,
+    made: Comparison,
 ) -> Finding:
     candidate, view = step.candidate, step.before
     start, end = candidate.support
+    span = float(start), float(end if np.isfinite(end) else view.duration)
+    # An effect on the entire record has no place of its own.
+    rest = None if span == (0.0, view.duration) else made.rest(span, candidate.domain)
     return Finding(
         cause=candidate.cause,
         axes=(view.axis.name,),
@@ -279,12 +286,13 @@ def _finding(
         evidence=finite_or_none(candidate.gain),
         gain=finite_or_none(step.gain),
         rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
-        span=(float(start), float(end if np.isfinite(end) else view.duration)),
+        span=span,
         domain=candidate.domain,
         details=candidate.details,
         coefficients=coefficient_changes(step),
         drift=drift,
         discrepancies=pairs,
+        rest=rest if rest and rest.p_value < judged("unexplained", "p_value") else None,
     )
 
 

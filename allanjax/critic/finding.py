@@ -103,7 +103,7 @@ class DriftChange(ByValue):
     unit: str
 
 
-class Effect(NamedTuple):
+class Impact(NamedTuple):
     """The largest relative change by a finding in a quantity that simulations are used for.
 
     Attributes:
@@ -139,6 +139,7 @@ class Finding(ByValue):
         coefficients: changes of the basic coefficients.
         drift: change of the predicted drift.
         discrepancies: pairs of a statistic before and after this finding, where it improved most.
+        rest: discrepancy that is significant at its own place after all findings, which it explains in part.
         details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
         members: the findings of single axes that it combines.
         per_axis: its size in each axis, if it has members; see `amplitudes`.
@@ -156,6 +157,7 @@ class Finding(ByValue):
     coefficients: tuple[CoefficientChange, ...] = ()
     drift: DriftChange | None = None
     discrepancies: tuple[tuple[Discrepancy, Discrepancy], ...] = ()
+    rest: Discrepancy | None = None
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
     members: tuple[Finding, ...] = ()
     per_axis: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
@@ -190,27 +192,27 @@ class Finding(ByValue):
     @property
     def strongest(self) -> Finding:
         """The member with the largest effect, or the finding itself."""
-        return max(self.members, key=lambda f: (f.effect.size, f.gain or 0.0), default=self)
+        return max(self.members, key=lambda f: (f.impact.size, f.gain or 0.0), default=self)
 
     @property
-    def effect(self) -> Effect:
+    def impact(self) -> Impact:
         """The largest relative change of N, K, the drift or the Allan deviation in any axis."""
         found = [
-            Effect(_change(c.before, c.after), c.label)
+            Impact(_change(c.before, c.after), c.label)
             for c in self.coefficients
             if c.label in MAIN_COEFFICIENTS
         ]
         if self.drift is not None:
-            found.append(Effect(_change(self.drift.before, self.drift.after), "drift", self.drift.horizon))
+            found.append(Impact(_change(self.drift.before, self.drift.after), "drift", self.drift.horizon))
         for before, after in self.discrepancies:
             if before.statistic == "allan_deviation":
                 # Reduction of the simulation's error, as subtraction also changes the measured value.
                 mended = (1.0 + _off(before)) / (1.0 + _off(after)) - 1.0
-                found.append(Effect(max(mended, 0.0), "allan_deviation", before.where))
+                found.append(Impact(max(mended, 0.0), "allan_deviation", before.where))
         if "correlation" in self.parameters and len(self.axes) > 1:
             r = abs(self.parameters["correlation"].value)
-            found.append(Effect(float(np.sqrt(1.0 + r)) - 1.0, "sum"))
-        return max(found, key=lambda effect: effect.size, default=Effect(0.0, ""))
+            found.append(Impact(float(np.sqrt(1.0 + r)) - 1.0, "sum"))
+        return max(found, key=lambda impact: impact.size, default=Impact(0.0, ""))
 
     @presented
     def __str__(self) -> str:
@@ -227,7 +229,7 @@ def cause_title(cause: str, sensor: Sensor) -> str:
 
 
 def _off(d: Discrepancy) -> float:
-    """Error of a simulated statistic, in the measure of `Effect.size`."""
+    """Error of a simulated statistic, in the measure of `Impact.size`."""
     return _change(d.measured, d.simulated)
 
 

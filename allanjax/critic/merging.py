@@ -58,9 +58,13 @@ def together(
     )
     if not counted:
         return whole
-    main = max(counted, key=lambda f: f.effect.size)
+    main = max(counted, key=lambda f: f.impact.size)
     return dataclasses.replace(
-        whole, coefficients=main.coefficients, drift=main.drift, discrepancies=main.discrepancies
+        whole,
+        coefficients=main.coefficients,
+        drift=main.drift,
+        discrepancies=main.discrepancies,
+        rest=min((f.rest for f in counted if f.rest), key=lambda rest: rest.p_value, default=None),
     )
 
 
@@ -397,7 +401,7 @@ def merged(
 
 def _place(f: Finding) -> tuple[bool, float, float]:
     """Sorting key of findings."""
-    return f.cause == UNEXPLAINED, -f.effect.size, -_weight(f)
+    return f.cause == UNEXPLAINED, -f.impact.size, -_weight(f)
 
 
 def _weight(f: Finding) -> float:

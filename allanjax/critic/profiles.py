@@ -57,6 +57,7 @@ class Profile:
         law: p-value of the largest magnitude among the scores.
         numbers: place, measured value, and median of simulations, by the number of the place.
         channels: other axes or channels, one place each, for correlations.
+        extent: start and end of each place, of windows in time and bands of frequencies.
     """
 
     statistic: str
@@ -66,6 +67,16 @@ class Profile:
     law: Callable[[float], float]
     numbers: Callable[[int], tuple[float, float, float]]
     channels: tuple[str, ...] = ()
+    extent: tuple[Places, Places] | None = None
+
+    def within(self, start: float, end: float) -> Discrepancy:
+        """Largest discrepancy at the places mostly in a span, or at the smallest one that overlaps it."""
+        low, high = self.extent or (np.zeros(1), np.zeros(1))
+        length, overlap = high - low, np.minimum(high, end) - np.maximum(low, start)
+        own = np.flatnonzero(overlap >= 0.5 * length)
+        if not len(own):
+            own = np.array([np.argmin(np.where(overlap > 0.0, length, np.inf))])
+        return self.at(int(own[np.argmax(abs(self.score[own]))]))
 
     def at(self, place: int) -> Discrepancy:
         """Discrepancy at one place; its p-value is corrected for having searched all places."""
@@ -151,7 +162,9 @@ def psd(record: StageResiduals) -> Profile:
     middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * record.n)
     measured, simulated = (level * x / count for x in (squares, chi2.median(count)))
     unit = f"({record.axis.unit})²/Hz"
-    return Profile("psd", "Hz", unit, z, _independent(len(z)), _listed(middle, measured, simulated))
+    between = (edges - 0.5) * record.rate / (2.0 * record.n)
+    numbers = _listed(middle, measured, simulated)
+    return Profile("psd", "Hz", unit, z, _independent(len(z)), numbers, extent=(between[:-1], between[1:]))
 
 
 def line(record: StageResiduals) -> Profile:
@@ -236,7 +249,8 @@ def windows(record: StageResiduals) -> list[Profile]:
         law = functools.partial(extrapolated, _window_null(finest, statistic == "window_mean"))
         middle, simulated = (start + 0.5 * length) / record.rate, np.full(len(z), expected)
         unit = "σ" if statistic == "window_mean" else "1"
-        found.append(Profile(statistic, "s", unit, z, law, _listed(middle, value, simulated)))
+        ends = start / record.rate, (start + length) / record.rate
+        found.append(Profile(statistic, "s", unit, z, law, _listed(middle, value, simulated), extent=ends))
     return found
 
 
@@ -368,11 +382,18 @@ class Comparison(NamedTuple):
     Attributes:
         before, after: in every statistic, also where p is near 1.
         pairs: for each finding a statistic before and after it, at the place of the largest improvement.
+        last: profiles after the last finding whose places have an extent.
     """
 
     before: tuple[Discrepancy, ...]
     after: tuple[Discrepancy, ...]
     pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
+    last: tuple[Profile, ...]
+
+    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
+        """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
+        unit = {"time": "s", "frequency": "Hz"}[domain]
+        return min((p.within(*span) for p in self.last if p.where_unit == unit), key=lambda d: d.p_value)
 
 
 def compared(
@@ -412,7 +433,7 @@ def compared(
                 axes = [cross_correlation(record, end).worst()] if end else []
                 ends.append(tuple(sorted([*found, *axes], key=lambda d: _ORDER.index(d.statistic))))
     stages[-1].forget()
-    return Comparison(ends[0], ends[1], pairs)
+    return Comparison(ends[0], ends[1], pairs, tuple(p for p in former if p.extent))
 
 
 def _profiles(record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> list[Profile]:

@@ -71,14 +71,14 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
 
 def _recording_finding(finding: Finding, critique: Critique) -> dict[str, Any]:
     """A finding of the recording; its parts have the changes in each axis."""
-    effect = finding.effect
+    impact = finding.impact
     return {
         **_head(finding),
         "amplitudes": {
             axis: {**_parameter(e), "label": e.label, "remark": e.remark}
             for axis, e in finding.amplitudes.items()
         },
-        "effect": {"size": effect.size, "quantity": effect.quantity, "time_s": effect.time},
+        "effect": {"size": impact.size, "quantity": impact.quantity, "time_s": impact.time},
         "parts": [_part(member, critique) for member in finding.members or (finding,)],
     }
 
@@ -120,6 +120,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
             {"before": _discrepancy(before), "after": _discrepancy(after)}
             for before, after in finding.discrepancies
         ],
+        "rest": None if finding.rest is None else _discrepancy(finding.rest),
     }
 
 

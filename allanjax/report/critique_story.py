@@ -267,19 +267,19 @@ def size(finding: Finding) -> str:
 
 def changed(finding: Finding, brief: bool) -> str:
     """What a finding changes most, e.g. "N 2.53 → 1.46 deg/√h"; "" for next to nothing."""
-    effect = finding.effect
-    if not effect.size >= 1e-3:
+    impact = finding.impact
+    if not impact.size >= 1e-3:
         return ""
-    if effect.quantity == "sum":
-        return f"sum of two axes by {percent(effect.size)}"
-    if effect.quantity == "allan_deviation":
-        at = "" if brief else f" at {plain(effect.time, 3)} s"
-        return f"Allan deviation{at} by {percent(effect.size)}"
-    if effect.quantity == "drift" and finding.drift is not None:
+    if impact.quantity == "sum":
+        return f"sum of two axes by {percent(impact.size)}"
+    if impact.quantity == "allan_deviation":
+        at = "" if brief else f" at {plain(impact.time, 3)} s"
+        return f"Allan deviation{at} by {percent(impact.size)}"
+    if impact.quantity == "drift" and finding.drift is not None:
         drift = finding.drift
         numbers = f"{plain(drift.before, 3)} → {plain(drift.after, 3)} {drift.unit}"
         return f"drift {'' if brief else f'in {duration(drift.horizon)} '}{numbers}"
-    own = next(c for c in finding.coefficients if c.label == effect.quantity)
+    own = next(c for c in finding.coefficients if c.label == impact.quantity)
     return f"{_SYMBOLS[own.label]} {_before_and_after(own)}"
 
 
@@ -450,6 +450,8 @@ def sentence(finding: Finding) -> str:
     else:
         where = f" in {finding.shown}" if len(finding.axes) > 1 and finding.members else ""
         text = f"{cause}; {gain}. Before{where}: {describe(pair[0])}. After: {format_remainder(*pair)}."
+    if finding.rest is not None:
+        text += f" Explained in part, as {describe(finding.rest)}."
     if finding.rivals:
         rivals = ", ".join(f"{finding.named(r.cause)} (odds 1 : {plain(r.odds, 2)})" for r in finding.rivals)
         text += f" Alternatives: {rivals}."

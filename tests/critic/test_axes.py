@@ -71,7 +71,7 @@ def test_what_acts_on_several_axes_is_one_finding_and_what_does_not_is_not():
         ("sinusoid", ("accel_z",)),
     }
     # The largest change comes first.
-    sizes = [f.effect.size for f in moved().findings]
+    sizes = [f.impact.size for f in moved().findings]
     assert sizes == sorted(sizes, reverse=True)
 
 
@@ -107,8 +107,8 @@ def test_numbers_of_a_finding_in_several_axes_are_those_of_its_members_together(
     scatter = max(1.0, np.sqrt(weight @ (value - mean) ** 2))
     assert both.parameters[label].value == pytest.approx(mean)
     assert both.parameters[label].std == pytest.approx(scatter / np.sqrt(weight.sum()))
-    strongest = max(parts, key=lambda f: (f.effect.size, f.gain))
-    assert (both.shown, both.effect, both.drift) == (strongest.axes[0], strongest.effect, strongest.drift)
+    strongest = max(parts, key=lambda f: (f.impact.size, f.gain))
+    assert (both.shown, both.impact, both.drift) == (strongest.axes[0], strongest.impact, strongest.drift)
     assert both.coefficients == strongest.coefficients
 
 

@@ -5,8 +5,11 @@ import golden_records as golden
 import numpy as np
 import pytest
 from bench import critique, recording, truth
+from scipy.signal import lfilter
 from scipy.stats import binom, kstest, kurtosistest, norm
 from scipy.stats import chi2 as chi_squared
+
+import allanjax as aj
 
 
 def stage_of(found, axis, which):
@@ -234,3 +237,25 @@ def test_p_values_of_axes_without_an_effect_are_uniform():
         assert min(values) > 1e-3 / len(values)
     # The mean of so many, which are not all independent.
     assert np.mean(p) == pytest.approx(0.5, abs=4.0 * 2.0 / np.sqrt(12.0 * len(p)))
+
+
+@pytest.mark.parametrize("shape", ["oscillator", "band"])
+def test_what_a_named_cause_leaves_at_its_own_place_is_told(shape):
+    """A resonance describes an oscillator, but not noise that is confined to a band."""
+    n, rate = 1 << 16, 100.0
+    rng = np.random.default_rng(4)
+    drive = rng.standard_normal(n)
+    if shape == "oscillator":
+        r, w = np.exp(-np.pi * 0.09 / 10.0), 2.0 * np.pi * 0.09
+        own = lfilter([1.0], [1.0, -2.0 * r * np.cos(w), r * r], drive)
+    else:
+        f = np.fft.rfftfreq(n, 1.0 / rate)
+        own = np.fft.irfft(np.fft.rfft(drive) * ((f > 8.0) & (f < 10.0)), n)
+    x = rng.standard_normal(n) + 1.5 * own / own.std()
+    options = {"rate": rate, "gyro_unit": "deg/s", "names": ["gyro_x"]}
+    found = [f for f in aj.critique(x, **options).findings if f.cause == "resonance"]
+    left = [f.rest for f in found if f.rest]
+    assert found
+    assert bool(left) == (shape == "band")
+    assert all(rest.statistic == "psd" and 7.0 < rest.where < 11.0 for rest in left)
+    assert all(("Explained in part" in str(f)) == bool(f.rest) for f in found)

@@ -113,7 +113,7 @@ def test_a_fault_in_one_axis_is_reported_for_it_and_the_others_are_given():
     assert found["gyro_x"].after[0] == critique_of("none")["gyro_x"].after[0]
     ((axis, reason),) = [(dead.axis.name, dead.reason) for dead in found.dead]
     assert (axis, [*found]) == ("gyro_y", ["gyro_x"])
-    assert all(word in reason for word in ("IndexError", "test_causes.py", "no such bin", "report"))
+    assert all(word in reason for word in ("IndexError", "test_own_effects.py", "no such bin", "report"))
     assert any(reason in note for note in found.to_dict()["notes"])
     assert "gyro_y: not compared: its critique failed" in str(found)
     with pytest.raises(aj.FitError, match=r"gyro_x: .*IndexError.*gyro_y: "):

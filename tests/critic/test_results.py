@@ -76,12 +76,12 @@ def test_the_effect_is_the_largest_of_the_relative_changes():
             if before.statistic == "allan_deviation":
                 off = [max(d.measured / d.simulated, d.simulated / d.measured) for d in (before, after)]
                 sizes["allan_deviation"] = max(off[0] / off[1] - 1.0, 0.0)
-        assert finding.effect.size == pytest.approx(max(sizes.values()))
-        assert sizes[finding.effect.quantity] == pytest.approx(max(sizes.values()))
+        assert finding.impact.size == pytest.approx(max(sizes.values()))
+        assert sizes[finding.impact.quantity] == pytest.approx(max(sizes.values()))
     (shared,) = critique("common").shared_findings
     r = shared.parameters["correlation"].value
-    assert shared.effect.size == pytest.approx(np.sqrt(1.0 + r) - 1.0)
-    assert shared.effect.quantity == "sum"
+    assert shared.impact.size == pytest.approx(np.sqrt(1.0 + r) - 1.0)
+    assert shared.impact.quantity == "sum"
     assert np.isnan(Discrepancy("psd", 1.0, "Hz", 0.0, 1.0, "g", 0.5).size)
 
 
