@@ -11,8 +11,8 @@ from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
 from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
-from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.critique import critique as critique
+from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.result import Critique as Critique
 from allanjax.estimate.as_json import load as load

@@ -24,7 +24,7 @@ from allanjax.critic.effects.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
 from allanjax.critic.grouping import grouped
 from allanjax.critic.policy import AcceptanceRule
-from allanjax.critic.shape import LOW_PASS, Shape, finished
+from allanjax.critic.shape import finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.model import Model
@@ -189,13 +189,11 @@ def prune(draft: Draft, effects: Sequence[Effect], last: bool = False) -> Draft:
 def concluded(draft: Draft, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     draft = prune(draft, _sought(draft.end, effects), last=True)
-    steps, view, anew = list(draft.steps), draft.end, draft.is_anew
-    shape = finished(view)
-    if shape is not None:
-        steps, anew = _with_shape(steps, shape), True
-    elif any(s.candidate.cause == SpectralShape.name for s in steps):
-        steps = [s for s in steps if s.candidate.cause != SpectralShape.name]
-        view, anew = view.with_structure(None), True
+    steps, view, anew, shape = list(draft.steps), draft.end, draft.is_anew, None
+    if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
+        shape, anew, place = finished(view, mine[0]), True, steps.index(mine[0])
+        steps[place:] = [*(shape.steps if shape else ()), *(s for s in steps[place:] if s not in mine)]
+        view = view if shape else view.with_structure(None)
     if anew:
         steps = replay(draft.start, steps)
         view = steps[-1].candidate.after if steps else draft.start
@@ -212,7 +210,7 @@ def concluded(draft: Draft, effects: Sequence[Effect]) -> Search:
 
 
 def _sought(view: View, effects: Sequence[Effect]) -> list[Effect]:
-    """Causes that are not visible directly in the samples; none in a record that is mostly imputed."""
+    """Effects that are not visible directly in the samples; none in a record that is mostly imputed."""
     return [c for c in effects if not c.is_preprocessing and np.mean(view.imputed) < _TOO_MANY]
 
 
@@ -224,30 +222,6 @@ def _promised(
     nothing = {effect: 0.0 for effect in effects if effect not in untried and effect not in found}
     in_time = {effect: float(c.gain) for effect, c in found.items() if c.domain == "time"}
     return {effect: before[effect] for effect in untried} | nothing | in_time
-
-
-def _with_shape(steps: Sequence[Step], shape: Shape) -> list[Step]:
-    """Steps in which the filter and the resonances represent the structure of the spectrum."""
-    (first,) = [s for s in steps if s.candidate.cause == SpectralShape.name][:1]
-    parts = []
-    for part in shape.parts:
-        candidate = Candidate(
-            part.cause,
-            part.estimates,
-            part.gain,
-            part.p_value,
-            (first.candidate.after if part.cause == LOW_PASS else first.before).with_structure(
-                part.structure
-            ),
-            lambda: 0.0,
-            part.support,
-            "frequency",
-            details=part.details,
-        )
-        parts.append(Step(candidate, part.held_out, (), first.before))
-    place = steps.index(first)
-    others = [s for s in steps if s.candidate.cause != SpectralShape.name]
-    return [*others[:place], *parts, *others[place:]]
 
 
 def _undecided(candidate: Candidate, view: View) -> str:

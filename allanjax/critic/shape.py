@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,8 @@ from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.places import Place
-from allanjax.critic.view import View
+from allanjax.critic.step import Step
+from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
@@ -212,42 +213,15 @@ def _left(view: View) -> bool:
     return conspicuous(view.squared_whitened).p_value < _LEFT
 
 
-class Part(NamedTuple):
-    """A filter, or one or more resonances at about one frequency, as a finding.
-
-    Attributes:
-        cause: name of the cause.
-        estimates: parameters in the recording's units.
-        gain: log odds for it, with everything else refitted [nats].
-        held_out: gain in log-likelihood on every other half of the coefficients [nats].
-        p_value: p-value of its statistic; None if there is none.
-        support: lowest and highest frequency [Hz].
-        structure: structure with this part and all that gain more.
-        details: further frequencies, if any.
-    """
-
-    cause: str
-    estimates: Sequence[Estimate]
-    gain: float
-    held_out: float
-    p_value: float | None
-    support: tuple[float, float]
-    structure: Structure
-    details: Mapping[str, Detail]
-
-
 class Shape(NamedTuple):
-    """Final structure of a view's spectrum: its parts by gain, and the complete model."""
+    """Final structure of a view's spectrum: filter and resonances as findings, by gain; and the model."""
 
-    parts: tuple[Part, ...]
-    structure: Structure
+    steps: list[Step]
     model: Model
 
 
-def finished(view: View) -> Shape | None:
-    """Final fit of a view's structure and its parts; None if there are only basic terms."""
-    if view.structure is None:
-        return None
+def finished(view: View, first: Step) -> Shape | None:
+    """Final fit of the structure first found in a step; None if there are only basic terms."""
     further = _further(view)
     record, start = _record(view, further), _start(view, further)
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
@@ -268,14 +242,20 @@ def finished(view: View) -> Shape | None:
     without = [spectrum.fit(each) for each in less]
     gains = [found.evidence - less.evidence for less in without]
     order = sorted(range(len(groups)), key=lambda k: -gains[k])
-    parts = []
+    steps = []
     for place, k in enumerate(order):
         left = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(structure, left)).structure if left else structure
         # Of the spectrum without the group, to which everything else is fitted.
         left_over = conspicuous(record.squares / at_all(spectrum, without[k]))
-        parts.append(_part(view, found, groups[k], gains[k], held_out[k], left_over.p_value, partial))
-    return Shape(tuple(parts), structure, model_of(structure, view.rate))
+        own = _candidate(view, first, found, groups[k])
+        # For a filter, the odds are the only statistic.
+        p_value = None if own.cause == LOW_PASS else left_over.p_value
+        own = dataclasses.replace(
+            own, gain=gains[k], p_value=p_value, after=own.after.with_structure(partial)
+        )
+        steps.append(Step(own, held_out[k], (), first.before))
+    return Shape(steps, model_of(structure, view.rate))
 
 
 #: Represents the response among the components of a group.
@@ -339,21 +319,13 @@ def _held_out_losses(record: Record, spectrum: Spectrum, structures: Sequence[St
     return losses.tolist()
 
 
-def _part(
-    view: View,
-    found: Fitted,
-    group: Sequence[int],
-    gain: float,
-    held_out: float,
-    p_value: float,
-    partial: Structure,
-) -> Part:
-    structure = found.structure
+def _candidate(view: View, first: Step, found: Fitted, group: Sequence[int]) -> Candidate:
+    """Filter, or resonances at about one frequency, as a candidate that leaves the spectrum as it is."""
     if group == [_RESPONSE]:
         estimates, low = _of_response(view, found)
-        # For a filter, the odds are the only statistic.
-        return Part(LOW_PASS, estimates, gain, held_out, None, (low, view.rate / 2.0), partial, {})
-    own = structure.components
+        after, support = first.candidate.after, (low, view.rate / 2.0)
+        return Candidate(LOW_PASS, estimates, 0.0, None, after, lambda: 0.0, support, "frequency")
+    own = found.structure.components
     # The strongest one and those close to it; the others are further lines of the same source.
     near = [k for k in group if own[k].is_close_to(own[group[0]])]
     others = sorted((k for k in group if k not in near), key=lambda k: own[k].frequency)
@@ -363,7 +335,9 @@ def _part(
         each = [_of_resonances(view, found, [k])[0] for k in others]
         details["further_frequencies"] = tuple(e[0] for e in each)
         details["further_amplitudes"] = tuple(e[2] for e in each)
-    return Part(RESONANCE, estimates, gain, held_out, p_value, support, partial, details)
+    return Candidate(
+        RESONANCE, estimates, 0.0, None, first.before, lambda: 0.0, support, "frequency", details=details
+    )
 
 
 def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
