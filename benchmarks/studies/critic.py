@@ -82,11 +82,10 @@ def run(
         yield sensitivity_table(mine)
     if mine := [r for r in rows if not r["cause"]]:
         alarms = [r for r in mine if r["named"]]
-        which = Counter(cause for r in alarms for cause in r["named"]).most_common()
-        causes_told = ", ".join(f"{c} {n}" for c, n in which)
-        told = f" ({causes_told}; seeds {[r['seed'] for r in alarms]})" if alarms else ""
+        which = Counter(cause for r in alarms for cause in r["named"])
+        told = f" ({dict(which)}; seeds {[r['seed'] for r in alarms]})" if alarms else ""
         any_finding = share([bool(r["named"]) for r in mine])
-        yield f"## Clean records\n\nAny finding in {any_finding} of {len(mine)}{told}."
+        yield f"## Clean records, seeds from {seed} on\n\nAny finding in {any_finding} of {len(mine)}{told}."
         yield "P-values, uniform if all is right (`lattice` and `repeated_values` are of counts):"
         yield p_table(mine)
     yield "\n".join(f"- failed: {r['cause'] or 'clean'}, seed {r['seed']}: {r['error']}" for r in failed)
