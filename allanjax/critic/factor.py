@@ -21,8 +21,6 @@ _DEEP, _LOCAL = 0.01, 401
 _LEAST = 1e-12
 # Number of frequencies between which what the ends add is interpolated.
 _POINTS = 4096
-# Length of a record whose ends do not matter.
-_ENDLESS = 1e18
 
 
 def spectrum_factor(
@@ -79,6 +77,6 @@ def _of_ends(structure: Structure, n: int, rows: Int[np.ndarray, " some"]) -> Fl
     levels = Levels(no, no, angle, np.sin(angle / 2.0) ** 2, 1.0, float(n), no, no)
     whole, without = (
         passed(x, structure.kind, np.full((1, 1), wc), np.full((1, 1), Q))[0]
-        for x in (levels, levels._replace(length=_ENDLESS))
+        for x in (levels, levels.endless)
     )
     return np.interp(rows + 1.0, j, np.maximum(whole - without, 0.0))

@@ -35,7 +35,7 @@ def together(
 
     The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
     different axes or were found one after the other. Rivals are those of all of them. Coefficients, drift and
-    discrepancies are those of the one with the largest effect.
+    discrepancies are those of the finding with the largest impact.
     """
     counted = members if counted is None else counted
     p = [f.p_value for f in counted if f.p_value is not None]
@@ -356,7 +356,7 @@ class Kind(NamedTuple):
         same: whether a finding is one with the strongest one.
         combine: combines several findings into one.
         is_once: whether only one finding of each axis is meant.
-        grows: whether what is one with any of them is meant, too.
+        grows: whether a finding joins if it is the same as any member, not only as the strongest one.
         anchor: the finding that is compared with the others, instead of the strongest one.
     """
 

@@ -183,32 +183,20 @@ class View:
         for fold in coefficient_folds(self.n):
             found = fitted(fold)
             noise, factor = found if isinstance(found, tuple) else (found, None)
+            v = self.variance(noise) if factor is None else self.variance(noise) * factor
+            total -= 0.5 * float(np.sum((np.log(v) + self.coefficients**2 / v)[~fold]))
             # The slope of a ramp is nearly all in one coefficient, so both halves are averaged over it.
-            some, all_ = (self._log_likelihood(noise, factor, part) for part in (fold, None))
-            total += sum(all_) - sum(some)
+            for sign, part in ((1.0, None), (-1.0, fold)) if noise.ramp else ():
+                slope, std = self.family.slope(self.coefficients, v, part)
+                total += sign * (0.5 * (slope / std) ** 2 + float(np.log(std)))
         return total
 
     def log_likelihood(self, noise: Noise) -> float:
         """Log-likelihood of the coefficients under noise, with the most likely slope of its ramp, if any."""
-        return self._log_likelihood(noise)[0]
-
-    def _log_likelihood(
-        self,
-        noise: Noise,
-        factor: Float[np.ndarray, " n-1"] | None = None,
-        some: Bool[np.ndarray, " n-1"] | None = None,
-    ) -> tuple[float, float]:
-        """Log-likelihood of some of the coefficients, with a further factor of the spectrum.
-
-        Beside it is what an average over all slopes of a ramp adds, up to a constant.
-        """
-        v = self.variance(noise) if factor is None else self.variance(noise) * factor
-        c, spread = self.coefficients, 0.0
+        v, c = self.variance(noise), self.coefficients
         if noise.ramp:
-            slope, std = self.family.slope(c, v, some)
-            c, spread = c - slope * self.family.ramp, float(np.log(std))
-        each = np.log(v) + c**2 / v
-        return -0.5 * float(np.sum(each if some is None else each[some])), spread
+            c = c - self.family.slope(c, v)[0] * self.family.ramp
+        return -0.5 * float(np.sum(np.log(v) + c**2 / v))
 
     @property
     def expected_likelihood(self) -> float:

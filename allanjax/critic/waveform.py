@@ -58,8 +58,8 @@ def additive(
         log_trials: further log trials factor of the search [nats].
         term: function of index and amplitude [SI] that returns the noise term, if there is one.
         details: words and lists of numbers by name.
-        coarse: candidate of a bank that this one refines: the search starts from the noise without it, and
-            its tests are those of the candidate.
+        coarse: candidate of a coarser bank. The search starts from the noise without it, and its p-value and
+            held-out gain are kept.
 
     Returns:
         The candidate, or None.
@@ -122,7 +122,8 @@ def _settled(
 ) -> tuple[Noise, Scan, int, float]:
     """Noise without the best shape, the scan in it, the shape, and the amplitude that the noise is without.
 
-    The shape and the noise are estimated in turn. If they do not settle, all are those of the last round.
+    The shape and the noise are estimated in turn. All results are from the same round, even if the shape
+    still changes in the last one.
     """
     for _ in range(_ROUNDS):
         k = scan.best

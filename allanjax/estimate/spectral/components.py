@@ -54,6 +54,8 @@ BROAD = 2.5
 _LAGS = 256
 # Step of a difference, relative to the scale on which a function changes: its error is 10⁻¹⁰.
 _STEP = 1e-5
+# Number of samples of a record whose ends contribute nothing.
+_ENDLESS = 1e30
 # Relative distance from whole samples at which a moving average has as many.
 _SAME = 1e-9
 # Share of an oscillation that is left at the end of a record, for each sample, below which nothing is left.
@@ -97,6 +99,11 @@ class Levels(NamedTuple):
         parity = np.where(np.concatenate(sizes) == 1, 1.0 - 2.0 * (first % 2), 0.0)
         level, square = np.ones(len(first)), np.sin(angle * interval / 2.0) ** 2
         return cls(level, 0.0 * level, angle, square, interval, length, parity, columns)
+
+    @property
+    def endless(self) -> Levels:
+        """Copy for a record so long that its ends add nothing."""
+        return self._replace(length=_ENDLESS + 0.0 * self.length)
 
     def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Levels:
         """Copy with these mean squares [rate²] and degrees of freedom."""

@@ -53,8 +53,6 @@ _FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
-# Number of samples of a record whose ends contribute nothing.
-_ENDLESS = 1e30
 
 
 class Arrangement(NamedTuple):
@@ -258,8 +256,7 @@ def error_of_ends(
     if of.kind == kinds.NONE:
         return np.zeros(len(bins.size))
     w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
-    endless = levels._replace(length=np.full_like(levels.length, _ENDLESS))
-    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, endless))
+    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
     whole, without = (x.mean(axis=0) for x in both)
     power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
     passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
