@@ -20,11 +20,12 @@ from allanjax.critic.effect import Effect
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
-from allanjax.critic.policy import AcceptanceRule, judged
+from allanjax.critic.policy import AcceptanceRule
 from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search
 from allanjax.critic.step import Step
+from allanjax.critic.unknown import CERTAIN, doubted, left, unexplained
 from allanjax.critic.view import View
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
@@ -40,7 +41,7 @@ _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 # Statistics of the samples' distribution, which reveal that imputed samples are drawn by a simple rule.
-_OF_DISTRIBUTION = ("tails", "largest_residual", "lattice", "repeated_values")
+_OF_DISTRIBUTION = ("skewness", "tails", "largest_residual", "lattice", "repeated_values")
 # Fewest samples for a critique: a judgement.
 _SHORTEST = 1024
 # Number of axes processed at a time: each takes some twenty times the memory of its samples.
@@ -86,10 +87,17 @@ def criticize(
         before, after = made.before, made.after
         tell(f"{axis.name}: testing findings on held-out data")
         findings = [
-            _finding(step, (*pairs, *_of_samples(step, before, after)), drift, made)
-            for step, pairs, drift in zip(s.steps, made.pairs, drift_changes(s.steps), strict=True)
+            _finding(k, step, (*pairs, *_of_samples(step, before, after)), drift, made)
+            for k, (step, pairs, drift) in enumerate(
+                zip(s.steps, made.pairs, drift_changes(s.steps), strict=True)
+            )
         ]
-        findings += _unexplained(s, after, any(axis.name in f.axes for f in shared))
+        known = {*_BETWEEN} if any(axis.name in f.axes for f in shared) else set()
+        known |= {*_OF_DISTRIBUTION} if s.preprocessed else set()
+        doubts = doubted(findings, [step.candidate.doubt for step in s.steps], made.free, records[k][0])
+        described = [doubt.finding for doubt in doubts]
+        findings = [f for f in findings if not any(f is other for other in described)]
+        findings += unexplained(records[k][0], made, doubts, left(made, known))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
@@ -268,6 +276,7 @@ def _of_samples(
 
 
 def _finding(
+    stage: int,
     step: Step,
     pairs: tuple[tuple[Discrepancy, Discrepancy], ...],
     drift: DriftChange | None,
@@ -292,40 +301,6 @@ def _finding(
         coefficients=coefficient_changes(step),
         drift=drift,
         discrepancies=pairs,
-        rest=rest if rest and rest.p_value < judged("unexplained", "p_value") else None,
+        rest=rest if rest and rest.p_value < CERTAIN else None,
+        stages=(stage, stage + 1),
     )
-
-
-def _unexplained(s: Search, after: tuple[Discrepancy, ...], shared: bool) -> list[Finding]:
-    """Finding for the most significant remaining discrepancy, if it is beyond doubt."""
-    known = (_BETWEEN if shared else ()) + (_OF_DISTRIBUTION if s.preprocessed else ())
-    left = [d for d in after if d.p_value < judged("unexplained", "p_value") and d.statistic not in known]
-    if not left:
-        return []
-    worst = min(left, key=lambda d: d.p_value)
-    numbers = {
-        "where": (worst.where, worst.where_unit),
-        "measured": (worst.measured, worst.unit),
-        "simulated": (worst.simulated, worst.unit),
-    }
-    # A statistic without places has none.
-    parameters = {
-        name: s.start.estimate(name, value, 0.0, unit) for name, (value, unit) in numbers.items() if unit
-    }
-    time = worst.where_unit == "s"
-    span = (0.0, s.start.duration) if time else (0.0, s.start.rate / 2.0)
-    return [
-        Finding(
-            "unexplained",
-            (s.start.axis.name,),
-            parameters,
-            worst.p_value,
-            0.0,
-            0.0,
-            (),
-            span,
-            "time" if time else "frequency",
-            discrepancies=((worst, worst),),
-            details={"statistic": worst.statistic},
-        )
-    ]

@@ -143,6 +143,7 @@ class Finding(ByValue):
         details: words and lists of numbers by name: a channel, the times of outliers, harmonics.
         members: the findings of single axes that it combines.
         per_axis: its size in each axis, if it has members; see `amplitudes`.
+        stages: numbers of the stages before and after it, in `stages` of its axis.
     """
 
     cause: str
@@ -161,6 +162,7 @@ class Finding(ByValue):
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
     members: tuple[Finding, ...] = ()
     per_axis: Mapping[str, Estimate] = dataclasses.field(default_factory=dict)
+    stages: tuple[int, int] = (-1, -1)
 
     @property
     def size(self) -> Estimate | None:

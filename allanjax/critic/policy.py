@@ -97,6 +97,9 @@ PRIORS: Mapping[str, Prior] = {
     "disturbance": Prior(
         -12.0, _EQUAL, "judgement: many other effects are large; the share is one of fifteen"
     ),
+    "slow_change": Prior(
+        -5.0, _EQUAL, "judgement: known causes come first; the share is one of fifteen equal ones"
+    ),
     "outliers": Prior(-3.0, _EQUAL, _TWENTY),
     "sinusoid": Prior(-3.0, _EQUAL, _TWENTY),
     "spectral_shape": Prior(-3.0, _EQUAL, _TWENTY),
@@ -127,6 +130,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         "hidden motions, 0.3 … 5 Hz at rates of 50 Hz and more, have a larger share",
     ),
     ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
+    ("low_pass", "falls"): Judgement(
+        0.8, "largest ratio of the spectrum at half the sample rate to that in the pass band of a filter"
+    ),
     ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is not an outlier"),
     ("power_law", "instead"): Judgement(
         1, "a power law replaces the Markov process, as in the hidden records; both cannot be detected"
@@ -141,6 +147,10 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("saturation", "share"): Judgement(0.9, "share of clipped samples above which the others are unknown"),
     ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record cannot be distinguished from drift"),
     ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
+    ("telegraph", "regular"): Judgement(
+        0.15,
+        "relative variance of eight or more dwell times below which jumps are not random (1 if they are)",
+    ),
     ("temperature", "clock"): Judgement(
         1e-6, "share of a channel's variance about a straight line below which it is a clock or a counter"
     ),
@@ -149,6 +159,19 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ),
     ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
     ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
+    ("power_law", "distinct"): Judgement(
+        0.15, "least distance of the exponent from those of basic terms; hidden ones are half off or more"
+    ),
+    ("resonance", "quality"): Judgement(
+        3.0, "quality factor below which a peak is too broad for a resonance; hidden ones have 5 and more"
+    ),
+    ("variance_change", "more"): Judgement(
+        0.1, "share of the gain beyond two changes from which the level varies in another way"
+    ),
+    ("unexplained", "left"): Judgement(
+        0.1, "share of what a free description gains that a named finding may leave at its place"
+    ),
+    ("unexplained", "nats"): Judgement(10.0, "gain of a free description below which nothing is left"),
     ("unexplained", "p_value"): Judgement(
         1e-6, "p-value below which an unexplained discrepancy is reported: some fourteen tests per axis"
     ),

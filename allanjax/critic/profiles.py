@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Real
 from scipy.fft import dct, rfft
-from scipy.stats import binom, chi2, kurtosistest, norm
+from scipy.stats import binom, chi2, kurtosistest, norm, skew, skewtest
 
 from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
@@ -29,6 +29,7 @@ from allanjax.critic.comparison import (
 )
 from allanjax.critic.effects.rounding import HARMLESS
 from allanjax.critic.finding import Discrepancy
+from allanjax.critic.free import Free
 from allanjax.critic.noise import centred
 from allanjax.inspection.plausible import lattice
 from allanjax.record.units import unit_scale
@@ -185,7 +186,10 @@ def line(record: StageResiduals) -> Profile:
     def law(score: float) -> float:
         return any_of(float(np.exp(-0.5 * score**2)), count)
 
-    return Profile("psd_line", "Hz", record.axis.unit, score, law, numbers)
+    middle, half = np.arange(1, count + 1) * record.rate / n, record.rate / n
+    return Profile(
+        "psd_line", "Hz", record.axis.unit, score, law, numbers, extent=(middle - half, middle + half)
+    )
 
 
 def autocorrelation(record: StageResiduals) -> Profile:
@@ -213,6 +217,13 @@ def tails(record: StageResiduals) -> Profile:
     p = max(float(kurtosistest(record.whitened).pvalue), TINY)
     score = np.array([float(norm.isf(0.5 * p))])
     return Profile("tails", "", "1", score, lambda _: p, lambda _: (0.0, excess, 0.0))
+
+
+def skewness(record: StageResiduals) -> Profile:
+    """Profile of the skewness of the whitened residuals (D'Agostino 1970)."""
+    value, p = float(skew(record.whitened)), max(float(skewtest(record.whitened).pvalue), TINY)
+    score = np.array([np.sign(value) * float(norm.isf(0.5 * p))])
+    return Profile("skewness", "", "1", score, lambda _: p, lambda _: (0.0, value, 0.0))
 
 
 def largest_residual(record: StageResiduals) -> Profile:
@@ -370,8 +381,8 @@ def _repeated(record: StageResiduals, raw: Resolution, seed: int = 0) -> Discrep
 
 # Their order in a critique.
 _ORDER = (
-    *("allan_deviation", "drift", "psd", "psd_line", "autocorrelation", "tails", "largest_residual"),
-    *("lattice", "repeated_values", "window_mean", "window_variance"),
+    *("allan_deviation", "drift", "psd", "psd_line", "autocorrelation", "skewness", "tails"),
+    *("largest_residual", "lattice", "repeated_values", "window_mean", "window_variance"),
     *("cross_correlation", "auxiliary_correlation"),
 )
 
@@ -383,12 +394,14 @@ class Comparison(NamedTuple):
         before, after: in every statistic, also where p is near 1.
         pairs: for each finding a statistic before and after it, at the place of the largest improvement.
         last: profiles after the last finding whose places have an extent.
+        free: what descriptions that name nothing gain over the model, at the first and the last stage.
     """
 
     before: tuple[Discrepancy, ...]
     after: tuple[Discrepancy, ...]
     pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
     last: tuple[Profile, ...]
+    free: tuple[Free, Free]
 
     def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
         """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
@@ -415,6 +428,7 @@ def compared(
     ends: list[tuple[Discrepancy, ...]] = []
     pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]] = []
     former: list[Profile] = []
+    free: list[Free] = []
     resolution = Resolution.of(raw[0])
     for k, record in enumerate(stages):
         if k:
@@ -425,6 +439,7 @@ def compared(
             stages[k - 1].forget()
         former = profiles
         if k in (0, last):
+            free.append(Free.of(record))
             if k and raw[1] is not raw[0]:
                 resolution = Resolution.of(raw[1])
             found = [p.worst() for p in (*profiles, autocorrelation(record))]
@@ -433,13 +448,13 @@ def compared(
                 axes = [cross_correlation(record, end).worst()] if end else []
                 ends.append(tuple(sorted([*found, *axes], key=lambda d: _ORDER.index(d.statistic))))
     stages[-1].forget()
-    return Comparison(ends[0], ends[1], pairs, tuple(p for p in former if p.extent))
+    return Comparison(ends[0], ends[1], pairs, tuple(p for p in former if p.extent), (free[0], free[-1]))
 
 
 def _profiles(record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> list[Profile]:
     """Profiles of an axis at a stage, except those that take long compared with the transforms."""
-    found = [*cluster_times(record), psd(record), line(record), tails(record), largest_residual(record)]
-    found += windows(record)
+    found = [*cluster_times(record), psd(record), line(record), skewness(record), tails(record)]
+    found += [largest_residual(record), *windows(record)]
     return [*found, auxiliary_correlation(record, channels)] if channels else found
 
 

@@ -16,6 +16,7 @@ from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.places import Place
+from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
@@ -86,6 +87,8 @@ LOW_PASS, RESONANCE = "low_pass", "resonance"
 # Quality factor above which resonances may be lines of one source, and the largest distance of its lines from
 # multiples of its frequency, as a share of that: judgements.
 _LINES, _BESIDE = 50.0, 0.25
+# Share of a filter's corner frequency at which its pass band is judged.
+_PASSED = 0.5
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
 # p-value of the rest of the spectrum below which it is searched again: a judgement.
@@ -230,11 +233,9 @@ def finished(view: View, first: Step) -> Shape | None:
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
         held_out = [loss - best for loss in losses]
-        if groups[0] == [_RESPONSE] and _half_power(found.structure, view.rate) >= 0.5 * view.rate:
-            held_out[0] = -np.inf
         if (least := min(held_out)) > 0.0:
             break
-        # What predicts nothing, or is a filter whose corner no record can show, is not reported.
+        # What predicts nothing is not reported.
         found = spectrum.fit(less[held_out.index(least)])
     else:
         return None
@@ -324,7 +325,10 @@ def _candidate(view: View, first: Step, found: Fitted, group: Sequence[int]) -> 
     if group == [_RESPONSE]:
         estimates, low = _of_response(view, found)
         after, support = first.candidate.after, (low, view.rate / 2.0)
-        return Candidate(LOW_PASS, estimates, 0.0, None, after, lambda: 0.0, support, "frequency")
+        doubt = _doubt_of_filter(found.structure, view, low)
+        return Candidate(
+            LOW_PASS, estimates, 0.0, None, after, lambda: 0.0, support, "frequency", doubt=doubt
+        )
     own = found.structure.components
     # The strongest one and those close to it; the others are further lines of the same source.
     near = [k for k in group if own[k].is_close_to(own[group[0]])]
@@ -335,8 +339,31 @@ def _candidate(view: View, first: Step, found: Fitted, group: Sequence[int]) -> 
         each = [_of_resonances(view, found, [k])[0] for k in others]
         details["further_frequencies"] = tuple(e[0] for e in each)
         details["further_amplitudes"] = tuple(e[2] for e in each)
+    broad = estimates[1].value < judged(RESONANCE, "quality")
+    doubt = "it is too broad for a resonance" if broad else ""
     return Candidate(
-        RESONANCE, estimates, 0.0, None, first.before, lambda: 0.0, support, "frequency", details=details
+        RESONANCE,
+        estimates,
+        0.0,
+        None,
+        first.before,
+        lambda: 0.0,
+        support,
+        "frequency",
+        details=details,
+        doubt=doubt,
+    )
+
+
+def _doubt_of_filter(structure: Structure, view: View, corner: float) -> str:
+    """Why a response with this corner [Hz] is hardly a low-pass filter."""
+    nyquist = 0.5 * view.rate
+    if corner >= nyquist:
+        return "its corner would lie above half the sample rate"
+    whole = model_of(structure, view.rate)
+    inside, highest = np.asarray(whole.sampled_psd(np.array([_PASSED * corner, nyquist]), view.rate))
+    return (
+        "" if highest < judged(LOW_PASS, "falls") * inside else "the spectrum does not fall above its corner"
     )
 
 

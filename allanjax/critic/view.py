@@ -348,6 +348,7 @@ class Candidate:
         parts: the single effects, in order, if only several together are significant.
         details: words and lists of numbers by name.
         bound: upper bound of the probability of such odds under noise alone, e.g. e^−gain.
+        doubt: why it may describe the data without being the cause, "" if nothing speaks for that.
     """
 
     cause: str
@@ -363,11 +364,16 @@ class Candidate:
     parts: tuple[Candidate, ...] = ()
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
     bound: float = 1.0
+    doubt: str = ""
 
     @property
     def chance(self) -> float:
         """Probability that decides on acceptance: the p-value or the bound, whichever is smaller."""
         return self.bound if self.p_value is None else min(self.p_value, self.bound)
+
+    def doubted(self, reason: str) -> Candidate:
+        """Candidate that describes the data, but for this `reason` ("" for none) need not be the cause."""
+        return dataclasses.replace(self, doubt=reason)
 
     @property
     def parameters(self) -> dict[str, Estimate]:

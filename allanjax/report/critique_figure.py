@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.stats import norm
 
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
@@ -70,6 +71,8 @@ _AFTER, _SPAN, _BEFORE = draw.COLOURS[0], draw.COLOURS[1], draw.COLOURS[3]
 _SHEET = Sheet(3.9, 2.5, gap=1.0, between=1.0)
 # Characters in a line of the text, and the height of a line [inches].
 _COLUMNS, _LINE = 58, 0.17
+# Ends [σ] and number of the classes of a histogram.
+_WIDE, _CLASSES = 6.0, 96
 # Points that a series is thinned to.
 _POINTS = 600
 # Widths of a span that are drawn on either side of it; share of the record from which on it is not marked.
@@ -160,13 +163,13 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], StageResid
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in axis.findings)
-    k = axis.findings.index(own)
-    before, after = (record(job.axis, min(stage, len(axis.stages) - 1)) for stage in (k, k + 1))
+    before, after = (record(job.axis, stage % len(axis.stages)) for stage in own.stages)
     stages = [_Stage(before)]
     if before is not after:
         stages = [_Stage(before, " before", _BEFORE), _Stage(after, " after", _AFTER, "s")]
     figure, effect = _panels(critique, "", stages, finding)
-    draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(finding.cause, _draw_path)
+    cause = str(finding.details.get("domain", finding.cause))
+    draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
     # Single samples and frequencies are those of the axis.
     is_own = finding.cause == OUTLIERS or finding.domain == "frequency"
     draw_effect(effect, before, after, own if is_own else finding)
@@ -284,6 +287,22 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     _finish(panel, draw.label_in("rms of\nwhitened residuals", "σ"))
 
 
+def _draw_distribution(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+    """Draw the histogram of the whitened residuals over that of simulations."""
+    e = record.whitened
+    edges = np.linspace(-_WIDE, _WIDE, _CLASSES + 1)
+    counts = np.histogram(e, edges)[0]
+    expected = record.n * np.diff(norm.cdf(edges))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    spread = TWO_SIDED_95 * np.sqrt(expected)
+    low = np.maximum(expected - spread, 1e-3)
+    panel.fill_between(middle, low, expected + spread, **draw.band(_AFTER, label="95 % of simulations"))
+    panel.plot(middle[counts > 0], counts[counts > 0], label="measured", **draw.dots())
+    panel.set_yscale("log")
+    panel.set_ylim(bottom=0.5)
+    _finish(panel, "samples\nper class", "whitened residual [σ]")
+
+
 def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
     """Draw single samples as recorded, where most of them equal the one before."""
     unit, scale = draw.unit_of(record.axis)
@@ -333,8 +352,9 @@ def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, f
 
 # What shows a cause, if not means of samples or a spectrum.
 _EFFECTS = {
-    "variance_change": _draw_loudness,
-    **dict.fromkeys(("outliers", "disturbance", EVENT, "unexplained"), _draw_extremes),
+    **dict.fromkeys(("variance_change", "level"), _draw_loudness),
+    **dict.fromkeys(("outliers", "disturbance", EVENT), _draw_extremes),
+    "values": _draw_distribution,
     **dict.fromkeys(("rounding", "saturation", "repeated_samples"), _draw_samples),
 }
 

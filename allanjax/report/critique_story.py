@@ -165,6 +165,7 @@ def what(d: Discrepancy) -> str:
     return {
         "psd_line": f"spectral line of {value} {unit} at {place} ({simulated} {unit} in simulations)",
         "autocorrelation": f"residuals have an autocorrelation of {value} at a lag of {place}",
+        "skewness": f"residuals have a skewness of {value}",
         "tails": f"residuals have an excess kurtosis of {value}",
         "largest_residual": f"largest residual of {value} σ at {place} ({simulated} σ in simulations)",
         "lattice": "all samples are multiples of one step",
@@ -228,8 +229,9 @@ def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
 
 def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
     """Cells of a finding in the table, but for its number."""
+    like = _likeness(finding)
     return (
-        finding.named(finding.cause),
+        f"unexplained ({like[0]}?)" if like else finding.named(finding.cause),
         "all" if len(finding.axes) == len(critique) > 2 else _names(finding.axes),
         place(finding),
         size(finding),
@@ -243,6 +245,9 @@ def place(finding: Finding) -> str:
     if "start" in finding.parameters and "end" in finding.parameters:
         start, end = (plain(finding.parameters[name].value, 4) for name in ("start", "end"))
         return f"{start} … {end} s"
+    if "lowest" in finding.parameters:
+        lowest, highest = (plain(finding.parameters[name].value, 4) for name in ("lowest", "highest"))
+        return f"{lowest} … {highest} Hz"
     if isinstance(channel := finding.details.get("channel"), str):
         return channel
     label = next((label for label in _WHERE if label in finding.parameters), None)
@@ -346,9 +351,8 @@ def story(critique: Critique) -> str:
 
 def details(critique: Critique) -> str:
     """A paragraph for each finding, one for each axis, all warnings and notes."""
-    causes = _causes(critique)
-    lines = [_headline(critique, causes)]
-    for k, finding in enumerate(causes, 1):
+    lines = [_headline(critique, _causes(critique))]
+    for k, finding in enumerate(critique.findings, 1):
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
             lines.append(wrapped(f"Changes: {text}.", first="  "))
@@ -356,8 +360,14 @@ def details(critique: Critique) -> str:
 
 
 def _causes(critique: Critique) -> list[Finding]:
-    """Findings with a cause, what changes most first."""
-    return [f for f in critique.findings if f.cause != "unexplained"]
+    """Findings with a cause, what changes most first, and those that are only described."""
+    return [f for f in critique.findings if f.cause != "unexplained" or _likeness(f)]
+
+
+def _likeness(finding: Finding) -> list[str]:
+    """Usual names of the causes that an unexplained finding resembles."""
+    words = values_of(finding.details.get("resembles", ()))[0]
+    return [finding.named(cause) for cause in words if isinstance(cause, str)]
 
 
 def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
@@ -386,7 +396,7 @@ def _end(critique: Critique, most: int) -> list[str]:
 def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
     """Which tests of an axis fail with all that was found in it, and `most` of them in words."""
     name, count = axis.axis.name, len(axis.before)
-    causes = [f for f in axis.findings if f.cause != "unexplained"]
+    causes = [f for f in axis.findings if f.cause != "unexplained" or _likeness(f)]
     before = _failed(axis.before)
     after = _failed(axis.after) if causes else before
     # What axes have in common is among the findings.
@@ -431,6 +441,21 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
     return tuple(warnings)
 
 
+# Where an unexplained discrepancy shows, and what to look at next.
+_DOMAINS = {
+    "spectrum": (
+        "in the spectrum",
+        "Compare the spectra of other axes and units there: interference, a filter or a mount.",
+    ),
+    "level": ("in the level of the noise over time", "Compare it with temperature, supply and motion."),
+    "values": (
+        "in the distribution of the values",
+        "See the histogram of the samples: nonlinearity or missing codes of the converter.",
+    ),
+    "bias": ("in the bias over time", "See the record there, and repeat the recording."),
+    "channels": ("in common with another channel", "See both channels: a coupling, or a common cause."),
+}
+
 # --- A finding in full --------------------------------------------------------------------------------------
 
 
@@ -438,7 +463,7 @@ def sentence(finding: Finding) -> str:
     """A finding in words: axes, cause and parameters, what it mends, its gain, and its rivals."""
     axes = ", ".join(finding.axes)
     if finding.cause == "unexplained":
-        return f"{axes}: unexplained: {'; '.join(describe(d) for d, _ in finding.discrepancies)}."
+        return _without_a_cause(finding)
     cause = ", ".join([f"{axes}: {finding.named(finding.cause)}", *parameters(finding)])
     if finding.members and (sizes := finding.amplitudes):
         remarks = {axis: f" ({e.remark})" if e.remark else "" for axis, e in sizes.items()}
@@ -456,6 +481,23 @@ def sentence(finding: Finding) -> str:
         rivals = ", ".join(f"{finding.named(r.cause)} (odds 1 : {plain(r.odds, 2)})" for r in finding.rivals)
         text += f" Alternatives: {rivals}."
     return text
+
+
+def _without_a_cause(finding: Finding) -> str:
+    """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
+    domain = str(finding.details["domain"])
+    where = place(finding) if {"start", "lowest"} & set(finding.parameters) else "whole record"
+    places = [where, *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
+    text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({', '.join(places)})"
+    if (worst := finding.discrepancies[0][0]).p_value < UNEXPLAINED:
+        text += f": {describe(worst)}"
+    text += "."
+    if like := _likeness(finding):
+        text += (
+            f" The extended model describes it as {', '.join(like)} ({gain_of(finding)}), which is not "
+            f"taken for its cause: {finding.details['reason']}."
+        )
+    return f"{text} {_DOMAINS[domain][1]}"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:

@@ -231,7 +231,7 @@ def test_p_values_of_axes_without_an_effect_are_uniform():
     p = [d.p_value for axis in axes for d in axis.before if d.statistic not in ("lattice", "repeated_values")]
     assert len(p) > 180
     tests = [value for axis in axes for name, value in axis.tests.items() if name != "temperature"]
-    assert len(tests) == 6 * len(axes)
+    assert len(tests) == 7 * len(axes)
     for values in (p, tests):
         assert kstest(values, "uniform").pvalue > 1e-3
         assert min(values) > 1e-3 / len(values)

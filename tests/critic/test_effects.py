@@ -96,10 +96,13 @@ def test_noise_that_two_axes_share_is_named_and_measured():
 
 
 def test_all_causes_are_looked_for_here():
-    """A filter and resonances are one cause to look for and two to name; `test_axes` has a disturbance."""
+    """A filter and resonances are one cause to look for and two to name.
+
+    `test_axes` has a disturbance, `test_unknown` a slow change.
+    """
     named = {h.values[1].cause for h in EFFECTS} - {"low_pass", "resonance"}
     known = {effect.name for effect in aj.critic.EFFECTS}
-    assert named | {"spectral_shape", "common_mode", "disturbance"} >= known
+    assert named | {"spectral_shape", "common_mode", "disturbance", "slow_change"} >= known
 
 
 def worth(hidden, axis):

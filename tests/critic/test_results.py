@@ -212,7 +212,11 @@ def test_what_no_cause_explains_is_reported_once_for_each_axis():
         assert left.details["statistic"] == worst.statistic
         assert left.p_value == worst.p_value < 1e-6
         numbers = {"measured": worst.measured, "simulated": worst.simulated, "where": worst.where}
-        assert {label: e.value for label, e in left.parameters.items()} == numbers
+        assert {label: left.parameters[label].value for label in numbers} == numbers
+        # The place: a frequency that the record resolves.
+        (low, high), spacing = left.span, 1.0 / found.duration
+        assert low < worst.where < high
+        assert high - low == pytest.approx(2.0 * spacing, rel=1e-3)
         assert left.discrepancies == ((worst, worst),)
         assert left.domain == ("time" if worst.where_unit == "s" else "frequency")
     assert len(found["accel_z"].findings) == 1

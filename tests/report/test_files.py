@@ -134,5 +134,5 @@ def test_a_critique_prints_its_findings_and_a_line_for_each_axis():
     for text in (brief, details):
         assert max(map(len, text.splitlines())) <= 100
         assert f"{critique.gain:,.0f} nats" in text
-        assert [*critique] == [line.split(":")[0] for line in text.splitlines() if " in all 12 tests" in line]
+        assert [*critique] == [line.split(":")[0] for line in text.splitlines() if " in all 13 tests" in line]
     assert "no findings" in str(bench.critique("clean_1"))

@@ -10,6 +10,7 @@ from allanjax.critic.effects.repeated_samples import RepeatedSamples
 from allanjax.critic.effects.rounding import Rounding
 from allanjax.critic.effects.saturation import Saturation
 from allanjax.critic.effects.sinusoid import Sinusoid
+from allanjax.critic.effects.slow_change import SlowChange
 from allanjax.critic.effects.spectral_shape import SpectralShape
 from allanjax.critic.effects.telegraph import Telegraph
 from allanjax.critic.effects.temperature import Temperature
@@ -28,6 +29,7 @@ EFFECTS: tuple[Effect, ...] = (
     Rounding(),
     Saturation(),
     Sinusoid(),
+    SlowChange(),
     SpectralShape(),
     Telegraph(),
     Temperature(),

@@ -9,12 +9,15 @@ import numpy as np
 from allanjax.critic.effect import Effect, Range
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.parameters import limited
+from allanjax.critic.policy import judged
 from allanjax.critic.spectral import FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is sought.
 _REACH = 0.6
+# Exponents of basic terms.
+_BASIC = {"quantization noise": -2.0, "white noise": 0.0, "bias instability": 1.0, "a random walk": 2.0}
 # Range of the exponent, slightly less than that of the term; most rounds of the search for the maximum.
 _EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
 
@@ -61,7 +64,14 @@ class PowerLaw(Effect):
             (low, view.rate / 2.0),
             "frequency",
             bound=float(np.exp(-gain)),
+            doubt=_doubt(exponent),
         )
+
+
+def _doubt(exponent: float) -> str:
+    """Why a power law of this exponent is hardly one of its own."""
+    near = [name for name, own in _BASIC.items() if abs(exponent - own) < judged("power_law", "distinct")]
+    return f"its exponent is nearly that of {near[0]}" if near else ""
 
 
 def _exponent(view: View, noise: Noise) -> tuple[float, float]:

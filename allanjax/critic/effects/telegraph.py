@@ -25,10 +25,13 @@ _BLOCKS = 2048
 _LEAST_JUMPS = judged("telegraph", "jumps")
 # Blocks over which the first levels are smoothed; rounds in which the levels are adjusted.
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
+# Fewest dwell times whose scatter is judged, and the least of their relative variance.
+_FEW, _REGULAR = 8, judged("telegraph", "regular")
 # The noise of blocks is measured between 1/32 and 1/4 of their frequencies.
 _WHITE = (32, 4)
-# Shortest dwell time [blocks], and number of those compared, logarithmic up to half of the record.
-_SHORTEST, _DWELLS = 4.0, 12
+# Shortest dwell time [blocks], and number of those compared, logarithmic up to twice the record: three jumps
+# are compatible with one as long as the record.
+_SHORTEST, _DWELLS = 4.0, 14
 
 
 class Telegraph(Effect):
@@ -75,7 +78,23 @@ class Telegraph(Effect):
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
         bound = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
-        return dataclasses.replace(candidate, gain=gain, p_value=None, bound=bound, held_out=held_out)
+        times = np.flatnonzero(np.diff(path)) * length / view.rate
+        return dataclasses.replace(
+            candidate, gain=gain, p_value=None, bound=bound, held_out=held_out, doubt=_doubt(times)
+        )
+
+
+def _doubt(times: Float[np.ndarray, " jumps"]) -> str:
+    """Why jumps at these times are hardly random: they follow each other too regularly.
+
+    Dwell times of a random telegraph are exponential: their standard deviation is their mean.
+    """
+    dwell = np.diff(times)
+    if len(dwell) < _FEW:
+        return ""
+    # Up and down may last differently long.
+    scatter = np.mean([np.var(own, ddof=1) / np.mean(own) ** 2 for own in (dwell[::2], dwell[1::2])])
+    return "its jumps are too regular to be random" if scatter < _REGULAR else ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -121,7 +140,7 @@ def two_levels(
     """
     weight = np.ones(len(means)) if known is None else known.astype(float)
     y = means[weight > 0.0]
-    dwells = np.geomspace(_SHORTEST, max(len(means) / 2.0, 2.0 * _SHORTEST), _DWELLS)
+    dwells = np.geomspace(_SHORTEST, 2.0 * len(means), _DWELLS)
 
     def likelihoods(values: Float[np.ndarray, "starts 2"]) -> Float[np.ndarray, "starts blocks 2"]:
         return -0.5 * ((means[:, None] - values[:, None, :]) / sigma) ** 2 * weight[:, None]

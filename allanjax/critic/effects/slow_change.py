@@ -1,0 +1,89 @@
+"""A change of the bias of no known cause: a transition, a bump, or a jump that decays."""
+
+from __future__ import annotations
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.fft import dct
+
+from allanjax.critic.bank import Bank
+from allanjax.critic.effect import Effect
+from allanjax.critic.view import Candidate, View
+from allanjax.critic.waveform import additive
+from allanjax.noise.estimate import Estimate
+
+# Lengths as shares of the record, and places per length.
+_LENGTHS, _PER_LENGTH = 2.0 ** -np.arange(2.0, 7.0), 4
+# Points of a record at which courses are evaluated, and number of their coefficients that are compared.
+_POINTS, _COUNT = 8192, 1024
+
+
+class Course(NamedTuple):
+    """Course of a change, its place and its length as shares of the record."""
+
+    kind: str
+    place: float
+    length: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Where the bias differs from what it was, or where it moves from one value to another."""
+        if self.kind == "decay":
+            return self.place, min(self.place + 3.0 * self.length, 1.0)
+        return max(self.place - 0.5 * self.length, 0.0), min(self.place + 0.5 * self.length, 1.0)
+
+    def at(self, time: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Values at times from 0 to 1, of height 1."""
+        u = (time - self.place) / self.length
+        if self.kind == "transition":
+            return np.clip(u + 0.5, 0.0, 1.0)
+        if self.kind == "decay":
+            return np.where(u >= 0.0, np.exp(-np.maximum(u, 0.0)), 0.0)
+        return np.where(abs(u) < 0.5, 0.5 + 0.5 * np.cos(2.0 * np.pi * u), 0.0)
+
+
+class SlowChange(Effect):
+    """A change of the bias whose course no cause in the vocabulary has; it is found, but never named."""
+
+    name = "slow_change"
+    refit = "at once"
+
+    def detect(self, view: View) -> Candidate | None:
+        courses, bank = _bank(view.n)
+        time = (np.arange(view.n) + 0.5) / view.n
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
+            start, end = courses[k].span
+            error = courses[k].length * view.n / _PER_LENGTH
+            return [
+                view.time_estimate("start", start * view.n, error),
+                view.time_estimate("end", end * view.n, error),
+                view.amplitude_estimate("amplitude", a, std),
+            ]
+
+        def span(k: int) -> tuple[float, float]:
+            start, end = courses[k].span
+            return start * view.duration, end * view.duration
+
+        found = additive(view, self.name, bank, lambda k: courses[k].at(time), parameters, span)
+        return found and found.doubted("no known cause has this course")
+
+    def p_value(self, view: View) -> float:
+        return _bank(view.n)[1].p_value(view, view.noise)
+
+
+@functools.lru_cache(maxsize=2)
+def _bank(n: int) -> tuple[list[Course], Bank]:
+    """Courses, and a bank of their lowest coefficients for records of n samples."""
+    courses = [
+        Course(kind, float(place), float(length))
+        for kind in ("transition", "bump", "decay")
+        for length in _LENGTHS
+        for place in np.arange(length / 2.0, 1.0 - length / 4.0, length / _PER_LENGTH)
+    ]
+    time = (np.arange(_POINTS) + 0.5) / _POINTS
+    shapes = dct(np.stack([course.at(time) for course in courses]), norm="ortho", axis=1)
+    return courses, Bank(shapes[:, 1 : min(_COUNT, n - 1) + 1] * np.sqrt(n / _POINTS))

@@ -1,0 +1,106 @@
+"""What no known effect describes is told by its place, not by a wrong name."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter, sosfilt
+
+import allanjax as aj
+
+N, RATE = 1 << 16, 100.0
+T = np.arange(N) / RATE
+
+
+def unexplained(x):
+    """The only finding of a record, which is unexplained."""
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
+    (one,) = found.findings
+    assert one.cause == "unexplained"
+    assert one.discrepancies
+    text = found.details()
+    assert "unexplained" in text
+    assert "None" not in text
+    return one
+
+
+def white(seed):
+    return np.random.default_rng(seed).standard_normal(N)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_notch_is_no_low_pass_filter(seed):
+    band = (11.0, 14.0)
+    one = unexplained(lfilter(*butter(4, band, "bandstop", fs=RATE), white(seed)))
+    assert one.details["domain"] == "spectrum"
+    # Half a bandwidth at either end, as the notch has slopes.
+    assert one.span[0] == pytest.approx(band[0], abs=1.5)
+    assert one.span[1] == pytest.approx(band[1], abs=1.5)
+
+
+def test_shaped_quantization_noise_is_no_low_pass_filter():
+    """Of a sigma-delta converter of second order."""
+    rng = np.random.default_rng(3)
+    x = rng.standard_normal(N) + 0.4 * np.diff(rng.standard_normal(N + 2), 2)
+    one = unexplained(x)
+    assert one.details["domain"] == "spectrum"
+    assert one.details["reason"] == "the spectrum does not fall above its corner"
+    assert one.span[1] > 0.45 * RATE
+
+
+def test_noise_whose_level_breathes_has_no_changes_of_variance():
+    level = np.exp(0.15 * np.sin(2.0 * np.pi * 5.3 * T / T[-1]))
+    one = unexplained(level * white(4))
+    assert one.details["domain"] == "level"
+    assert one.details["resembles"] == ("variance_change",)
+    assert one.span[1] - one.span[0] > 0.7 * T[-1]
+    # Simulations have the same level everywhere: at most e^0.15 too much or too little.
+    measured = one.parameters["measured"].value
+    assert 0.03 < abs(np.log(measured)) < 2.0 * 0.15
+
+
+def test_skewed_values_are_no_outliers():
+    x = white(5)
+    one = unexplained(x + 0.08 * x**2)
+    assert one.details["domain"] == "values"
+    # The skewness of x + a·x² is 6a + 8a³ over (1 + 2a²)^1.5, within three standard errors √(6/N).
+    theory = (6 * 0.08 + 8 * 0.08**3) / (1 + 2 * 0.08**2) ** 1.5
+    assert one.parameters["measured"].value == pytest.approx(theory, abs=3.0 * np.sqrt(6.0 / N) + 0.02)
+
+
+def test_a_slow_transition_is_no_step_and_no_random_walk():
+    start, end, height = 250.0, 340.0, 0.2
+    found = aj.critique(
+        white(6) + height * np.clip((T - start) / (end - start), 0.0, 1.0), rate=RATE, gyro_unit="deg/s"
+    )
+    (one,) = found.findings
+    assert (one.cause, one.details["domain"]) == ("unexplained", "bias")
+    # Lengths that are compared differ by a factor of two, so that each end may be off by a quarter, and noise
+    # adds to that.
+    assert one.span[0] == pytest.approx(start, abs=0.5 * (end - start))
+    assert one.span[1] == pytest.approx(end, abs=0.5 * (end - start))
+    assert one.parameters["amplitude"].value == pytest.approx(height, rel=0.1)
+    # The extended model has white noise alone: of 1 deg/s at 100 Hz, known to 1/√(2N).
+    (model,) = found.models.values()
+    assert set(model.term_labels) == {"angle_random_walk"}
+    assert np.rad2deg(model["angle_random_walk"].coefficient) == pytest.approx(0.1, rel=0.02)
+
+
+def test_a_periodic_square_wave_is_no_random_telegraph():
+    wave = np.sign(np.sin(2.0 * np.pi * T / 41.0))
+    found = aj.critique(white(7) + 0.15 * wave, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
+    assert "telegraph" not in [f.cause for f in found.findings]
+
+
+@pytest.mark.parametrize(
+    ("cause", "make"),
+    [
+        ("low_pass", lambda x: lfilter([0.4], [1.0, -0.6], x)),
+        ("low_pass", lambda x: sosfilt(butter(2, 30.0, fs=RATE, output="sos"), x)),
+        ("bias_step", lambda x: x + 0.15 * (T > 301.7)),
+        ("variance_change", lambda x: x * np.where((T > 100.0) & (T < 300.0), 1.2, 1.0)),
+        ("outliers", lambda x: x + 8.0 * (np.arange(N) % 6553 == 99)),
+        ("sinusoid", lambda x: x + 0.1 * np.sin(2.0 * np.pi * 7.3 * T)),
+    ],
+)
+def test_what_is_known_keeps_its_name(cause, make):
+    found = aj.critique(make(white(8)), rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
+    assert [f.cause for f in found.findings] == [cause]
