@@ -360,8 +360,9 @@ def _doubt_of_filter(structure: Structure, view: View, corner: float) -> str:
     nyquist = 0.5 * view.rate
     if corner >= nyquist:
         return "its corner would lie above half the sample rate"
-    whole = model_of(structure, view.rate)
-    inside, highest = np.asarray(whole.sampled_psd(np.array([_PASSED * corner, nyquist]), view.rate))
+    # Resonances may be what falls.
+    smooth = model_of(structure.without(*structure.oscillators), view.rate)
+    inside, highest = np.asarray(smooth.sampled_psd(np.array([_PASSED * corner, nyquist]), view.rate))
     return (
         "" if highest < judged(LOW_PASS, "falls") * inside else "the spectrum does not fall above its corner"
     )

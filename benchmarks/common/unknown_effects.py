@@ -103,6 +103,10 @@ class Scene:
 Made = tuple[np.ndarray, str, tuple[float, float], tuple[str, ...]]
 
 
+def nothing(s: Scene) -> Made:
+    return s.noise, "", (0.0, 0.0), ()
+
+
 def ramped_step(s: Scene) -> Made:
     start, length = s.rng.uniform(0.2, 0.6) * s.duration, s.rng.uniform(0.1, 0.25) * s.duration
     shape = np.clip((s.t - start) / length, 0.0, 1.0)
@@ -248,7 +252,7 @@ MADE_ON = (
     soft_clipping,
 )
 KEPT = (bump, relaxations, tone_burst, echo, shelf, wandering_line, gated, growing, heavy_tails, crossover)
-KINDS: dict[str, Callable[[Scene], Made]] = {f.__name__: f for f in (*MADE_ON, *KEPT)}
+KINDS: dict[str, Callable[[Scene], Made]] = {f.__name__: f for f in (*MADE_ON, *KEPT, nothing)}
 
 
 def draw(kind: str, seed: int, multiple: float, duration: float = 1200.0, rate: float = 100.0) -> Unknown:

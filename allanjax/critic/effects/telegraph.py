@@ -25,8 +25,8 @@ _BLOCKS = 2048
 _LEAST_JUMPS = judged("telegraph", "jumps")
 # Blocks over which the first levels are smoothed; rounds in which the levels are adjusted.
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
-# Fewest dwell times whose scatter is judged, and the least of their relative variance.
-_FEW, _REGULAR = 8, judged("telegraph", "regular")
+# Fewest dwell times whose scatter is judged, draws of it, and the p-value below which they are too regular.
+_FEW, _DRAWS, _REGULAR = 6, 2000, judged("telegraph", "regular")
 # The noise of blocks is measured between 1/32 and 1/4 of their frequencies.
 _WHITE = (32, 4)
 # Shortest dwell time [blocks], and number of those compared, logarithmic up to twice the record: three jumps
@@ -80,21 +80,27 @@ class Telegraph(Effect):
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
         times = np.flatnonzero(np.diff(path)) * length / view.rate
         return dataclasses.replace(
-            candidate, gain=gain, p_value=None, bound=bound, held_out=held_out, doubt=_doubt(times)
+            candidate, gain=gain, p_value=None, bound=bound, held_out=held_out, doubt=_doubt(view, times)
         )
 
 
-def _doubt(times: Float[np.ndarray, " jumps"]) -> str:
-    """Why jumps at these times are hardly random: they follow each other too regularly.
-
-    Dwell times of a random telegraph are exponential: their standard deviation is their mean.
-    """
+def _doubt(view: View, times: Float[np.ndarray, " jumps"]) -> str:
+    """Why jumps at these times are hardly those of a random telegraph."""
+    if Telegraph.name in view.found:
+        return "it has more than two levels"
     dwell = np.diff(times)
     if len(dwell) < _FEW:
         return ""
-    # Up and down may last differently long.
-    scatter = np.mean([np.var(own, ddof=1) / np.mean(own) ** 2 for own in (dwell[::2], dwell[1::2])])
-    return "its jumps are too regular to be random" if scatter < _REGULAR else ""
+    # Times between jumps at random are exponential.
+    drawn = np.random.default_rng(0).exponential(size=(_DRAWS, len(dwell)))
+    by_chance = float(np.mean(_scatter(drawn) <= _scatter(dwell)))
+    return "its jumps are too regular to be random" if by_chance < _REGULAR else ""
+
+
+def _scatter(dwell: Float[np.ndarray, "*draws jumps"]) -> Float[np.ndarray, "*draws"]:
+    """Relative variance of the times between jumps; those at either level may last differently long."""
+    each = (dwell[..., k::2] for k in range(2))
+    return np.mean([np.var(own, axis=-1) / np.mean(own, axis=-1) ** 2 for own in each], axis=0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
