@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import uniform_filter1d
 
-from allanjax.critic.noise import NoiseFamily
+from allanjax.critic.noise import NoiseFamily, density
 from allanjax.estimate.spectral.components import COLUMN, MARKOV, NONE, Levels, passed
 from allanjax.estimate.spectral.model import response_of
 from allanjax.estimate.structure.structure import FIXED, OUTSIDE, Structure, term_of
@@ -21,6 +21,8 @@ _DEEP, _LOCAL = 0.01, 401
 _LEAST = 1e-12
 # Number of frequencies between which what the ends add is interpolated.
 _POINTS = 4096
+# Distance of knots, as a share of that from the lowest frequency or a resonance; number of evenly spaced ones.
+_STEP, _LINEAR = 0.01, 8192
 
 
 def spectrum_factor(
@@ -28,19 +30,39 @@ def spectrum_factor(
 ) -> Float[np.ndarray, " n-1"]:
     """Ratio of the whole spectrum to that of the slow terms, a power law and white noise before the response.
 
-    Where the record's ends exceed the filtered noise, it follows the record's own squared coefficients, so
-    that these carry no information.
+    It is evaluated at knots, between which it is linear. Where the record's ends exceed the filtered noise,
+    it follows the record's own squared coefficients, so that these carry no information.
     """
-    inside, after, noise = _spectra(structure, family)
+    knots, every = _knots(structure, family.n), np.arange(family.n - 1)
+    inside, after, noise = _spectra(structure, family, knots)
     response = response_of(structure, family.rate)
     if response is None:
-        return (inside + after) / noise
-    factor = (inside * np.asarray(response.power(family.frequency, family.rate)) + after) / noise
+        return np.interp(every, knots, (inside + after) / noise)
+    power = np.asarray(response.power(family.frequency[knots], family.rate))
+    factor = np.interp(every, knots, (inside * power + after) / noise)
     if len(deep := np.flatnonzero(factor < _DEEP)):
-        ends = inside[deep] * _of_ends(structure, family.n, deep) / noise[deep]
-        own = uniform_filter1d(squares / noise, _LOCAL, mode="nearest")[deep]
+        ends = np.interp(deep, knots, inside / noise) * _of_ends(structure, family.n, deep)
+        own = squares / np.interp(every, knots, noise)
+        own = uniform_filter1d(own, _LOCAL, mode="nearest")[deep]
         factor[deep] = np.where(ends > factor[deep], np.maximum(own, 1e-9), factor[deep] + ends)
     return factor
+
+
+def _knots(structure: Structure, n: int) -> Int[np.ndarray, " knots"]:
+    """Places of coefficients, from 0, so dense that a spectrum is linear in between to some 10⁻⁵.
+
+    Their distance is a share of that from the lowest one, and of the width of a resonance and the distance
+    from it.
+    """
+    low = np.geomspace(1.0, n - 1.0, int(np.log(n) / _STEP) + 2)
+    found = [low, np.linspace(1.0, n - 1.0, _LINEAR)]
+    for own in map(structure.components.__getitem__, structure.oscillators):
+        middle = own.frequency / np.pi * n
+        width = middle / own.quality
+        away = np.concatenate([np.arange(0.0, 1.0, _STEP), np.geomspace(1.0, n / width + 2.0, len(low))])
+        found += [middle - width * away, middle + width * away]
+    places = np.rint(np.concatenate(found)).astype(int) - 1
+    return np.unique(np.concatenate([[0, n - 2], places[(places >= 0) & (places <= n - 2)]]))
 
 
 def stop_band(
@@ -54,14 +76,16 @@ def stop_band(
     return deep, np.clip(share, 1e-9, 1.0)
 
 
-def _spectra(structure: Structure, family: NoiseFamily) -> Float[np.ndarray, "3 n-1"]:
-    """Spectra of all that passes through the response, of all after it, and of the basic terms."""
-    found, rate = np.zeros((3, family.n - 1)), family.rate
+def _spectra(
+    structure: Structure, family: NoiseFamily, some: Int[np.ndarray, " knots"]
+) -> Float[np.ndarray, "3 knots"]:
+    """Spectra of all that passes through the response, of all after it, and of the basic terms, at places."""
+    found, rate, frequency = np.zeros((3, len(some))), family.rate, family.frequency[some]
     for k, own in enumerate(structure.components):
         if own.kind == COLUMN and own.which < len(FIXED):
-            spectrum = own.power * family.spectra[own.which]
+            spectrum = own.power * family.spectra[own.which][some]
         else:
-            spectrum = family.spectrum(term_of(structure, k, rate).sampled(rate))
+            spectrum = rate * density(term_of(structure, k, rate).sampled(rate), frequency, rate)
         found[0 if own.inside else 1] += spectrum
         if own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE):
             found[2] += spectrum

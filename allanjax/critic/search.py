@@ -35,9 +35,9 @@ _ODDS = 1000.0
 _MOST = 8
 # p-value below which a rejected candidate is reported as undecided: a judgement.
 _CERTAIN = 1e-6
-# No further effect is tried once a candidate has gained this much [nats], and so many times the gain that any
-# other effect offered in the round before: judgements.
-_EARLY_STOP_NATS, _EARLY_STOP_RATIO = 30.0, 4.0
+# No further effect is tried once a candidate gains so much more [nats] than any other effect offered in the
+# round before, beyond rivals that are reported: a judgement.
+_CLEARLY = 10.0
 # Share of imputed samples above which no other effect is sought: a judgement.
 _TOO_MANY = 0.5
 
@@ -119,7 +119,7 @@ def going_on(
         draft = prune(longer, effects)
         # A waveform may have hidden any effect, others hardly; in the end all effects are tried again.
         alone = len(draft.steps) < len(longer.steps) or step.candidate.has_waveform
-        promised = {} if alone else _promised(proposals, promised, effects)
+        promised = {} if alone else _promised(proposals, promised, effects, step)
     return draft.noting([f"the search stopped at {len(draft.steps)} findings; there may be more"])
 
 
@@ -142,7 +142,11 @@ def propose(
     left = sorted(effects, key=lambda effect: -promised.get(effect, np.inf))
     candidates: dict[Effect, Candidate] = {}
     most = 0.0
-    while left and most < max(_EARLY_STOP_NATS, _EARLY_STOP_RATIO * promised.get(left[0], np.inf)):
+    while left:
+        promise = promised.get(left[0], np.inf)
+        # What offered nothing, or was rejected, is tried again when nothing else is left.
+        if most > (promise + _CLEARLY if promise else 0.0):
+            break
         effect = left.pop(0)
         tell(f"{view.axis.name}: looking for {cause_title(effect.name, view.axis.sensor)}")
         if (candidate := effect.detect(view)) is not None and candidate.gain > 0.0:
@@ -215,13 +219,15 @@ def _sought(view: View, effects: Sequence[Effect]) -> list[Effect]:
 
 
 def _promised(
-    proposals: Proposals, before: Mapping[Effect, float], effects: Sequence[Effect]
+    proposals: Proposals, before: Mapping[Effect, float], effects: Sequence[Effect], step: Step
 ) -> dict[Effect, float]:
-    """Gains that effects offered last, of those that a spectral finding hardly affects."""
+    """Gains that effects offered last, of those that a finding hardly affects; 0 for what was rejected."""
     found, untried = proposals
     nothing = {effect: 0.0 for effect in effects if effect not in untried and effect not in found}
-    in_time = {effect: float(c.gain) for effect, c in found.items() if c.domain == "time"}
-    return {effect: before[effect] for effect in untried} | nothing | in_time
+    # What is found in time hardly affects the spectrum, and the other way round.
+    others = {e: float(c.gain) for e, c in found.items() if "time" in (c.domain, step.candidate.domain)}
+    rejected = {effect: 0.0 for effect, c in found.items() if c.gain > step.candidate.gain}
+    return {effect: before[effect] for effect in untried} | nothing | others | rejected
 
 
 def _undecided(candidate: Candidate, view: View) -> str:

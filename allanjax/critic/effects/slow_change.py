@@ -18,7 +18,7 @@ from allanjax.noise.estimate import Estimate
 # Lengths as shares of the record, and places per length.
 _LENGTHS, _PER_LENGTH = 2.0 ** -np.arange(2.0, 7.0), 4
 # Points of a record at which courses are evaluated, and number of their coefficients that are compared.
-_POINTS, _COUNT = 8192, 1024
+_POINTS, _COUNT = 2048, 512
 
 
 class Course(NamedTuple):
