@@ -21,7 +21,7 @@ _DEEP, _LOCAL = 0.01, 401
 _LEAST = 1e-12
 # Number of frequencies between which what the ends add is interpolated.
 _POINTS = 4096
-# Distance of knots, as a share of that from the lowest frequency or a resonance; number of evenly spaced ones.
+# Distance of knots as a share of that from the lowest frequency or a resonance; number of even ones.
 _STEP, _LINEAR = 0.01, 8192
 
 

@@ -373,11 +373,13 @@ def _likeness(finding: Finding) -> list[str]:
 def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
     """How many findings there are, and what they gain together."""
     count = f"{len(causes) or 'no'} finding{'' if len(causes) == 1 else 's'}"
+    left = len(critique.findings) - len(causes)
     axes = "1 axis" if len(critique) == 1 else f"{len(critique)} axes"
     order = ", the largest change first" if len(causes) > 1 else ""
     # Nothing of what was found may be of the kind that can be held out.
     gain = f"; total gain {nats(critique.gain)} on held-out data" if causes and critique.gain else ""
-    return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}"
+    more = f"; {left} discrepanc{'y' if left == 1 else 'ies'} unexplained" if left else ""
+    return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}{more}"
 
 
 def _end(critique: Critique, most: int) -> list[str]:
@@ -406,6 +408,9 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
         earlier = "" if most == _BRIEF else f" ({len(before)} before)"
         then = f"after the findings{earlier}" if causes else "and no cause was found"
         words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
+        bare = [f for f in axis.findings if f.cause == "unexplained" and not _likeness(f)]
+        if most == _BRIEF and bare:
+            words = f"{_DOMAINS[str(bare[0].details['domain'])][0]} ({_extent(bare[0])}): {words}"
         more = f"; and {len(own) - most} more" if len(own) > most else ""
         return f"{name}: {tests} {then}: {words}{more}"
     if after:
@@ -486,8 +491,7 @@ def sentence(finding: Finding) -> str:
 def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
     domain = str(finding.details["domain"])
-    where = place(finding) if {"start", "lowest"} & set(finding.parameters) else "whole record"
-    places = [where, *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
+    places = [_extent(finding), *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
     text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({', '.join(places)})"
     if (worst := finding.discrepancies[0][0]).p_value < UNEXPLAINED:
         text += f": {describe(worst)}"
@@ -498,6 +502,11 @@ def _without_a_cause(finding: Finding) -> str:
             f"taken for its cause: {finding.details['reason']}."
         )
     return f"{text} {_DOMAINS[domain][1]}"
+
+
+def _extent(finding: Finding) -> str:
+    """Part of the record or of the spectrum that something unexplained is in."""
+    return place(finding) if {"start", "lowest"} & set(finding.parameters) else "whole record"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:

@@ -336,20 +336,31 @@ ADDED = (
 CAUSES = (*ADDED, "low_pass", "common_mode", *CHANGES)
 
 
-def draw(seed, cause, multiple=(1.5, 5.0), *, duration=None, rate=None, without=""):
+class Split:
+    """A generator whose noise has random numbers of its own, so that another noise changes nothing else."""
+
+    def __init__(self, rng, noise):
+        self.rng, self.standard_normal = rng, np.random.default_rng(noise).standard_normal
+
+    def __getattr__(self, name):
+        return getattr(self.rng, name)
+
+
+def draw(seed, cause, multiple=(1.5, 5.0), *, duration=None, rate=None, without="", noise=None):
     """A record with a hidden effect, with two of them, or with none (None); the same for the same arguments.
 
     multiple: of the detection limit, or the range of a log-uniform draw for each effect; without: letters of
-    terms that the sensor lacks.
+    terms that the sensor lacks; noise: a number for the noise of another record of the same sensor.
     """
     causes = () if cause is None else (cause,) if isinstance(cause, str) else tuple(cause)
-    rng = np.random.default_rng([seed, *(CAUSES.index(c) + 1 for c in causes)])
+    own = np.random.default_rng([seed, *(CAUSES.index(c) + 1 for c in causes)])
+    rng = own if noise is None else Split(own, [seed, noise])
     n, rate = draw_length(rng, duration, rate)
     without = [TERMS[c] for c in causes if c in TERMS] + list("BKMR" if "power_law" in causes else without)
     needs = "QB" if "angle_random_walk" in causes else ""
     sensor = draw_sensor(rng, n / rate, rate, without, needs)
     multiples = {c: log_uniform(rng, *np.broadcast_to(multiple, 2)) for c in causes}
-    scenes = {c: Scene(sensor, n, rate, rng, multiples[c], draw_temperature(n, rate, rng)) for c in causes}
+    scenes = {c: Scene(sensor, n, rate, rng, multiples[c], draw_temperature(n, rate, own)) for c in causes}
 
     kind, n_axes = sensor["kind"], 3 if "common_mode" in causes else 1
     names = tuple(f"{kind}_{x}" for x in ("xyz" if n_axes == 3 else rng.choice(list("xyz"))))

@@ -19,7 +19,7 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -229,6 +229,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 def rms(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def percent(hits: Iterable[bool]) -> str:
+    """E.g. "95"."""
+    hits = list(hits)
+    return f"{100.0 * np.mean(hits):.0f}" if hits else "–"
 
 
 def share(hits: Any) -> str:

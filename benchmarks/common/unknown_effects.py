@@ -95,7 +95,7 @@ class Scene:
         return self.slow + self.white * np.exp(a * (log - log.mean()))
 
     def bent(self, curve: Callable[[np.ndarray, float], np.ndarray], known: float) -> np.ndarray:
-        """The noise with white values that are bent by a curve; `known`: LLR of a small bend a is known·a²·n."""
+        """The noise with white values bent by a curve; the LLR of a small bend a is known·a²·n."""
         x = curve(self.white / _WHITE, self.multiple * np.sqrt(LLR / (known * self.n)))
         return self.slow + _WHITE * (x - x.mean()) / x.std()
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from scipy.stats import kstest, norm
 import allanjax as aj
 from benchmarks.common.hidden_effects import CAUSES, TERMS, draw
 from benchmarks.common.hidden_verdict import PARAMETERS, compared, model_without, others, recording_of, right
-from benchmarks.common.study import run_tasks, share, table
+from benchmarks.common.study import percent, run_tasks, share, table
 
 QUICK: dict[str, Any] = {"records": 1, "clean": 1, "pairs": 0, "sweep": 0, "duration": 160.0, "rate": 50.0}
 QUICK |= {"causes": ("sinusoid", "bias_step"), "multiples": (5.0,)}
@@ -114,11 +114,6 @@ def examine(study: str, cause: str, multiple: float, seed: int, duration: float,
         row["p_values"] = {f"test of {name}": p for axis in found.results for name, p in axis.tests.items()}
         row["p_values"] |= {d.statistic: d.p_value for axis in found.results for d in axis.before}
     return row
-
-
-def percent(hits: Iterable[bool]) -> str:
-    hits = list(hits)
-    return f"{100.0 * np.mean(hits):.0f}" if hits else "–"
 
 
 def naming_table(rows: list[Row], causes: tuple[str, ...]) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from scipy.signal import butter, lfilter, sosfilt
 
 import allanjax as aj
@@ -44,6 +45,21 @@ def test_shaped_quantization_noise_is_no_low_pass_filter():
     assert one.details["domain"] == "spectrum"
     assert one.details["reason"] == "the spectrum does not fall above its corner"
     assert one.span[1] > 0.45 * RATE
+
+
+def test_a_filter_after_quantization_is_described_although_the_spectrum_does_not_fall():
+    """The quantization noise must stay before the filter when everything is refitted."""
+    quantized = white(8) + 1.43 * np.diff(white(9), prepend=0.0)
+    one = unexplained(lfilter([0.75], [1.0, -0.25], quantized))
+    assert one.details["resembles"] == ("low_pass",)
+    # The best spectrum of white and quantization noise without a filter, by the expected likelihood ratio.
+    f = (np.arange(N) + 0.5) / N
+    sine = 4.0 * np.sin(np.pi * f / 2.0) ** 2
+    true = (1.0 + 1.43**2 * sine) * 0.75**2 / (0.75**2 + 0.25 * sine)
+    loss = minimize(lambda p: np.sum(np.log(m := np.exp(p[0]) + np.exp(p[1]) * sine) + true / m), [0.0, 0.0])
+    worth = 0.5 * (loss.fun - np.sum(np.log(true) + 1.0))
+    # Its standard deviation is about √(2·worth).
+    assert one.gain == pytest.approx(worth, abs=3.0 * np.sqrt(2.0 * worth))
 
 
 def test_noise_whose_level_breathes_has_no_changes_of_variance():

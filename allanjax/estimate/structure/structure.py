@@ -127,8 +127,13 @@ class Structure(Composition):
         return dataclasses.replace(self.without(self.place(OUTSIDE)), kind=kinds.NONE)
 
     def with_shape_of(self, other: Structure) -> Structure:
-        """Structure with another one's response, its resonances and its white noise after the response."""
-        mine = (c for c in self.components if not _is_shape(c))
+        """Structure with another one's response and resonances, and with what is after the response there."""
+        inside = {c.which: c.inside for c in other.components if c.kind == kinds.COLUMN}
+        mine = (
+            c._replace(inside=inside.get(c.which, c.inside)) if c.kind == kinds.COLUMN else c
+            for c in self.components
+            if not _is_shape(c)
+        )
         components = (*mine, *filter(_is_shape, other.components))
         return dataclasses.replace(self, components=components, kind=other.kind, response=other.response)
 
