@@ -22,11 +22,11 @@ from allanjax.critic.noise import Noise
 from allanjax.critic.view import View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 
-# Draws of noise from which the law of the largest output is extrapolated: a judgement.
+# Draws of noise from which the law of the largest output is extrapolated.
 _DRAWS = 400
 # Number of bands in which that noise is known, and the resolution of its log levels.
 _LEVELS, _COARSE = 6, 0.5
-# Largest growth of the logarithm of the number of independent filters per unit of the output: a judgement.
+# Largest growth of the logarithm of the number of independent filters per unit of the output.
 _GROWTH = 0.6
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 8

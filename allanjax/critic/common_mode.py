@@ -16,17 +16,15 @@ from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Finding
 from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.parameters import Limit, parameter_estimate
+from allanjax.critic.policy import judged
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"
 # Correlations are searched for in all coefficients, in their lowest quarter, in its lowest quarter, ….
 _SPLIT = 4
-# Fewest independent coefficients for a correlation: a judgement.
-_LEAST = 64
+_LEAST, _WEAKEST = judged("common_mode", "least"), judged("common_mode", "weakest")
 # Neighbouring coefficients that are held out together.
 _FOLD_BLOCK = 32
-# Correlations below this share of the strongest one belong to another group: a judgement.
-_WEAKEST = 0.2
 # Largest correlation that is estimated, as no two axes are identical.
 _STRONGEST = 0.999
 

@@ -20,7 +20,7 @@ from allanjax.critic.effect import Effect
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
-from allanjax.critic.policy import AcceptanceRule
+from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search
@@ -42,8 +42,7 @@ _BETWEEN = ("cross_correlation", "auxiliary_correlation")
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
 # Statistics of the samples' distribution, which reveal that imputed samples are drawn by a simple rule.
 _OF_DISTRIBUTION = ("skewness", "tails", "largest_residual", "lattice", "repeated_values")
-# Fewest samples for a critique: a judgement.
-_SHORTEST = 1024
+_SHORTEST = int(judged("search", "shortest"))
 # Number of axes processed at a time: each takes some twenty times the memory of its samples.
 _WORKERS = 2
 

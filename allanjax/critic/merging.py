@@ -14,10 +14,10 @@ from scipy.special import gammainc
 
 from allanjax.critic.finding import CoefficientChange, Finding, Rival
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate, side_of_limit, values_of
+from allanjax.critic.policy import judged
 from allanjax.noise.estimate import Estimate
 
-# Rivals with longer odds against them than this are not reported, as in the search.
-_ODDS = 1000.0
+_ODDS = judged("search", "rivals")
 
 # --- Several findings reported as one -----------------------------------------------------------------------
 
@@ -148,14 +148,7 @@ def _rivals(members: Sequence[Finding]) -> tuple[Rival, ...]:
 OUTLIERS, EVENT = "outliers", "event"
 #: Causes that are events if they are short, and names of the events of which they are a part.
 STRETCHES = ("disturbance", "variance_change")
-# Longest change of the variance that is an event, as a share of the record: a judgement.
-_SHORT = 0.05
-# Pause [s] after which a new event begins: a judgement.
-_PAUSE = 0.5
-# Share of a finding's outliers below which those outside its event are not reported separately: a judgement.
-_FEW = 0.1
-# Expected number of chance coincidences above which outliers are not an event: a judgement.
-_CHANCE = 1e-3
+_SHORT, _PAUSE, _FEW, _CHANCE = (judged("event", name) for name in ("short", "pause", "few", "chance"))
 
 
 class _Mark(NamedTuple):
@@ -326,23 +319,13 @@ def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> F
 UNEXPLAINED = "unexplained"
 # Standard deviations within which values count as the same: of a line, a place in time, a shape.
 _LINE, _TIME, _SHAPE = 4.0, 4.0, 3.0
-# Resolved frequencies [1/duration] within which two lines are one that is not steady: a judgement.
-_STEADY = 3.0
-# Quality factor above which a resonance is a line; highest order of a harmonic, and the largest share of the
-# fundamental within which it is sought, so that few arise by chance: judgements.
-_NARROW, _ORDERS, _BY_CHANCE = 50.0, 20, 0.02
-# Relative difference within which bandwidths count as equal, as parts of equal filters have tolerances: a
-# judgement.
-_BANDWIDTH = 0.1
-# Factors within which a warm-up's time constants, and a resonance's quality factors, count as the same; a
-# structure is damped differently along each axis: judgements.
-_FACTOR, _DAMPING = 2.0, 4.0
-# Shares of the record within which steps are simultaneous, and beyond which they are not, whatever their
-# errors: judgements.
-_STEP_TIME, _APART = 1e-3, 2e-2
-# Overlaps, as shares of the longer one, above which two stretches are one event: on one axis, and on
-# different axes; and above which they give the start and end of the event. Judgements.
-_NESTED, _SAME, _ALIKE = 0.2, 0.7, 0.9
+_NARROW, _STEADY, _ORDERS, _BY_CHANCE = (
+    judged("line", name) for name in ("quality", "steady", "orders", "near")
+)
+_BANDWIDTH, _FACTOR = judged("low_pass", "same"), judged("warm_up", "same")
+_DAMPING = judged("resonance", "same")
+_STEP_TIME, _APART = judged("bias_step", "at once"), judged("bias_step", "apart")
+_NESTED, _SAME, _ALIKE = (judged("event", name) for name in ("nested", "same", "alike"))
 
 #: Whether two findings of a kind are one, in a record of this length [s].
 Same: TypeAlias = Callable[[Finding, Finding, float], bool]

@@ -18,9 +18,9 @@ from allanjax.estimate.evidence import TermSets
 from allanjax.spectrum.cosine import SpectralStatistics
 
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
-#: they may be [nats]: judgements.
+#: they may be [nats].
 SETS, _LESS = 4, 3.0
-# Subsets that are less likely than the best one by more than this [nats] do not count in sums: a judgement.
+# Subsets that are less likely than the best one by more than this [nats] do not count in sums.
 _FAR_LESS = 8.0
 # Largest number of subsets that are maximized: a quarter of all.
 _NEAR = 143

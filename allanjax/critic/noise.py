@@ -23,7 +23,7 @@ from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform,
 #: Terms without a free shape, and names of terms that are treated separately.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
 WHITE, MARKOV, POWER_LAW, RAMP = "angle_random_walk", "markov", "power_law", "drift_ramp"
-#: Share of white noise in all noise above which the two are not distinguished: a judgement.
+#: Share of white noise in all noise above which the two are not distinguished.
 NEARLY_ALL = 0.9
 # Number of frequencies that are evaluated at a time.
 _BLOCK = 1 << 14

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 
-# Quality factor above which a resonance may come from outside; a wider one is the sensor's own.
-_SHARP = 50.0
+_SHARP = judged("line", "quality")
 # Reach of a place: in resolved frequencies [1/duration], and in standard deviations of its frequency.
 _RESOLVED, _DEVIATIONS = 2.0, 4.0
 

@@ -13,11 +13,10 @@ accepted if
 An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
 finding must also gain on held-out data, if it can be tested on them.
 
-`PRIORS` has the prior odds and the share of each effect, `JUDGEMENTS` the limits of what counts as an
-instance of an effect at all, both with their provenance. Other constants of the critic are numerical: grids,
-resolutions, numbers of rounds, thresholds of a closer search. Measured values were counted by the study
-`critic` on records of one generator (benchmarks/common/hidden_effects.py); their seeds were not recorded and
-may overlap with those that this study reports.
+`PRIORS` has the prior odds and the share of each effect, `JUDGEMENTS` all other limits on which it depends
+what is reported, both with their reasons. Other constants of the critic are numerical: grids, resolutions,
+numbers of draws and rounds, thresholds of a closer search. Measured values were counted by the studies
+`critic` and `unknown` (benchmarks/studies), on seeds other than those of their reports.
 """
 
 from __future__ import annotations
@@ -116,56 +115,137 @@ OWN = Prior(-3.0, _EQUAL, "judgement: as for any other effect; the share is rese
 
 
 class Judgement(NamedTuple):
-    """Limit of what counts as an instance of an effect, and its reason."""
+    """Limit in a decision, and its reason."""
 
     value: float
     provenance: str
 
 
-#: Limits by effect and name.
+#: Limits by the effect or the step of the critique, and name.
 JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
+    ("bias_step", "apart"): Judgement(
+        0.02, "share of the record beyond which steps of two axes are not simultaneous, whatever their errors"
+    ),
+    ("bias_step", "at once"): Judgement(
+        0.001, "share of the record within which steps of two axes are simultaneous"
+    ),
+    ("bias_step", "clear"): Judgement(
+        0.1, "least norm of a step after projecting out its partner, over the largest: others are one step"
+    ),
+    ("bias_step", "sure"): Judgement(
+        20.0, "nats of a step above which no pair is tried in its place, as hidden pairs gain less singly"
+    ),
+    ("common_mode", "least"): Judgement(64, "fewest independent coefficients for a correlation"),
+    ("common_mode", "weakest"): Judgement(
+        0.2, "share of the strongest correlation below which another one belongs to another group"
+    ),
+    ("disturbance", "longest"): Judgement(
+        0.25, "share of the record: in a longer one the sensor was not at rest"
+    ),
+    ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
+    ("disturbance", "quiet"): Judgement(
+        3.0, "excess of a block's mean square, in standard deviations, from which on it is loud"
+    ),
+    ("disturbance", "shortest"): Judgement(0.1, "seconds: shorter ones are outliers"),
     ("disturbance", "smooth"): Judgement(
         0.75,
         "least share of the excess power in the lowest quarter of the frequencies, since motion is smooth; "
         "hidden motions, 0.3 … 5 Hz at rates of 50 Hz and more, have a larger share",
     ),
-    ("disturbance", "loud"): Judgement(2.0, "least ratio of the power in some band to that of the noise"),
+    ("event", "alike"): Judgement(
+        0.9, "overlap, over the longer one, from which on a stretch tells the event's start and end"
+    ),
+    ("event", "chance"): Judgement(
+        0.001, "expected number of chance coincidences above which outliers are not an event"
+    ),
+    ("event", "few"): Judgement(
+        0.1, "share of outliers outside their event up to which these are not told separately"
+    ),
+    ("event", "nested"): Judgement(
+        0.2, "overlap, over the longer one, from which on two stretches of one axis are one"
+    ),
+    ("event", "pause"): Judgement(0.5, "seconds after which a new event begins"),
+    ("event", "same"): Judgement(
+        0.7, "overlap, over the longer one, from which on stretches of several axes are one"
+    ),
+    ("event", "short"): Judgement(0.05, "share of the record up to which a change of variance is an event"),
+    ("line", "beside"): Judgement(
+        0.25, "share of the fundamental within which lines of one source lie beside its multiples"
+    ),
+    ("line", "near"): Judgement(
+        0.02, "share of the fundamental within which a harmonic is sought, so that few arise by chance"
+    ),
+    ("line", "orders"): Judgement(20, "highest order of a harmonic"),
+    ("line", "quality"): Judgement(
+        50.0, "quality factor from which on a resonance is a line, of a source outside the sensor"
+    ),
+    ("line", "steady"): Judgement(
+        3.0, "resolved frequencies within which two lines are one that is not steady"
+    ),
     ("low_pass", "falls"): Judgement(
         0.8, "largest ratio of the spectrum at half the sample rate to that in the pass band of a filter"
     ),
+    ("low_pass", "same"): Judgement(
+        0.1, "relative difference within which bandwidths are equal: parts of filters have tolerances"
+    ),
+    ("outliers", "apart"): Judgement(8, "samples within which prediction errors may have one cause"),
     ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is not an outlier"),
+    ("outliers", "odds"): Judgement(2.0, "log odds from which on a sample is an outlier: seven to one"),
+    ("power_law", "distinct"): Judgement(
+        0.15, "least distance of the exponent from those of basic terms; hidden ones are half off or more"
+    ),
     ("power_law", "instead"): Judgement(
         1, "a power law replaces the Markov process, as in the hidden records; both cannot be detected"
+    ),
+    ("refit", "level"): Judgement(
+        0.2, "change of the log level of the noise up to which a finding is not refitted"
+    ),
+    ("refit", "lost"): Judgement(
+        2.5, "nats that refitting may cost, since a greedy search also explains some noise"
+    ),
+    ("refit", "parameter"): Judgement(
+        0.3, "change of other findings, in standard deviations, up to which it is not refitted"
+    ),
+    ("refit", "sure"): Judgement(20.0, "nats that must not be lost when a finding is dropped"),
+    ("repeated_samples", "apart"): Judgement(
+        12, "samples: values are rarely held so long, so that samples so far apart are equal only by rounding"
     ),
     ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
     ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in std"),
     ("repeated_samples", "share"): Judgement(0.03, "error of the predicted share of repeats by rounding"),
+    ("resonance", "quality"): Judgement(
+        3.0, "quality factor below which a peak is too broad for a resonance; hidden ones have 5 and more"
+    ),
+    ("resonance", "same"): Judgement(
+        4.0, "factor within which quality factors are the same: axes are damped differently"
+    ),
     ("rounding", "harmless"): Judgement(
         0.35,
         "resolution over the noise's deviation below which rounding is harmless; hidden steps are larger",
     ),
     ("saturation", "share"): Judgement(0.9, "share of clipped samples above which the others are unknown"),
+    ("search", "certain"): Judgement(
+        1e-06, "p-value from which on a rejected candidate is told as undecided"
+    ),
+    ("search", "clearly"): Judgement(
+        10.0, "nats by which the best candidate ends a round; told rivals are within 7 nats"
+    ),
+    ("search", "imputed"): Judgement(0.5, "share of imputed samples from which on nothing more is sought"),
+    ("search", "most"): Judgement(8, "findings in an axis: real units have up to eight"),
+    ("search", "rivals"): Judgement(1000.0, "odds against a rival up to which it is told"),
+    ("search", "shortest"): Judgement(
+        1024, "fewest samples of a critique, so that halves have octaves to compare"
+    ),
     ("sinusoid", "periods"): Judgement(6.0, "fewer periods in a record cannot be distinguished from drift"),
+    ("spectral_shape", "left"): Judgement(
+        0.0001, "p-value of the rest of a spectrum below which it is searched again"
+    ),
     ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
     ("telegraph", "regular"): Judgement(
         0.005, "p-value of times between jumps that scatter less than random ones: one true telegraph in 200"
     ),
     ("temperature", "clock"): Judgement(
         1e-6, "share of a channel's variance about a straight line below which it is a clock or a counter"
-    ),
-    ("variance_change", "lasting"): Judgement(
-        0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"
-    ),
-    ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
-    ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
-    ("power_law", "distinct"): Judgement(
-        0.15, "least distance of the exponent from those of basic terms; hidden ones are half off or more"
-    ),
-    ("resonance", "quality"): Judgement(
-        3.0, "quality factor below which a peak is too broad for a resonance; hidden ones have 5 and more"
-    ),
-    ("variance_change", "more"): Judgement(
-        0.1, "share of the gain beyond two changes from which the level varies in another way"
     ),
     ("unexplained", "left"): Judgement(
         0.1, "share of what a free description gains that a named finding may leave at its place"
@@ -174,11 +254,20 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("unexplained", "p_value"): Judgement(
         1e-6, "p-value below which an unexplained discrepancy is reported: some fourteen tests per axis"
     ),
+    ("variance_change", "lasting"): Judgement(
+        0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"
+    ),
+    ("variance_change", "more"): Judgement(
+        0.1, "share of the gain beyond two changes from which the level varies in another way"
+    ),
+    ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
+    ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
+    ("warm_up", "same"): Judgement(2.0, "factor within which time constants of two axes are the same"),
 }
 
 
 def judged(cause: str, name: str) -> float:
-    """Value of a judgement."""
+    """Value of a judgement; counts of samples and the like are integers."""
     return JUDGEMENTS[cause, name].value
 
 

@@ -36,7 +36,7 @@ from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported; smaller ones are beyond floating point.
 TINY = 1e-300
-# Most lags of the autocorrelation, most windows, fewest samples in one: judgements.
+# Most lags of the autocorrelation, most windows, fewest samples in one.
 _LAGS, _WINDOWS, _SHORTEST = 200, 64, 16
 # Draws from which the law of a largest score is extrapolated.
 _DRAWS = 2000

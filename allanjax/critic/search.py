@@ -23,23 +23,15 @@ from allanjax.critic.effect import Effect
 from allanjax.critic.effects.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
 from allanjax.critic.grouping import grouped
-from allanjax.critic.policy import AcceptanceRule
+from allanjax.critic.policy import AcceptanceRule, judged
 from allanjax.critic.shape import finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.model import Model
 
-# Rivals with higher odds against them are not reported: a judgement.
-_ODDS = 1000.0
-# Most findings in an axis: a judgement.
-_MOST = 8
-# p-value below which a rejected candidate is reported as undecided: a judgement.
-_CERTAIN = 1e-6
-# No further effect is tried once a candidate gains so much more [nats] than any other effect offered in the
-# round before, beyond rivals that are reported: a judgement.
-_CLEARLY = 10.0
-# Share of imputed samples above which no other effect is sought: a judgement.
-_TOO_MANY = 0.5
+_ODDS, _MOST, _CERTAIN, _CLEARLY, _TOO_MANY = (
+    judged("search", name) for name in ("rivals", "most", "certain", "clearly", "imputed")
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,7 +96,7 @@ def going_on(
     """Continued search, with effects that have not been tried yet."""
     effects, promised = _sought(draft.end, effects), dict[Effect, float]()
     # Findings that are dropped again count too.
-    for _ in range(2 * _MOST):
+    for _ in range(2 * int(_MOST)):
         if len(draft.steps) >= _MOST:
             break
         proposals = propose(draft.end, effects, promised, tell)

@@ -84,15 +84,12 @@ def conspicuous(ratio: Float[np.ndarray, " n-1"]) -> Window:
 
 #: Names of the findings.
 LOW_PASS, RESONANCE = "low_pass", "resonance"
-# Quality factor above which resonances may be lines of one source, and the largest distance of its lines from
-# multiples of its frequency, as a share of that: judgements.
-_LINES, _BESIDE = 50.0, 0.25
+_LINES, _BESIDE = judged("line", "quality"), judged("line", "beside")
 # Share of a filter's corner frequency at which its pass band is judged.
 _PASSED = 0.5
 # Share of the record at each end that is drawn anew behind a steep filter.
 _ENDS = 0.02
-# p-value of the rest of the spectrum below which it is searched again: a judgement.
-_LEFT = 1e-4
+_LEFT = judged("spectral_shape", "left")
 # Correlation time [samples] below which a Markov process without white noise is filtered white noise.
 _SHORT = 20.0
 # Number of points of the response in the search for its half-power frequency, the share of half the sample

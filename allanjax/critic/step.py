@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from allanjax.critic.bank import FINEST, SLOW
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import centred
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 
 
@@ -110,12 +111,9 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
 
 # Most rounds, for findings that depend on each other.
 _ROUNDS = 3
-# Number of frequencies at which noise is compared; largest changes of its log level, and of a parameter of
-# other findings in its standard deviations, without a refit: judgements.
-_PLACES, _LEVEL, _DEVIATION = 64, 0.2, 0.3
-# Loss of log evidence [nats] above which a finding is not dropped, and the largest loss by refitting, since a
-# greedy search also explains some noise: judgements.
-_SURE, _LOST = 20.0, 2.5
+# Number of frequencies at which noise is compared.
+_PLACES = 64
+_LEVEL, _DEVIATION, _SURE, _LOST = (judged("refit", name) for name in ("level", "parameter", "sure", "lost"))
 
 
 def refitted(

@@ -19,7 +19,7 @@ from allanjax.critic.bank import (
 )
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import Noise
-from allanjax.critic.policy import PRIORS
+from allanjax.critic.policy import PRIORS, judged
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import (
     HOPELESS,
@@ -32,8 +32,7 @@ from allanjax.critic.waveform import (
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
-# Gain of a step [nats] above which no pair of steps is tried in its place: a judgement.
-_SURE = 20.0
+_SURE, _CLEAR = judged("bias_step", "sure"), judged("bias_step", "clear")
 # Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
 # turn.
 _FINER, _ROUNDS = 64, 3
@@ -176,8 +175,6 @@ def _parameters(
 
 # Spacing of the shapes of the bank that are tried first.
 _COARSER = 8
-# Least norm of a shape after projecting out the other one, over the largest such norm: a judgement.
-_CLEAR = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

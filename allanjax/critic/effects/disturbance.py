@@ -14,16 +14,13 @@ from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
 
-# Shortest disturbance [s], and longest one as a share of the record: judgements.
-_SHORTEST = 0.1
-_LONGEST = 0.25
+_SHORTEST, _LONGEST, _SMOOTH, _LOUD, _QUIET = (
+    judged("disturbance", name) for name in ("shortest", "longest", "smooth", "loud", "quiet")
+)
 # Smallest gain of a window that is examined more closely [nats].
 _WORTH = 12.0
 # Bands of the spectrum, each twice as wide as the one below.
 _BANDS = 6
-_SMOOTH, _LOUD = judged("disturbance", "smooth"), judged("disturbance", "loud")
-# Excess of its mean square, in standard deviations, above which a block is loud: a judgement.
-_QUIET = 3.0
 # Blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at each.
 _FADING, _UNSEEN = 10, 0.1
 # Neighbouring samples that are held out together.

@@ -29,10 +29,7 @@ _NOTICED = 3.0
 _LOUD, _FINE = 8.0, 0.02
 # Smallest gain in log-likelihood that is examined more closely [nats], before the trials factor.
 _WORTH = 8.0
-# Log odds above which a sample counts as an outlier, seven to one: a judgement.
-_ODDS = 2.0
-# Distance [samples] below which prediction errors may have one cause: a judgement.
-_APART, _LONGEST = 8, judged("outliers", "longest")
+_ODDS, _APART, _LONGEST = (judged("outliers", name) for name in ("odds", "apart", "longest"))
 # Samples at each end of the record whose scatter is computed; most rounds of the search for neighbours.
 _END, _ROUNDS = 16, 5
 # Neighbouring samples that are held out together.

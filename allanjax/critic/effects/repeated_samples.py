@@ -12,12 +12,9 @@ from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import lattice
 
-_LEAST, _DOUBTLESS, _PREDICTED = (
-    judged("repeated_samples", name) for name in ("count", "deviations", "share")
+_LEAST, _DOUBTLESS, _PREDICTED, _APART = (
+    judged("repeated_samples", name) for name in ("count", "deviations", "share", "apart")
 )
-# Distance [samples] at which samples are equal only by rounding, since values are rarely held so long: a
-# judgement.
-_APART = 12
 
 
 class RepeatedSamples(Effect):
