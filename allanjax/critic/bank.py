@@ -28,8 +28,6 @@ _DRAWS = 400
 _LEVELS, _COARSE = 6, 0.5
 # Largest growth of the logarithm of the number of independent filters per unit of the output.
 _GROWTH = 0.6
-# Neighbouring samples that are held out together.
-_FOLD_BLOCK = 8
 #: Smallest share of a shape's squared norm that is left after projection; less is rounding.
 NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
@@ -152,12 +150,16 @@ class Bank:
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
         """Gain in log-likelihood on held-out data by the effect that is missing in `after` [nats].
 
-        The whole bank is searched without the held-out part, in the noise of the view or of `after`.
+        The whole bank is searched without the held-out part, in the noise of the view or of `after`. Parts
+        are of a random rotation of the whitened coefficients, which are independent after it, too: whitened
+        shapes may be in a few samples, as a step in a random walk is, or in a few coefficients.
         """
         noise = noise or after.noise
         matched = self.matched(view, noise)
-        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in (matched.rows(), matched.whitened))
-        parts = folds(len(e), _FOLD_BLOCK)
+        signs = np.random.default_rng(1).choice([-1.0, 1.0], len(matched.whitened))
+        both = signs * matched.rows(), signs * matched.whitened
+        bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in both)
+        parts = folds(len(e), 1)
         projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)
         squares = np.stack([np.sum(bank[:, part] ** 2, axis=1) for part in parts], axis=1)
         whole = projected.sum(axis=1) ** 2 / np.maximum(squares.sum(axis=1), 1e-300)

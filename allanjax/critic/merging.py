@@ -58,7 +58,7 @@ def together(
     )
     if not counted:
         return whole
-    main = max(counted, key=lambda f: f.impact.size)
+    main = max(counted, key=lambda f: (f.impact.size, f.gain or 0.0))
     return dataclasses.replace(
         whole,
         coefficients=main.coefficients,

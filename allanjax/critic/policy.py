@@ -132,6 +132,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("bias_step", "clear"): Judgement(
         0.1, "least norm of a step after projecting out its partner, over the largest: others are one step"
     ),
+    ("bias_step", "clearly"): Judgement(
+        8.0, "nats by which a slower or a decaying change must explain more than a step, of seventy compared"
+    ),
     ("bias_step", "sure"): Judgement(
         20.0, "nats of a step above which no pair is tried in its place, as hidden pairs gain less singly"
     ),
@@ -253,6 +256,10 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("unexplained", "nats"): Judgement(10.0, "gain of a free description below which nothing is left"),
     ("unexplained", "p_value"): Judgement(
         1e-6, "p-value below which an unexplained discrepancy is reported: some fourteen tests per axis"
+    ),
+    ("variance_change", "clearly"): Judgement(
+        3.0,
+        "nats by which a trend or a wave of the level must explain more than a change from level to level",
     ),
     ("variance_change", "lasting"): Judgement(
         0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"

@@ -41,6 +41,8 @@ _OF_CAUSES = {
     "outliers": "values",
     "slow_change": "bias",
 }
+# Causes of a bias that jumps.
+_JUMPS = ("bias_step", "telegraph")
 # Score of neighbouring places that belong to a discrepancy, as a share of the largest.
 _BESIDE = 0.3
 # The Allan deviation at τ is that of the noise in this band, times 1/τ.
@@ -87,23 +89,34 @@ def doubted(
     ]
     found = [d for d in each if d.reason]
     for d in each:
-        # What lies at the place of a larger description is a part of it.
-        others = [other for other in found if other.domain == d.domain != "bias"]
-        start, end = _place(others, d.domain, free[0], record)
+        # What lies at the place of a larger description is a part of it, as are jumps beside other changes.
+        others = [other for other in found if other.domain == d.domain]
+        start, end = _place(others, d.domain, free[0], record) or (0.0, np.inf)
+        inside = start <= 0.5 * sum(d.finding.span) <= end
         larger = sum(other.finding.gain or 0.0 for other in others) > (d.finding.gain or 0.0)
-        if not d.reason and larger and start <= 0.5 * sum(d.finding.span) <= end:
+        if not d.reason and larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
             found.append(d._replace(reason=others[0].reason))
     return found
 
 
 def _place(
     doubts: Sequence[Doubted], domain: str, before: Free, record: StageResiduals
-) -> tuple[float, float]:
-    """Part of the record [s] or of the spectrum [Hz] that doubts of a domain are about."""
-    starts, ends = zip(*(d.finding.span for d in doubts), strict=True) if doubts else ((0.0,), (0.0,))
-    whole = min(starts), max(ends)
-    has_place = domain in ("spectrum", "level") and before.within(domain, whole, record) > _NATS
-    return before.place(domain, record) if has_place else whole
+) -> tuple[float, float] | None:
+    """Part of the record [s] or of the spectrum [Hz] that doubts of a domain are about.
+
+    None if the descriptions that name nothing do not tell.
+    """
+    if domain not in ("spectrum", "level"):
+        return _whole(doubts)
+    gains = doubts and before.within(domain, _whole(doubts), record) > _NATS
+    return before.place(domain, record) if gains else None
+
+
+def _whole(doubts: Sequence[Doubted]) -> tuple[float, float]:
+    """From the first start to the last end of these findings."""
+    return min((d.finding.span[0] for d in doubts), default=0.0), max(
+        (d.finding.span[1] for d in doubts), default=0.0
+    )
 
 
 # --- What is told of them -----------------------------------------------------------------------------------
@@ -155,8 +168,8 @@ def unexplained(
     for domain, statistics in DOMAINS.items():
         mine = [d for d in doubts if d.domain == domain]
         if mine:
-            place = _place(mine, domain, made.free[0], record)
             first = min((d for d in made.before if d.statistic in statistics), key=lambda d: d.p_value)
+            place = _place(mine, domain, made.free[0], record) or _span(first, None) or _whole(mine)
             worst = left[domain].discrepancy if domain in left else first
             found.append(_described(mine, _unnamed(record.axis, domain, worst, place)))
         elif domain in left:

@@ -238,20 +238,83 @@ def crossover(s: Scene) -> Made:
     return s.bent(lambda x, a: x - a * np.sign(x) * np.exp(-abs(x)), 0.1), "values", (0.0, s.duration), ()
 
 
+def square_wave(s: Scene) -> Made:
+    wave = np.sign(np.sin(2.0 * np.pi * s.t * s.rng.uniform(10.0, 40.0) / s.duration))
+    return s.noise + s.path(wave), "time", (0.0, s.duration), ("sinusoid",)
+
+
+def broken_line(s: Scene) -> Made:
+    f, jump = s.rng.uniform(3.0, 40.0), s.rng.uniform(0.3, 0.7) * s.duration
+    shape = np.sin(2.0 * np.pi * f * s.t + np.where(s.t > jump, s.rng.uniform(1.5, 4.0), 0.0))
+    return s.noise + s.path(shape), "frequency", (f - 0.1, f + 0.1), ("sinusoid",)
+
+
+def fading_line(s: Scene) -> Made:
+    f = s.rng.uniform(3.0, 40.0)
+    shape = np.exp(-s.t / (s.rng.uniform(0.1, 0.4) * s.duration)) * np.sin(2.0 * np.pi * f * s.t)
+    return s.noise + s.path(shape), "frequency", (f - 0.1, f + 0.1), ("sinusoid", "resonance")
+
+
+def ring_downs(s: Scene) -> Made:
+    f, quality = s.rng.uniform(5.0, 30.0), s.rng.uniform(10.0, 40.0)
+    shocks = (s.rng.random(s.n) < 60.0 / s.n) * s.rng.standard_normal(s.n)
+    pole = np.exp(2.0 * np.pi * f / s.rate * (1j - 0.5 / quality))
+    shape = lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], shocks)
+    near = ("resonance", "sinusoid", "disturbance")
+    return s.noise + s.path(shape), "frequency", (f * (1.0 - 1.0 / quality), f * (1.0 + 1.0 / quality)), near
+
+
+def plateau(s: Scene) -> Made:
+    low = s.rng.uniform(1.0, 4.0)
+    band = low, s.rng.uniform(4.0, 8.0) * low
+    sos = butter(2, band, "bandpass", fs=s.rate, output="sos")
+    return s.noise + s.added(sos), "frequency", band, ("resonance",)
+
+
+def settling_level(s: Scene) -> Made:
+    log = np.exp(-s.t / (s.rng.uniform(0.1, 0.3) * s.duration))
+    return s.louder(log), "level", (0.0, 0.6 * s.duration), ()
+
+
+def wandering_level(s: Scene) -> Made:
+    decay = np.exp(-1.0 / (s.rng.uniform(0.02, 0.1) * s.n))
+    log = lfilter([1.0], [1.0, -decay], s.rng.standard_normal(4 * s.n))[3 * s.n :]
+    return s.louder(log / log.std()), "level", (0.0, s.duration), ()
+
+
+def switching_level(s: Scene) -> Made:
+    switches = np.cumsum(s.rng.random(s.n) < s.rng.uniform(8.0, 30.0) / s.n) % 2
+    return s.louder(switches.astype(float)), "level", (0.0, s.duration), ()
+
+
+def one_sided(s: Scene) -> Made:
+    return (
+        s.bent(lambda x, a: x - a * np.maximum(x, 0.0) ** 2, 0.75),
+        "values",
+        (0.0, s.duration),
+        ("saturation",),
+    )
+
+
+def light_tails(s: Scene) -> Made:
+    return (
+        s.bent(lambda x, a: np.arcsinh(x * (k := np.sqrt(6.0 * a))) / k, 12.0),
+        "values",
+        (0.0, s.duration),
+        (),
+    )
+
+
 #: Kinds on which the critic's rules were made, and kinds kept for reports.
 MADE_ON = (
-    ramped_step,
-    chirp,
-    sawtooth,
-    sigma_delta,
-    band_noise,
-    notch,
-    modulated_line,
-    breathing,
-    skewed,
-    soft_clipping,
+    *(ramped_step, chirp, sawtooth, sigma_delta, band_noise, notch, modulated_line, breathing, skewed),
+    *(soft_clipping, bump, relaxations, tone_burst, echo, shelf, wandering_line, gated, growing),
+    *(heavy_tails, crossover),
 )
-KEPT = (bump, relaxations, tone_burst, echo, shelf, wandering_line, gated, growing, heavy_tails, crossover)
+KEPT = (
+    *(square_wave, broken_line, fading_line, ring_downs, plateau, settling_level, wandering_level),
+    *(switching_level, one_sided, light_tails),
+)
 KINDS: dict[str, Callable[[Scene], Made]] = {f.__name__: f for f in (*MADE_ON, *KEPT, nothing)}
 
 

@@ -7,8 +7,8 @@ first record, less that under the first one's baseline, both as they are, is wha
 with several findings count with the sum.
 
 The log-likelihood is that of the cosine coefficients c of the other record, less what the findings subtract
-from the first one, under the expected squares v of the first one's stages: −½ Σ (ln v + c²/v). Where a filter leaves
-less than a hundredth of the noise, the ends of a record dominate, and the coefficients do not count.
+from the first one, under the expected squares v of the first one's stages: −½ Σ (ln v + c²/v). Where a filter
+leaves less than a hundredth of the noise, the ends of a record dominate, and coefficients do not count.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ CAUSES = (
     "power_law",
     "sinusoid",
 )
+DEEP = 0.01
 
 Row = dict[str, Any]
 

@@ -120,3 +120,25 @@ def test_a_periodic_square_wave_is_no_random_telegraph():
 def test_what_is_known_keeps_its_name(cause, make):
     found = aj.critique(make(white(8)), rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
     assert [f.cause for f in found.findings] == [cause]
+
+
+def test_a_strong_step_in_noise_of_short_correlation_is_a_step():
+    """Whitened, it is in a few samples; all of them held out together would leave nothing to predict it from."""
+    n, rate = 30_000, 50.0
+    rng = np.random.default_rng(7)
+    decay = np.exp(-1.0 / (4.4 * rate))
+    markov = lfilter([np.sqrt(1.0 - decay**2)], [1.0, -decay], rng.standard_normal(n + 5000))[5000:]
+    x = rng.standard_normal(n) + 0.7 * markov + 6.0 * (np.arange(n) > 18_070)
+    found = aj.critique(x, rate=rate, gyro_unit="deg/s", names=["gyro_x"])
+    assert [f.cause for f in found.findings] == ["bias_step"]
+    assert found.findings[0].parameters["amplitude"].value == pytest.approx(6.0, rel=0.1)
+
+
+def test_a_telegraph_is_followed_to_the_end_of_the_record():
+    n, rate = 30_000, 50.0
+    jumps = np.array([41.0, 102.0, 167.0, 213.0, 247.0, 339.0, 453.0, 486.0, 548.0, 579.0, 593.0])
+    path = np.searchsorted(jumps, np.arange(n) / rate) % 2
+    x = np.random.default_rng(8).standard_normal(n) + 0.4 * path
+    found = aj.critique(x, rate=rate, gyro_unit="deg/s", names=["gyro_x"])
+    assert [f.cause for f in found.findings] == ["telegraph"]
+    assert found.findings[0].parameters["jumps"].value == len(jumps)

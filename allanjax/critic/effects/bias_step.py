@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from allanjax.critic.bank import (
     FINEST,
+    SLOW,
     Bank,
     Matched,
     log_occam_factor,
@@ -33,6 +34,9 @@ from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
 _SURE, _CLEAR = judged("bias_step", "sure"), judged("bias_step", "clear")
+# Shortest length of a change that is compared with a step, as a share of the record; numbers of lengths and
+# of steps that form one; places of its middle, in lengths.
+_SUDDEN, _LENGTHS, _PIECES, _MIDDLES = 1e-3, 14, 24, np.array([-0.25, 0.0, 0.25, 0.5])
 # Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
 # turn.
 _FINER, _ROUNDS = 64, 3
@@ -83,7 +87,7 @@ class BiasStep(Effect):
         coarse: Candidate | None = None,
     ) -> Candidate | None:
         """Best single step of a bank."""
-        return additive(
+        found = additive(
             view,
             self.name,
             bank,
@@ -94,6 +98,7 @@ class BiasStep(Effect):
             lambda k, a: _term(view, places[k], a),
             coarse=coarse,
         )
+        return found and found.doubted(_doubt(view, found.after, found.support[0] * view.rate))
 
     def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
         """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
@@ -147,7 +152,29 @@ class BiasStep(Effect):
             (float(places[k] / view.rate), view.duration),
             add_to_model=adding(_term(view, places[k], a)),
             has_waveform=True,
+            doubt=_doubt(alone, without, places[k]),
         )
+
+
+def _doubt(view: View, after: View, place: float) -> str:
+    """Why a change of the bias at a place [samples] is hardly a step: it begins slowly, or decays."""
+    share = (np.arange(_PIECES) + 0.5) / _PIECES
+    # Sums of steps, as their places and heights; the quantiles of the exponential law make a decay.
+    alone, even = [(np.array([place]), np.ones(1))], np.full(_PIECES, 1.0 / _PIECES)
+    others = []
+    for length in np.geomspace(_SUDDEN, 0.5, _LENGTHS) * view.n:
+        later = place - length * np.log1p(-share)
+        others.append((np.append(place, later), np.append(1.0, -even)))
+        others += [(middle + length * (share - 0.5), even) for middle in place + length * _MIDDLES]
+    best, own = (_gain(view, after.noise, each) for each in (others, alone))
+    return "it begins slowly or decays" if best - own > judged("bias_step", "clearly") else ""
+
+
+def _gain(view: View, noise: Noise, sums: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Largest gain in log-likelihood by one of these sums of steps [nats]."""
+    J = min(SLOW, view.n - 1)
+    rows = [heights @ step_coefficients(places.clip(0.0, view.n), view.n, J) for places, heights in sums]
+    return 0.5 * float(np.max(Bank(np.stack(rows)).scan(view, noise).snr ** 2))
 
 
 def _shape(view: View, place: float) -> np.ndarray:

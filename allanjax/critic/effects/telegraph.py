@@ -41,9 +41,9 @@ class Telegraph(Effect):
     sensible: ClassVar = {"dwell_time": TIMES}
 
     def detect(self, view: View) -> Candidate | None:
-        blocks = min(_BLOCKS, view.n // 8)
-        length = view.n // blocks
-        means = view.samples[: blocks * length].reshape(blocks, length).mean(axis=1)
+        edges = np.rint(np.linspace(0.0, view.n, min(_BLOCKS, view.n // 8) + 1)).astype(int)
+        size = np.diff(edges)
+        means = np.add.reduceat(view.samples, edges[:-1]) / size
         sigma = _noise(means)
         if sigma == 0.0:
             return None
@@ -52,8 +52,8 @@ class Telegraph(Effect):
         jumps = int(np.sum(np.diff(path) != 0.0))
         if jumps < _LEAST_JUMPS:
             return None
-        whole = np.concatenate([np.repeat(path, length), np.full(view.n - blocks * length, path[-1])])
-        dwell = found.dwell * length / view.rate
+        whole = np.repeat(path, size)
+        dwell = found.dwell * view.duration / len(size)
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             return [
@@ -78,17 +78,21 @@ class Telegraph(Effect):
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
         bound = float(np.exp(-max(gain, 0.0)))
         held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
-        times = np.flatnonzero(np.diff(path)) * length / view.rate
         return dataclasses.replace(
-            candidate, gain=gain, p_value=None, bound=bound, held_out=held_out, doubt=_doubt(view, times)
+            candidate,
+            gain=gain,
+            p_value=None,
+            bound=bound,
+            held_out=held_out,
+            doubt=_doubt(view, path),
         )
 
 
-def _doubt(view: View, times: Float[np.ndarray, " jumps"]) -> str:
-    """Why jumps at these times are hardly those of a random telegraph."""
+def _doubt(view: View, path: Float[np.ndarray, " blocks"]) -> str:
+    """Why a path is hardly a random telegraph's."""
     if Telegraph.name in view.found:
         return "it has more than two levels"
-    dwell = np.diff(times)
+    dwell = np.diff(np.flatnonzero(np.diff(path)))
     if len(dwell) < _FEW:
         return ""
     # Times between jumps at random are exponential.
@@ -210,9 +214,8 @@ def _products(
 
 def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
     """Gain in log-likelihood [nats] on some blocks with the path from the others."""
-    kept, length = 0.0, view.n // len(means)
-    c = centred(means)
-    root = np.sqrt(after.variance()[: len(c)] / length)
+    kept, c = 0.0, centred(means)
+    root = np.sqrt(after.variance()[: len(c)] * len(means) / view.n)
 
     def path(known: Bool[np.ndarray, " blocks"] | None) -> Float[np.ndarray, " blocks"]:
         return in_time(centred(two_levels(means, sigma, known).upper) / root)

@@ -29,6 +29,8 @@ _DRAWS = 1000
 _WORTH = 6.0
 # Number of places within a block on either side of an end at which it may be located.
 _FINER = 32
+# Newton steps to the largest likelihood of a course of the level.
+_ROUNDS = 8
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
 # Samples at each end of the record that are not used.
@@ -150,7 +152,39 @@ class VarianceChange(Effect):
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             details={"noise": kind.name},
+            doubt=_doubt(kind),
         )
+
+
+def _doubt(kind: _Kind) -> str:
+    """Why a change of the level is hardly one from one value to another: it varies in another way."""
+    sums = np.add.reduceat(kind.squares, kind.edges[:-1].astype(int))
+    size, t = np.diff(kind.edges), (np.arange(len(sums)) + 0.5) / len(sums)
+    angle = np.pi * np.arange(1, len(sums) // 2 + 1)[:, None] * t
+    # A trend, and waves of ½, 1, 1½ … periods of any phase.
+    trend = np.stack([t - 0.5, np.zeros(len(t))])
+    courses = np.concatenate([trend[None], np.stack([np.cos(angle), np.sin(angle)], axis=1)])
+    best = _course_gain(courses - courses.mean(axis=2, keepdims=True), sums, size)
+    own = interval_gains(kind.squares, kind.edges).max()
+    clearly = kind.worth * (best - own) > judged("variance_change", "clearly")
+    return "the level varies in another way" if clearly else ""
+
+
+def _course_gain(
+    courses: Float[np.ndarray, "courses 2 k"], sums: Float[np.ndarray, " k"], size: Float[np.ndarray, " k"]
+) -> float:
+    """Largest gain in log-likelihood if the log level of squares follows a sum of two courses [nats]."""
+    weights, mean = np.zeros(courses.shape[:2]), sums.sum() / size.sum()
+    for _ in range(_ROUNDS):
+        level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
+        gradient = np.einsum("cpk,ck->cp", courses, 0.5 * (sums / level - size))
+        curvature = np.einsum("cpk,cqk,ck->cpq", courses, courses, 0.5 * sums / level)
+        curvature += 1e-9 * size.sum() * np.eye(2)
+        move = np.linalg.solve(curvature, gradient[..., None])[..., 0]
+        weights += np.clip(move, -1.0, 1.0)
+    level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
+    loss = 0.5 * np.sum(sums / level + size * np.log(level / mean), axis=1)
+    return float(np.max(0.5 * size.sum() - loss))
 
 
 def _ratio(view: View, excess: float, scatter: float) -> Estimate:
