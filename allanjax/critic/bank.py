@@ -28,6 +28,8 @@ _DRAWS = 400
 _LEVELS, _COARSE = 6, 0.5
 # Largest growth of the logarithm of the number of independent filters per unit of the output.
 _GROWTH = 0.6
+# Outputs below this share of the largest one cannot be the largest without an eighth of the data.
+_RIVALS = 0.7
 #: Smallest share of a shape's squared norm that is left after projection; less is rounding.
 NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
@@ -150,14 +152,15 @@ class Bank:
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
         """Gain in log-likelihood on held-out data by the effect that is missing in `after` [nats].
 
-        The whole bank is searched without the held-out part, in the noise of the view or of `after`. Parts
-        are of a random rotation of the whitened coefficients, which are independent after it, too: whitened
-        shapes may be in a few samples, as a step in a random walk is, or in a few coefficients.
+        The bank is searched without the held-out part, in the noise of the view or of `after`. Parts are of a
+        random rotation of the whitened coefficients, which are independent after it, too: whitened shapes may
+        be in a few samples, as a step in a random walk is, or in a few coefficients.
         """
         noise = noise or after.noise
         matched = self.matched(view, noise)
         signs = np.random.default_rng(1).choice([-1.0, 1.0], len(matched.whitened))
-        both = signs * matched.rows(), signs * matched.whitened
+        snr = abs(matched.products(matched.whitened)) / matched.lengths
+        both = signs * matched.rows(np.flatnonzero(snr >= _RIVALS * snr.max())), signs * matched.whitened
         bank, e = (idct(z, norm="ortho", axis=-1, workers=-1) for z in both)
         parts = folds(len(e), 1)
         projected = np.stack([bank[:, part] @ e[part] for part in parts], axis=1)

@@ -109,7 +109,7 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     return found
 
 
-# Most rounds, for findings that depend on each other.
+# Most rounds at last, for findings that depend on each other.
 _ROUNDS = 3
 # Number of frequencies at which noise is compared.
 _PLACES = 64
@@ -130,7 +130,7 @@ def refitted(
         if s.conditions is None:
             found[k] = dataclasses.replace(s, conditions=_levels(s, view))
     end, lost = view, set()
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if last else 1):
         stale = [k for k in range(len(found)) if found[k].candidate.cause in again and _stale(k, found, end)]
         if not (last or any(again[found[k].candidate.cause].refit == "at once" for k in stale)):
             break

@@ -410,7 +410,9 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
         words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
         bare = [f for f in axis.findings if f.cause == "unexplained" and not _likeness(f)]
         if most == _BRIEF and bare:
-            words = f"{_DOMAINS[str(bare[0].details['domain'])][0]} ({_extent(bare[0])}): {words}"
+            worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
+            where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_extent(worst)})"
+            words = f"{where}: {what(worst.discrepancies[0][0])}"
         more = f"; and {len(own) - most} more" if len(own) > most else ""
         return f"{name}: {tests} {then}: {words}{more}"
     if after:

@@ -36,7 +36,7 @@ from allanjax.noise.estimate import Estimate
 _SURE, _CLEAR = judged("bias_step", "sure"), judged("bias_step", "clear")
 # Shortest length of a change that is compared with a step, as a share of the record; numbers of lengths and
 # of steps that form one; places of its middle, in lengths.
-_SUDDEN, _LENGTHS, _PIECES, _MIDDLES = 1e-3, 14, 24, np.array([-0.25, 0.0, 0.25, 0.5])
+_SUDDEN, _LENGTHS, _PIECES, _MIDDLES = 4e-3, 10, 16, np.array([-0.25, 0.0, 0.25, 0.5])
 # Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
 # turn.
 _FINER, _ROUNDS = 64, 3
@@ -172,7 +172,7 @@ def _doubt(view: View, after: View, place: float) -> str:
 
 def _gain(view: View, noise: Noise, sums: list[tuple[np.ndarray, np.ndarray]]) -> float:
     """Largest gain in log-likelihood by one of these sums of steps [nats]."""
-    J = min(SLOW, view.n - 1)
+    J = min(SLOW // 4, view.n - 1)
     rows = [heights @ step_coefficients(places.clip(0.0, view.n), view.n, J) for places, heights in sums]
     return 0.5 * float(np.max(Bank(np.stack(rows)).scan(view, noise).snr ** 2))
 
