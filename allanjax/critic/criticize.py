@@ -13,6 +13,7 @@ import numpy as np
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.wording import finite_or_none, plain
+from allanjax.critic.acceptance import AcceptanceRule
 from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import StageResiduals
@@ -20,7 +21,7 @@ from allanjax.critic.effect import Effect
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
 from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
-from allanjax.critic.policy import AcceptanceRule, judged
+from allanjax.critic.policy import judged
 from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search

@@ -43,7 +43,7 @@ TIMES, FREQUENCIES = Range("interval", "duration"), Range("resolution", "nyquist
 
 
 class Effect(ABC):
-    """An effect that a sensor's model may lack; `critic.policy` has the rule for accepting it."""
+    """An effect that a sensor's model may lack; `critic.acceptance` has the rule for accepting it."""
 
     name: str
     #: Whether it is visible directly in the samples and must be undone before the search for others.

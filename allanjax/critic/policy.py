@@ -1,17 +1,4 @@
-"""Which candidates are accepted as findings: one rule, and its assumptions in two tables.
-
-A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its effect. It is
-accepted if
-
-- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
-  the axis: zero at the default, more if several axes share the probability;
-- if the test is a p-value, p < α·share. Each effect has its own share of the false alarms, whatever the other
-  effects. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
-  replaces p if it is smaller or if there is no other test; and
-- its parameters make sense: each is within the range that the effect declares (`Effect.sensible`).
-
-An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
-finding must also gain on held-out data, if it can be tested on them.
+"""All that a critique assumes: prior odds of effects, and the limits on which it depends what is reported.
 
 `PRIORS` has the prior odds and the share of each effect, `JUDGEMENTS` all other limits on which it depends
 what is reported, both with their reasons. Other constants of the critic are numerical: grids, resolutions,
@@ -21,22 +8,17 @@ numbers of draws and rounds, thresholds of a closer search. Measured values were
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from allanjax.critic.noise import FIXED, MARKOV, RAMP
 
-if TYPE_CHECKING:
-    from allanjax.critic.effect import Effect, Range
-    from allanjax.critic.view import Candidate
-
 #: Probability of a false finding in a record of one axis for which the prior odds are made.
 FALSE_ALARMS = 0.01
-# Share of the axis's false alarms of each of fifteen kinds of test.
-_EQUAL = 1.0 / 15.0
+#: Share of the axis's false alarms of each of fifteen kinds of test.
+EQUAL = 1.0 / 15.0
 _TWENTY = "judgement: twenty to one against an effect; the share is one of fifteen equal ones"
 
 
@@ -87,31 +69,29 @@ PRIORS: Mapping[str, Prior] = {
         "measured: none of 600 hidden-effects records without an effect has these odds and a gain on "
         "held-out data",
     ),
-    "warm_up": Prior(
-        -1.0, _EQUAL, "judgement: sensors often warm up; the share is one of fifteen equal ones"
-    ),
+    "warm_up": Prior(-1.0, EQUAL, "judgement: sensors often warm up; the share is one of fifteen equal ones"),
     "temperature": Prior(
-        -1.5, _EQUAL, "judgement: sensors often depend on temperature; the share is one of fifteen equal ones"
+        -1.5, EQUAL, "judgement: sensors often depend on temperature; the share is one of fifteen equal ones"
     ),
     "disturbance": Prior(
-        -12.0, _EQUAL, "judgement: many other effects are large; the share is one of fifteen"
+        -12.0, EQUAL, "judgement: many other effects are large; the share is one of fifteen"
     ),
     "slow_change": Prior(
-        -5.0, _EQUAL, "judgement: known causes come first; the share is one of fifteen equal ones"
+        -5.0, EQUAL, "judgement: known causes come first; the share is one of fifteen equal ones"
     ),
-    "outliers": Prior(-3.0, _EQUAL, _TWENTY),
-    "sinusoid": Prior(-3.0, _EQUAL, _TWENTY),
-    "spectral_shape": Prior(-3.0, _EQUAL, _TWENTY),
-    "variance_change": Prior(-3.0, _EQUAL, _TWENTY),
-    "rounding": Prior(0.0, _EQUAL, _OF_SAMPLES),
-    "saturation": Prior(0.0, _EQUAL, _OF_SAMPLES),
-    "repeated_samples": Prior(0.0, _EQUAL, _OF_SAMPLES),
+    "outliers": Prior(-3.0, EQUAL, _TWENTY),
+    "sinusoid": Prior(-3.0, EQUAL, _TWENTY),
+    "spectral_shape": Prior(-3.0, EQUAL, _TWENTY),
+    "variance_change": Prior(-3.0, EQUAL, _TWENTY),
+    "rounding": Prior(0.0, EQUAL, _OF_SAMPLES),
+    "saturation": Prior(0.0, EQUAL, _OF_SAMPLES),
+    "repeated_samples": Prior(0.0, EQUAL, _OF_SAMPLES),
     "common_mode": Prior(
-        0.0, _EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
+        0.0, EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
     ),
 }
 #: Prior of all user-defined effects together, which share it equally.
-OWN = Prior(-3.0, _EQUAL, "judgement: as for any other effect; the share is reserved for effects of users")
+OWN = Prior(-3.0, EQUAL, "judgement: as for any other effect; the share is reserved for effects of users")
 
 
 class Judgement(NamedTuple):
@@ -276,49 +256,3 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
 def judged(cause: str, name: str) -> float:
     """Value of a judgement; counts of samples and the like are integers."""
     return JUDGEMENTS[cause, name].value
-
-
-class AcceptanceRule(NamedTuple):
-    """Rule by which candidates in one axis are accepted.
-
-    Attributes:
-        false_alarms: probability of a false finding in the axis.
-        own: names of effects that are not in the table.
-        sensible: where the parameters of each effect make sense, by label.
-    """
-
-    false_alarms: float
-    own: tuple[str, ...] = ()
-    sensible: Mapping[str, Mapping[str, Range]] = MappingProxyType({})
-
-    @classmethod
-    def of(cls, false_alarms: float, effects: Iterable[Effect] = ()) -> AcceptanceRule:
-        """Rule for an axis with these effects."""
-        effects = tuple(effects)
-        own = (effect.name for effect in effects if effect.name not in PRIORS)
-        return cls(
-            false_alarms, tuple(dict.fromkeys(own)), {effect.name: effect.sensible for effect in effects}
-        )
-
-    def least_log_odds(self, cause: str) -> float:
-        """Gain [nats] above which a candidate of an effect has the required posterior odds."""
-        return float(np.log(FALSE_ALARMS / self.false_alarms)) - PRIORS.get(cause, OWN).log_odds
-
-    def level(self, cause: str) -> float:
-        """Probability of a false finding of an effect; 1 where its odds are the test."""
-        share = PRIORS[cause].share if cause in PRIORS else _EQUAL / max(len(self.own), 1)
-        return 1.0 if share is None else self.false_alarms * share
-
-    def accepts(self, candidate: Candidate) -> bool:
-        """Whether a candidate is probable enough, unlikely to be chance, and makes sense."""
-        # An effect that is visible directly in the samples has no odds: nan.
-        doubtful = candidate.gain < self.least_log_odds(candidate.cause)
-        probable = not doubtful and candidate.chance < self.level(candidate.cause)
-        return bool(probable and self._makes_sense(candidate))
-
-    def _makes_sense(self, candidate: Candidate) -> bool:
-        """Whether all parameters of a candidate are where its effect declares them to make sense."""
-        ranges = self.sensible.get(candidate.cause, {})
-        return all(
-            ranges[e.label].holds(e, candidate.after) for e in candidate.estimates if e.label in ranges
-        )

@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.base.wording import plain
+from allanjax.critic.acceptance import AcceptanceRule
 from allanjax.critic.effect import Effect
 from allanjax.critic.effects.spectral_shape import SpectralShape
 from allanjax.critic.finding import cause_title
 from allanjax.critic.grouping import grouped
-from allanjax.critic.policy import AcceptanceRule, judged
+from allanjax.critic.policy import judged
 from allanjax.critic.shape import finished
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import Candidate, View

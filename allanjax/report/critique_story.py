@@ -341,7 +341,7 @@ _BRIEF, _FULL = 1, 3
 def story(critique: Critique) -> str:
     """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
     causes = _causes(critique)
-    lines = [_headline(critique, causes)]
+    lines = [wrapped(_headline(critique, causes))]
     if causes:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
@@ -351,7 +351,7 @@ def story(critique: Critique) -> str:
 
 def details(critique: Critique) -> str:
     """A paragraph for each finding, one for each axis, all warnings and notes."""
-    lines = [_headline(critique, _causes(critique))]
+    lines = [wrapped(_headline(critique, _causes(critique)))]
     for k, finding in enumerate(critique.findings, 1):
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
