@@ -123,7 +123,7 @@ def test_what_is_known_keeps_its_name(cause, make):
 
 
 def test_a_strong_step_in_noise_of_short_correlation_is_a_step():
-    """Whitened, it is in a few samples; all of them held out together would leave nothing to predict it from."""
+    """Whitened, it is in a few samples; if all of them are held out, nothing is left to predict it from."""
     n, rate = 30_000, 50.0
     rng = np.random.default_rng(7)
     decay = np.exp(-1.0 / (4.4 * rate))
