@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.memory import return_freed
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.acceptance import AcceptanceRule
 from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
@@ -127,6 +128,7 @@ def _guarded(
     def attempt(k: int) -> _T | None:
         if axes[k].name in failed:
             return None
+        return_freed()
         try:
             return work(k)
         except (MemoryError, OSError):

@@ -138,7 +138,7 @@ class NoiseFamily:
         columns = np.concatenate([self.columns[: len(FIXED)], grid])
         return evidence(self.jobs.of(rows)._replace(power=first), columns, levels, size)
 
-    @functools.lru_cache(maxsize=GRID)  # noqa: B019 - families are few, and themselves cached
+    @functools.lru_cache(maxsize=6)  # noqa: B019 - families are few and cached; spectra are long
     def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
         """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
         if name == MARKOV:
