@@ -363,7 +363,9 @@ def power_scales(unit: Any, shape: Any, noise: Any) -> Float[np.ndarray, " compo
 
 def covariance(maximum: Maximum) -> Float[np.ndarray, "parameters parameters"]:
     """Covariance of the estimates, powers as `Maximum.scale` says; zero for what is held or at a bound."""
-    size = 1.0 / np.sqrt(np.diag(maximum.information))
+    known = np.diag(maximum.information)
+    # The data may tell nothing of the shape of a component without power.
+    size = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
     both = np.outer(size, size)
     spread = np.linalg.pinv(maximum.information * both, hermitian=True) * both
     return np.where(np.outer(maximum.interior, maximum.interior), spread, 0.0)
