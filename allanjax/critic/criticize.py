@@ -27,7 +27,7 @@ from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
 from allanjax.critic.search import Draft, Search, concluded, going_on, search
 from allanjax.critic.step import Step
-from allanjax.critic.unknown import CERTAIN, doubted, left, unexplained
+from allanjax.critic.unknown import CERTAIN, reported
 from allanjax.critic.view import View
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
@@ -38,12 +38,8 @@ from allanjax.spectrum.cosine import fast_length
 
 _T = TypeVar("_T")
 
-# Statistics that compare with other channels, in which the cause of any discrepancy lies.
-_BETWEEN = ("cross_correlation", "auxiliary_correlation")
 # Statistics of the samples themselves, by the cause that explains each.
 _IN_SAMPLES = {"rounding": "lattice", "repeated_samples": "repeated_values"}
-# Statistics of the samples' distribution, which reveal that imputed samples are drawn by a simple rule.
-_OF_DISTRIBUTION = ("skewness", "tails", "largest_residual", "lattice", "repeated_values")
 _SHORTEST = int(judged("search", "shortest"))
 # Number of axes processed at a time: each takes some twenty times the memory of its samples.
 _WORKERS = 2
@@ -93,12 +89,10 @@ def criticize(
                 zip(s.steps, made.pairs, drift_changes(s.steps), strict=True)
             )
         ]
-        known = {*_BETWEEN} if any(axis.name in f.axes for f in shared) else set()
-        known |= {*_OF_DISTRIBUTION} if s.preprocessed else set()
-        doubts = doubted(findings, [step.candidate.doubt for step in s.steps], made.free, records[k][0])
-        described = [doubt.finding for doubt in doubts]
-        findings = [f for f in findings if not any(f is other for other in described)]
-        findings += unexplained(records[k][0], made, doubts, left(made, known))
+        # Other channels have a cause in common, or imputed samples were drawn by a simple rule.
+        ignored = ["channels"] * any(axis.name in f.axes for f in shared) + ["values"] * s.preprocessed
+        reasons = [step.candidate.doubt for step in s.steps]
+        findings = reported(findings, reasons, records[k][0], made, ignored)
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)

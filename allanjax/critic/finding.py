@@ -14,6 +14,8 @@ from allanjax.critic.parameters import Detail
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.record.units import Sensor
 
+#: Cause of a discrepancy that no known effect explains.
+UNEXPLAINED = "unexplained"
 #: Coefficients whose change measures a finding's effect, beside the drift and the Allan deviation.
 MAIN_COEFFICIENTS = ("angle_random_walk", "rate_random_walk")
 # Parameters that may be the size of an effect in an axis; the first one of a finding counts.

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from scipy.special import gammainc
 
-from allanjax.critic.finding import CoefficientChange, Finding, Rival
+from allanjax.critic.finding import UNEXPLAINED, CoefficientChange, Finding, Rival
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate, side_of_limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.noise.estimate import Estimate
@@ -315,8 +315,6 @@ def _of_places(f: Finding, wanted: Callable[[int], bool], is_counted: bool) -> F
     )
 
 
-#: A remaining discrepancy, which has no cause.
-UNEXPLAINED = "unexplained"
 # Standard deviations within which values count as the same: of a line, a place in time, a shape.
 _LINE, _TIME, _SHAPE = 4.0, 4.0, 3.0
 _NARROW, _STEADY, _ORDERS, _BY_CHANCE = (

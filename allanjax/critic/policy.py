@@ -1,9 +1,9 @@
-"""All that a critique assumes: prior odds of effects, and the limits on which it depends what is reported.
+"""All that a critique assumes: prior odds of effects, and the limits that decide what is reported.
 
-`PRIORS` has the prior odds and the share of each effect, `JUDGEMENTS` all other limits on which it depends
-what is reported, both with their reasons. Other constants of the critic are numerical: grids, resolutions,
-numbers of draws and rounds, thresholds of a closer search. Measured values were counted by the studies
-`critic` and `unknown` (benchmarks/studies), on seeds other than those of their reports.
+`PRIORS` has the prior odds and the share of each effect. `JUDGEMENTS` has all other limits that decide what
+is reported. Both give their reasons. Other constants of the critic are numerical: grids, resolutions, numbers
+of draws and rounds, thresholds of a closer search. Measured values come from the studies `critic` and
+`unknown` (benchmarks/studies); their reports use other seeds.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         0.001, "expected number of chance coincidences above which outliers are not an event"
     ),
     ("event", "few"): Judgement(
-        0.1, "share of outliers outside their event up to which these are not told separately"
+        0.1, "share of outliers outside their event up to which they are not reported separately"
     ),
     ("event", "nested"): Judgement(
         0.2, "overlap, over the longer one, from which on two stretches of one axis are one"
@@ -208,14 +208,14 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ),
     ("saturation", "share"): Judgement(0.9, "share of clipped samples above which the others are unknown"),
     ("search", "certain"): Judgement(
-        1e-06, "p-value from which on a rejected candidate is told as undecided"
+        1e-06, "largest p-value of a rejected candidate that is reported as undecided"
     ),
     ("search", "clearly"): Judgement(
-        10.0, "nats by which the best candidate ends a round; told rivals are within 7 nats"
+        10.0, "nats by which the best candidate ends a round; reported rivals are within 7 nats"
     ),
     ("search", "imputed"): Judgement(0.5, "share of imputed samples from which on nothing more is sought"),
     ("search", "most"): Judgement(8, "findings in an axis: real units have up to eight"),
-    ("search", "rivals"): Judgement(1000.0, "odds against a rival up to which it is told"),
+    ("search", "rivals"): Judgement(1000.0, "largest odds against a rival that is reported"),
     ("search", "shortest"): Judgement(
         1024, "fewest samples of a critique, so that halves have octaves to compare"
     ),

@@ -214,16 +214,19 @@ def tails(record: StageResiduals) -> Profile:
     """Profile of the excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
     squares = record.whitened**2
     excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
-    p = max(float(kurtosistest(record.whitened).pvalue), TINY)
-    score = np.array([float(norm.isf(0.5 * p))])
-    return Profile("tails", "", "1", score, lambda _: p, lambda _: (0.0, excess, 0.0))
+    return _of_shape("tails", excess, float(kurtosistest(record.whitened).pvalue))
 
 
 def skewness(record: StageResiduals) -> Profile:
     """Profile of the skewness of the whitened residuals (D'Agostino 1970)."""
-    value, p = float(skew(record.whitened)), max(float(skewtest(record.whitened).pvalue), TINY)
-    score = np.array([np.sign(value) * float(norm.isf(0.5 * p))])
-    return Profile("skewness", "", "1", score, lambda _: p, lambda _: (0.0, value, 0.0))
+    return _of_shape("skewness", float(skew(record.whitened)), float(skewtest(record.whitened).pvalue))
+
+
+def _of_shape(statistic: str, value: float, p_value: float) -> Profile:
+    """Profile of a property of the whole distribution that is 0 for a normal one."""
+    p = max(p_value, TINY)
+    score = np.array([float(norm.isf(0.5 * p))])
+    return Profile(statistic, "", "1", score, lambda _: p, lambda _: (0.0, value, 0.0))
 
 
 def largest_residual(record: StageResiduals) -> Profile:

@@ -4,8 +4,8 @@ Every finding competes with a description that names nothing: a free level of th
 the noise over time, a free distribution of the values. Each is estimated from one half of the data and judged
 on the other. A finding keeps its name if little is left for such a description at its place, and if its
 effect has no doubt about it, for instance because a filter's spectrum does not fall above its corner.
-Otherwise it stays in the extended model as a description, but is told as unexplained: where it is in time or
-frequency, how large and how significant, and what it resembles.
+Otherwise it stays in the extended model as a description, and is reported as unexplained: where it is in time
+or frequency, how large and how significant it is, and what it resembles.
 """
 
 from __future__ import annotations
@@ -17,15 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.critic.comparison import StageResiduals
-from allanjax.critic.finding import Discrepancy, Finding
+from allanjax.critic.finding import UNEXPLAINED, Discrepancy, Finding
 from allanjax.critic.free import Free
 from allanjax.critic.parameters import parameter_estimate
 from allanjax.critic.policy import judged
 from allanjax.critic.profiles import Comparison, Profile
-from allanjax.record.recording import Axis
 
-#: Cause of a finding that has none.
-UNEXPLAINED = "unexplained"
 #: Statistics by the domain in which they show a discrepancy, the one that places it best first.
 DOMAINS: Mapping[str, tuple[str, ...]] = {
     "spectrum": ("psd", "psd_line", "autocorrelation", "allan_deviation", "drift"),
@@ -56,7 +53,28 @@ _MORE = judged("variance_change", "more")
 # --- Findings that lose their name --------------------------------------------------------------------------
 
 
-class Doubted(NamedTuple):
+def reported(
+    findings: Sequence[Finding],
+    reasons: Sequence[str],
+    record: StageResiduals,
+    made: Comparison,
+    ignored: Collection[str],
+) -> list[Finding]:
+    """Findings that keep their names, and one without a cause for each domain where others or a rest are.
+
+    Args:
+        findings: those of an axis.
+        reasons: why their effects doubt them, "" for none.
+        record: the axis before the first of them.
+        made: its comparison with simulations.
+        ignored: domains in which what remains has another explanation.
+    """
+    doubts = _doubted(findings, reasons, made.free, record)
+    named = [f for f in findings if not any(f is d.finding for d in doubts)]
+    return [*named, *_unexplained(record, made, doubts, _left(made, ignored))]
+
+
+class _Doubted(NamedTuple):
     """A finding that is not named, the domain of the free description that is its rival, and the reason."""
 
     finding: Finding
@@ -64,10 +82,10 @@ class Doubted(NamedTuple):
     reason: str
 
 
-def doubted(
+def _doubted(
     findings: Sequence[Finding], reasons: Sequence[str], free: tuple[Free, Free], record: StageResiduals
-) -> list[Doubted]:
-    """Findings that are only a description, given the `reasons` of their effects ("" for none).
+) -> list[_Doubted]:
+    """Findings that are only a description.
 
     `free` are the descriptions that name nothing before the first finding and after the last one.
     """
@@ -84,23 +102,25 @@ def doubted(
 
     domains = [_OF_CAUSES.get(f.cause, "bias") for f in findings]
     each = [
-        Doubted(f, domain, reason or reason_of(f, domain))
+        _Doubted(f, domain, reason or reason_of(f, domain))
         for f, domain, reason in zip(findings, domains, reasons, strict=True)
     ]
     found = [d for d in each if d.reason]
     for d in each:
         # What lies at the place of a larger description is a part of it, as are jumps beside other changes.
         others = [other for other in found if other.domain == d.domain]
+        if d.reason or not others:
+            continue
         start, end = _place(others, d.domain, free[0], record) or (0.0, np.inf)
         inside = start <= 0.5 * sum(d.finding.span) <= end
         larger = sum(other.finding.gain or 0.0 for other in others) > (d.finding.gain or 0.0)
-        if not d.reason and larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
+        if larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
             found.append(d._replace(reason=others[0].reason))
     return found
 
 
 def _place(
-    doubts: Sequence[Doubted], domain: str, before: Free, record: StageResiduals
+    doubts: Sequence[_Doubted], domain: str, before: Free, record: StageResiduals
 ) -> tuple[float, float] | None:
     """Part of the record [s] or of the spectrum [Hz] that doubts of a domain are about.
 
@@ -108,35 +128,34 @@ def _place(
     """
     if domain not in ("spectrum", "level"):
         return _whole(doubts)
-    gains = doubts and before.within(domain, _whole(doubts), record) > _NATS
+    gains = before.within(domain, _whole(doubts), record) > _NATS
     return before.place(domain, record) if gains else None
 
 
-def _whole(doubts: Sequence[Doubted]) -> tuple[float, float]:
+def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
     """From the first start to the last end of these findings."""
-    return min((d.finding.span[0] for d in doubts), default=0.0), max(
-        (d.finding.span[1] for d in doubts), default=0.0
-    )
+    starts, ends = zip(*(d.finding.span for d in doubts), strict=True)
+    return min(starts), max(ends)
 
 
-# --- What is told of them -----------------------------------------------------------------------------------
+# --- Findings without a cause -------------------------------------------------------------------------------
 
 
-class Left(NamedTuple):
+class _Left(NamedTuple):
     """A discrepancy that remains, and the part of the record [s] or of the spectrum [Hz] that it is in."""
 
     discrepancy: Discrepancy
     span: tuple[float, float] | None
 
 
-def left(made: Comparison, ignored: Collection[str]) -> dict[str, Left]:
-    """What remains beyond doubt after the last finding, by domain; some statistics are `ignored`."""
+def _left(made: Comparison, ignored: Collection[str]) -> dict[str, _Left]:
+    """What remains beyond doubt after the last finding, by domain; some domains are `ignored`."""
     found = {}
-    sure = {d.statistic: d for d in made.after if d.p_value < CERTAIN and d.statistic not in ignored}
+    sure = {d.statistic: d for d in made.after if d.p_value < CERTAIN}
     last = {profile.statistic: profile for profile in made.last}
     for domain, statistics in DOMAINS.items():
-        mine = [Left(sure[s], _span(sure[s], last.get(s))) for s in statistics if s in sure]
-        if mine:
+        mine = [_Left(sure[s], _span(sure[s], last.get(s))) for s in statistics if s in sure]
+        if mine and domain not in ignored:
             # A part of the spectrum is placed best by statistics of it.
             narrow = [each for each in mine if each.discrepancy.statistic in ("psd", "psd_line")]
             found[domain] = min(narrow or mine, key=lambda each: each.discrepancy.p_value)
@@ -160,8 +179,8 @@ def _span(d: Discrepancy, profile: Profile | None) -> tuple[float, float] | None
     return float(start[first]), float(end[last])
 
 
-def unexplained(
-    record: StageResiduals, made: Comparison, doubts: Sequence[Doubted], left: Mapping[str, Left]
+def _unexplained(
+    record: StageResiduals, made: Comparison, doubts: Sequence[_Doubted], left: Mapping[str, _Left]
 ) -> list[Finding]:
     """Findings without a cause, one for each domain where there are doubts or something is left."""
     found = []
@@ -171,15 +190,17 @@ def unexplained(
             first = min((d for d in made.before if d.statistic in statistics), key=lambda d: d.p_value)
             place = _place(mine, domain, made.free[0], record) or _span(first, None) or _whole(mine)
             worst = left[domain].discrepancy if domain in left else first
-            found.append(_described(mine, _unnamed(record.axis, domain, worst, place)))
+            found.append(_described(mine, _unnamed(record, domain, worst, place)))
         elif domain in left:
-            found.append(_unnamed(record.axis, domain, *left[domain]))
+            found.append(_unnamed(record, domain, *left[domain]))
     return found
 
 
-def _unnamed(axis: Axis, domain: str, worst: Discrepancy, place: tuple[float, float] | None) -> Finding:
+def _unnamed(
+    record: StageResiduals, domain: str, worst: Discrepancy, place: tuple[float, float] | None
+) -> Finding:
     """Finding of a discrepancy without a cause, at a place [s or Hz] if that is known."""
-    in_time = domain in ("level", "bias", "values")
+    axis, in_time = record.axis, domain in ("level", "bias", "values")
     numbers = {
         "where": (worst.where, worst.where_unit),
         "measured": (worst.measured, worst.unit),
@@ -197,14 +218,14 @@ def _unnamed(axis: Axis, domain: str, worst: Discrepancy, place: tuple[float, fl
         0.0,
         0.0,
         (),
-        place or (0.0, np.inf),
+        place or (0.0, record.n / record.rate if in_time else 0.5 * record.rate),
         "time" if in_time else "frequency",
         discrepancies=((worst, worst),),
         details={"domain": domain, "statistic": worst.statistic},
     )
 
 
-def _described(doubts: Sequence[Doubted], unnamed: Finding) -> Finding:
+def _described(doubts: Sequence[_Doubted], unnamed: Finding) -> Finding:
     """Finding without a cause that the extended model describes by other findings, which are not named."""
     ordered = sorted(doubts, key=lambda d: -(d.finding.gain or 0.0))
     members, main = [d.finding for d in ordered], ordered[0].finding

@@ -20,14 +20,14 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
 from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
-from allanjax.critic.finding import Finding
+from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import values_of
 from allanjax.critic.result import Critique
 from allanjax.record.recording import Axis
 from allanjax.report import draw
 from allanjax.report.critique_story import (
-    UNEXPLAINED,
+    SIGNIFICANT,
     changes,
     format_remainder,
     sentence,
@@ -382,12 +382,12 @@ def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
 def _description(finding: Finding, axis: Axis) -> list[str]:
     """Lines of the text beside the effect."""
     lines = [sentence(finding), ""]
-    if finding.cause != "unexplained":
+    if finding.cause != UNEXPLAINED:
         evidence = "" if finding.evidence is None else f"evidence {finding.evidence:,.0f} nats"
         test = significance(finding)
         lines.append(", ".join(text for text in ("" if test in lines[0] else test, evidence) if text))
         lines += changes(finding, axis)
-        mended = [pair for pair in finding.discrepancies if pair[0].p_value < UNEXPLAINED]
+        mended = [pair for pair in finding.discrepancies if pair[0].p_value < SIGNIFICANT]
         lines += ["", "before → after:"] if mended else []
         for before, after in sorted(mended, key=lambda pair: pair[0].p_value)[:_LISTED]:
             lines.append(f"{what(before)} → {format_remainder(before, after)}")

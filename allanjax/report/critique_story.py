@@ -17,9 +17,10 @@ from allanjax.base.wording import (
     times_ten,
     without_error,
 )
-from allanjax.critic.finding import CoefficientChange, Discrepancy, Finding, cause_title
+from allanjax.critic.finding import UNEXPLAINED, CoefficientChange, Discrepancy, Finding, cause_title
 from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
+from allanjax.critic.unknown import DOMAINS
 from allanjax.estimate.result import LIMIT
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
@@ -328,19 +329,19 @@ def _short(e: Estimate) -> str:
 
 #: Largest p-value of a discrepancy that is reported: of some fourteen per axis, a few are small by chance. A
 #: judgement.
-UNEXPLAINED = 1e-4
+SIGNIFICANT = 1e-4
 # Smallest relative change of a coefficient or of the drift that is reported.
 _NOTABLE = 0.05
 # The best-known statistic comes first, unless another one improved by this many times as many nats.
 _KNOWN, _CLEARER = "allan_deviation", 3.0
-_BETWEEN = frozenset({"cross_correlation", "auxiliary_correlation"})
+_BETWEEN = DOMAINS["channels"]
 # Most failed tests of an axis and most notes: on a screen, and in full.
 _BRIEF, _FULL = 1, 3
 
 
 def story(critique: Critique) -> str:
     """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
-    causes = _causes(critique)
+    causes = _causes(critique.findings)
     lines = [wrapped(_headline(critique, causes))]
     if causes:
         lines += ["", findings_table(critique, causes[:MOST])]
@@ -351,7 +352,7 @@ def story(critique: Critique) -> str:
 
 def details(critique: Critique) -> str:
     """A paragraph for each finding, one for each axis, all warnings and notes."""
-    lines = [wrapped(_headline(critique, _causes(critique)))]
+    lines = [wrapped(_headline(critique, _causes(critique.findings)))]
     for k, finding in enumerate(critique.findings, 1):
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
@@ -359,9 +360,9 @@ def details(critique: Critique) -> str:
     return "\n".join([*lines, "", *_end(critique, _FULL)])
 
 
-def _causes(critique: Critique) -> list[Finding]:
-    """Findings with a cause, what changes most first, and those that are only described."""
-    return [f for f in critique.findings if f.cause != "unexplained" or _likeness(f)]
+def _causes(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings with a cause, and those without one that the extended model describes."""
+    return [f for f in findings if f.cause != UNEXPLAINED or _likeness(f)]
 
 
 def _likeness(finding: Finding) -> list[str]:
@@ -398,7 +399,7 @@ def _end(critique: Critique, most: int) -> list[str]:
 def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
     """Which tests of an axis fail with all that was found in it, and `most` of them in words."""
     name, count = axis.axis.name, len(axis.before)
-    causes = [f for f in axis.findings if f.cause != "unexplained" or _likeness(f)]
+    causes = _causes(axis.findings)
     before = _failed(axis.before)
     after = _failed(axis.after) if causes else before
     # What axes have in common is among the findings.
@@ -408,7 +409,7 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
         earlier = "" if most == _BRIEF else f" ({len(before)} before)"
         then = f"after the findings{earlier}" if causes else "and no cause was found"
         words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
-        bare = [f for f in axis.findings if f.cause == "unexplained" and not _likeness(f)]
+        bare = [f for f in axis.findings if f not in causes]
         if most == _BRIEF and bare:
             worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
             where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_extent(worst)})"
@@ -426,7 +427,7 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
 
 def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
     """Significant discrepancies, the least probable one first."""
-    return sorted((d for d in tests if d.p_value < UNEXPLAINED), key=lambda d: d.p_value)
+    return sorted((d for d in tests if d.p_value < SIGNIFICANT), key=lambda d: d.p_value)
 
 
 def unmeasured(critique: Critique) -> tuple[str, ...]:
@@ -435,7 +436,7 @@ def unmeasured(critique: Critique) -> tuple[str, ...]:
     for axis in critique.results:
         if axis.misfit is None or not axis.misfit.excessive:
             continue
-        left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < UNEXPLAINED]
+        left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < SIGNIFICANT]
         # Whether what is left is beyond what coefficients may have, in either direction.
         far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
         then = (
@@ -469,7 +470,7 @@ _DOMAINS = {
 def sentence(finding: Finding) -> str:
     """A finding in words: axes, cause and parameters, what it mends, its gain, and its rivals."""
     axes = ", ".join(finding.axes)
-    if finding.cause == "unexplained":
+    if finding.cause == UNEXPLAINED:
         return _without_a_cause(finding)
     cause = ", ".join([f"{axes}: {finding.named(finding.cause)}", *parameters(finding)])
     if finding.members and (sizes := finding.amplitudes):
@@ -495,7 +496,7 @@ def _without_a_cause(finding: Finding) -> str:
     domain = str(finding.details["domain"])
     places = [_extent(finding), *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
     text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({', '.join(places)})"
-    if (worst := finding.discrepancies[0][0]).p_value < UNEXPLAINED:
+    if (worst := finding.discrepancies[0][0]).p_value < SIGNIFICANT:
         text += f": {describe(worst)}"
     text += "."
     if like := _likeness(finding):
@@ -517,7 +518,7 @@ def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | 
     pairs = [
         pair
         for pair in finding.discrepancies
-        if pair[0].p_value < UNEXPLAINED and _mended(pair) > -0.5 * np.log(pair[0].p_value)
+        if pair[0].p_value < SIGNIFICANT and _mended(pair) > -0.5 * np.log(pair[0].p_value)
     ]
     if not pairs:
         return None
@@ -535,10 +536,10 @@ def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
 def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
     """Remainder of a discrepancy in words, e.g. "within 0.5 %"."""
     if before.statistic in _RELATIVE and np.isfinite(after.size):
-        if after.p_value < UNEXPLAINED:
+        if after.p_value < SIGNIFICANT:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
-    return "gone" if after.p_value > UNEXPLAINED else f"still there ({format_p_value(after.p_value)})"
+    return "gone" if after.p_value > SIGNIFICANT else f"still there ({format_p_value(after.p_value)})"
 
 
 def changes(finding: Finding, axis: Axis) -> list[str]:

@@ -77,6 +77,8 @@ def test_skewed_values_are_no_outliers():
     x = white(5)
     one = unexplained(x + 0.08 * x**2)
     assert one.details["domain"] == "values"
+    # It has no place of its own.
+    assert one.span == pytest.approx((0.0, N / RATE))
     # The skewness of x + a·x² is 6a + 8a³ over (1 + 2a²)^1.5, within three standard errors √(6/N).
     theory = (6 * 0.08 + 8 * 0.08**3) / (1 + 2 * 0.08**2) ** 1.5
     assert one.parameters["measured"].value == pytest.approx(theory, abs=3.0 * np.sqrt(6.0 / N) + 0.02)
