@@ -77,11 +77,16 @@ def test_skewed_values_are_no_outliers():
     x = white(5)
     one = unexplained(x + 0.08 * x**2)
     assert one.details["domain"] == "values"
-    # It has no place of its own.
-    assert one.span == pytest.approx((0.0, N / RATE))
     # The skewness of x + a·x² is 6a + 8a³ over (1 + 2a²)^1.5, within three standard errors √(6/N).
     theory = (6 * 0.08 + 8 * 0.08**3) / (1 + 2 * 0.08**2) ** 1.5
     assert one.parameters["measured"].value == pytest.approx(theory, abs=3.0 * np.sqrt(6.0 / N) + 0.02)
+
+
+def test_what_has_no_place_of_its_own_is_in_the_whole_record():
+    x = white(5)
+    one = unexplained(x + 0.03 * x**2)
+    assert (one.details["domain"], "resembles" in one.details) == ("values", False)
+    assert one.span == pytest.approx((0.0, N / RATE))
 
 
 def test_a_slow_transition_is_no_step_and_no_random_walk():
