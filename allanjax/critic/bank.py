@@ -30,8 +30,8 @@ _LEVELS, _COARSE = 6, 0.5
 _GROWTH = 0.6
 # Outputs below this share of the largest one cannot be the largest without an eighth of the data.
 _RIVALS = 0.7
-#: Smallest share of a shape's squared norm that is left after projection; less is rounding.
-NOTHING = 1e-12
+# Smallest share of a shape's squared norm that is left after projection; less is rounding.
+_NOTHING = 1e-12
 #: Parts of a record, each held out in turn.
 PARTS = 8
 #: Number of lowest coefficients in which slow effects are looked for: noise hides the others.
@@ -140,7 +140,7 @@ class Bank:
             columns = [h / root for h in nuisances]
             basis = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
         common = self.shapes @ (basis / root[:, None])
-        left = np.maximum(own - np.sum(common**2, axis=1), NOTHING * own)
+        left = np.maximum(own - np.sum(common**2, axis=1), _NOTHING * own)
         return Matched(self.shapes, root, e - basis @ (e @ basis), basis, common, np.sqrt(left))
 
     def scan(self, view: View, noise: Noise) -> Scan:

@@ -20,8 +20,6 @@ from allanjax.spectrum.cosine import SpectralStatistics
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
 #: they may be [nats].
 SETS, _LESS = 4, 3.0
-# Subsets that are less likely than the best one by more than this [nats] do not count in sums.
-_FAR_LESS = 8.0
 # Largest number of subsets that are maximized: a quarter of all.
 _NEAR = 143
 
@@ -32,25 +30,6 @@ class _Evidences(NamedTuple):
     log_evidence: Float[np.ndarray, " jobs"]
     power: Float[np.ndarray, "jobs terms"]
     near: Int[np.ndarray, " near"]
-
-
-class Sets(NamedTuple):
-    """Plausible subsets of the noise terms, one for each correlation time or exponent.
-
-    Attributes:
-        log_evidence: log evidence of each plus its log prior probability [nats].
-        level: expected squared coefficients in the bins.
-        ramp: whether each has a ramp.
-    """
-
-    log_evidence: Float[np.ndarray, " sets"]
-    level: Float[np.ndarray, "sets m"]
-    ramp: Bool[np.ndarray, " sets"]
-
-    @property
-    def total(self) -> float:
-        """Log evidence of the record, summed over the subsets [nats]."""
-        return float(np.logaddexp.reduce(self.log_evidence))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -140,20 +119,16 @@ class ModelEvidence:
         values, powers, _ = self._evidence_of(allowed, required)
         return self._ranked(values, powers, _grid(allowed), most)
 
-    def sets(self, allowed: Collection[str], required: Sequence[str] = ()) -> Sets:
-        """Plausible subsets of the `allowed` terms, those with all `required` ones.
+    def total(self, allowed: Collection[str], required: Sequence[str] = ()) -> float:
+        """Log evidence of the record, summed over all subsets with the `required` terms [nats].
 
         Each term that is not required has the prior probability ½; all values of a free shape the same one.
         """
-        values, powers, near = self._evidence_of(allowed, required)
-        near = near[values[near] > values[near].max() - _FAR_LESS]
-        jobs, grid = self.family.jobs, self._columns(_grid(allowed))
+        values, _, near = self._evidence_of(allowed, required)
         names = {name for name, _ in self._members(_grid(allowed))}
-        shaped, optional = jobs.used[near, -1], len(names & set(allowed) - set(required))
-        level = powers[near, :-1] @ self.family.columns[: len(FIXED)]
-        level += powers[near, -1:] * grid[self.family.places[near]]
-        weighed = values[near] - np.where(shaped, np.log(GRID), 0.0) - optional * np.log(2.0)
-        return Sets(weighed + self.constant, level, jobs.ramp[near])
+        optional = len(names & set(allowed) - set(required))
+        shaped = np.where(self.family.jobs.used[near, -1], np.log(GRID), 0.0)
+        return float(np.logaddexp.reduce(values[near] - shaped) - optional * np.log(2.0) + self.constant)
 
     def _evidence_of(self, allowed: Collection[str], required: Sequence[str]) -> _Evidences:
         """Evidence of all subsets, −∞ for impossible ones, kept; only possible best ones are maximized."""

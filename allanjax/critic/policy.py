@@ -109,14 +109,8 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("bias_step", "at once"): Judgement(
         0.001, "share of the record within which steps of two axes are simultaneous"
     ),
-    ("bias_step", "clear"): Judgement(
-        0.1, "least norm of a step after projecting out its partner, over the largest: others are one step"
-    ),
     ("bias_step", "clearly"): Judgement(
         8.0, "nats by which a slower or a decaying change must explain more than a step, of seventy compared"
-    ),
-    ("bias_step", "sure"): Judgement(
-        20.0, "nats of a step above which no pair is tried in its place, as hidden pairs gain less singly"
     ),
     ("common_mode", "least"): Judgement(64, "fewest independent coefficients for a correlation"),
     ("common_mode", "weakest"): Judgement(

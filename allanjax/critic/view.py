@@ -113,12 +113,12 @@ class View:
     @functools.cached_property
     def log_evidence(self) -> float:
         """Log evidence of the samples, averaged over the subsets of the allowed basic terms [nats]."""
-        return self.model_evidence.sets(self.allowed).total
+        return self.model_evidence.total(self.allowed)
 
     @functools.cached_property
     def log_evidence_all_terms(self) -> float:
         """Log evidence averaged over the subsets of all basic terms, including those that the model lacks."""
-        return self.model_evidence.sets({*EVERYTHING, *self.allowed}).total
+        return self.model_evidence.total({*EVERYTHING, *self.allowed})
 
     @functools.cached_property
     def _like(self) -> ModelEvidence | None:

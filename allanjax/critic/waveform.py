@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from allanjax.critic.bank import NOTHING, SLOW, Bank, Scan, log_occam_factor
+from allanjax.critic.bank import SLOW, Bank, Scan
 from allanjax.critic.effect import Effect
-from allanjax.critic.model_evidence import SETS, Sets, odds
+from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import Noise, centred
 from allanjax.critic.parameters import Detail, Limit
 from allanjax.critic.view import Candidate, View
@@ -19,18 +20,47 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
-# Smallest signal-to-noise ratio that is examined more closely.
-_WORTH = 3.5
 #: Gain in the approximate noise [nats] below which an effect is given up. Gains in the exact noise were half
 #: a nat larger on average, and up to four nats larger where both were far below zero.
 HOPELESS = -1.5
-# Largest difference from the best one of those that are compared in the exact noise [nats].
-_ROUGH = 2.0
 # Most rounds in which the shape and the noise are estimated in turn.
 _ROUNDS = 3
 # Likelihood relative to the best shape above which an end of the bank is within two standard deviations; and
 # the probability beyond a limit.
 _LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
+
+
+class Match(NamedTuple):
+    """Shape of a bank that explains a view best, its amplitude, and the noise without it.
+
+    `scan` has the outputs of the bank in that noise.
+    """
+
+    shape: int
+    amplitude: float
+    noise: Noise
+    scan: Scan
+
+    def gain(self, view: View) -> float:
+        """Log evidence for the shape [nats], in the most probable noise without it and in that with it."""
+        return self.noise.log_evidence - view.noise.log_evidence - self.scan.log_price
+
+    @classmethod
+    def of(cls, bank: Bank, view: View, noise: Noise, without: Callable[[int, float], Noise]) -> Match:
+        """Match found from a first guess of the noise; `without` estimates it without a shape.
+
+        The shape and the noise are estimated in turn. All results are from the same round, even if the shape
+        still changes in the last one.
+        """
+        scan = bank.scan(view, noise)
+        for _ in range(_ROUNDS):
+            k = scan.best
+            a = float(scan.amplitude[k])
+            noise = without(k, a)
+            scan = bank.scan(view, noise)
+            if scan.best == k:
+                break
+        return cls(k, a, noise, scan)
 
 
 def additive(
@@ -45,7 +75,7 @@ def additive(
     details: Mapping[str, Detail] | None = None,
     coarse: Candidate | None = None,
 ) -> Candidate | None:
-    """Best candidate of a bank, with the noise marginalized.
+    """Best candidate of a bank, with the noise estimated anew without it.
 
     Args:
         view: view of the axis.
@@ -64,75 +94,44 @@ def additive(
     Returns:
         The candidate, or None.
     """
-    best: Candidate | None = None
-    for scan in _promising(bank, view, view.noises if coarse is None else (coarse.after.noise,), log_trials):
-        after: list[View] = []
-
-        def exact(k: int, a: float, left: list[View] = after) -> Noise:
-            left[:] = [view.with_samples(view.samples - a * shape(k))]
-            return left[0].noise
-
-        noise, scan, k, a = _settled(bank, view, scan, exact)
-        gain = log_evidence(view, after[0], bank, k, a) - view.log_evidence - log_trials
-        if best is None or gain > best.gain:
-            best = Candidate(
-                cause,
-                (),
-                gain,
-                1.0,
-                after[0],
-                functools.partial(bank.held_out, view, after[0]),
-                span(k) if span else (0.0, view.duration),
-                add_to_model=adding(term and term(k, float(scan.amplitude[k]))),
-                has_waveform=True,
-                details=details or {},
-            )
-            searched, place = (noise, float(scan.snr[k])), (k, float(scan.amplitude[k]))
-    if best is None or not best.gain > 0.0:
+    # The noise without a shape as in the bank is approximate, but costs no transform.
+    noises = view.noises if coarse is None else (coarse.after.noise,)
+    rough = (
+        Match.of(bank, view, noise, lambda k, a: view.noise_without(a * bank.shapes[k])) for noise in noises
+    )
+    first = max(rough, key=lambda match: match.gain(view))
+    if first.gain(view) - log_trials < HOPELESS:
         return None
-    found = parameters(*place, *marginal(view, best.after, bank, *place))
-    best = dataclasses.replace(best, estimates=found)
+    after: list[View] = []
+
+    def exact(k: int, a: float) -> Noise:
+        after[:] = [view.with_samples(view.samples - a * shape(k))]
+        return after[0].noise
+
+    match = Match.of(bank, view, first.noise, exact)
+    gain = after[0].log_evidence - view.log_evidence - match.scan.log_price - log_trials
+    if not gain > 0.0:
+        return None
+    k, amplitude = match.shape, float(match.scan.amplitude[match.shape])
+    found = Candidate(
+        cause,
+        parameters(k, amplitude, *marginal(view, after[0], bank, k, amplitude)),
+        gain,
+        None,
+        after[0],
+        functools.partial(bank.held_out, view, after[0]),
+        span(k) if span else (0.0, view.duration),
+        add_to_model=adding(term and term(k, amplitude)),
+        has_waveform=True,
+        details=details or {},
+    )
     if coarse is not None:
-        return dataclasses.replace(best, p_value=coarse.p_value, bound=coarse.bound, held_out=coarse.held_out)
+        return dataclasses.replace(
+            found, p_value=coarse.p_value, bound=coarse.bound, held_out=coarse.held_out
+        )
     # Noise alone has an evidence of e^gain against it with no more than this probability.
-    p_value = bank.p_value(view, *searched)
-    return dataclasses.replace(best, p_value=p_value, bound=float(np.exp(-best.gain)))
-
-
-def _promising(bank: Bank, view: View, noises: Sequence[Noise], log_trials: float) -> list[Scan]:
-    """Scans in the approximate noise without their best shapes, of the shapes that may gain most.
-
-    The noise is estimated without the shape as in the bank, which costs no transform.
-    """
-    found: dict[int, tuple[float, Scan]] = {}
-    for noise in noises:
-        scan = bank.scan(view, noise)
-        if abs(scan.snr[scan.best]) < _WORTH or scan.best in found:
-            continue
-        without, scan, k, _ = _settled(bank, view, scan, lambda k, a: view.noise_without(a * bank.shapes[k]))
-        gain = without.log_evidence - view.noise.log_evidence - log_trials - scan.log_price
-        if k not in found or gain > found[k][0]:
-            found[k] = gain, scan
-    least = max([HOPELESS, *(gain - _ROUGH for gain, _ in found.values())])
-    return [scan for gain, scan in found.values() if gain >= least]
-
-
-def _settled(
-    bank: Bank, view: View, scan: Scan, noise_without: Callable[[int, float], Noise]
-) -> tuple[Noise, Scan, int, float]:
-    """Noise without the best shape, the scan in it, the shape, and the amplitude that the noise is without.
-
-    The shape and the noise are estimated in turn. All results are from the same round, even if the shape
-    still changes in the last one.
-    """
-    for _ in range(_ROUNDS):
-        k = scan.best
-        a = float(scan.amplitude[k])
-        noise = noise_without(k, a)
-        scan = bank.scan(view, noise)
-        if scan.best == k:
-            break
-    return noise, scan, k, a
+    p_value = bank.p_value(view, match.noise, float(match.scan.snr[k]))
+    return dataclasses.replace(found, p_value=p_value, bound=float(np.exp(-gain)))
 
 
 class Template(Effect):
@@ -257,54 +256,3 @@ def mean_and_std(
     weight = likelihood / likelihood.sum()
     mean = float(weight @ values)
     return mean, float(np.sqrt(weight @ (values - mean) ** 2))
-
-
-def log_evidence(view: View, after: View, bank: Bank, taken: int, amplitude: float) -> float:
-    """Log evidence of a record with one of a bank's shapes [nats]; without one it is `View.log_evidence`.
-
-    The likelihood is averaged over shapes, amplitudes and plausible subsets of the noise terms. The subsets
-    and their levels are those of the record without the most likely effect, the shape h (`taken`) with the
-    amplitude a, as in the view `after`. Otherwise a step would be taken for a random walk.
-    With p and g the products of h with the record and with itself, the likelihood of the record is that
-    without a·h times exp(½a²g − ap).
-    """
-    sets = after.model_evidence.sets(view.allowed)
-    cross, gram = _products(view, bank, sets)
-    snr = cross / np.sqrt(gram)
-    each = 0.5 * snr**2 - log_occam_factor(snr)
-    mean = np.logaddexp.reduce(each, axis=1) - np.log(each.shape[1])
-    own = amplitude * cross[:, taken] - 0.5 * amplitude**2 * gram[:, taken]
-    return float(np.logaddexp.reduce(sets.log_evidence - own + mean))
-
-
-def _products(
-    view: View, bank: Bank, sets: Sets
-) -> tuple[Float[np.ndarray, "sets shapes"], Float[np.ndarray, "sets shapes"]]:
-    """Products of the shapes with the record and with themselves, in the noise of each subset.
-
-    The nuisances, a subset's ramp and other accepted shapes, are projected out.
-    """
-    J = bank.shapes.shape[1]
-    first = view.family.bins.edges[:-1] - 1
-    first = first[first < J]
-    weight = np.ones(J) if view.factor is None else 1.0 / view.factor[:J]
-
-    def sums(z: Float[np.ndarray, "... slow"]) -> Float[np.ndarray, "... sets"]:
-        return np.add.reduceat(z, first, axis=-1) @ (1.0 / sets.level[:, : len(first)]).T
-
-    cross, gram = sums(bank.shapes * (weight * view.coefficients[:J])).T, sums(bank.squares * weight).T
-    for some, others in (
-        (sets.ramp, (view.family.ramp, *view.nuisances)),
-        (~sets.ramp, view.nuisances),
-    ):
-        if not others or not some.any():
-            continue
-        free = np.stack([h[:J] / np.linalg.norm(h[:J]) for h in others])
-        mixed = np.stack([sums(bank.shapes * (weight * h))[:, some].T for h in free], axis=-1)
-        with_record = sums(free * (weight * view.coefficients[:J]))[:, some].T
-        among = np.moveaxis(sums(free[:, None] * free * weight)[..., some], -1, 0)
-        # Not the inverse, as two of them may be equal.
-        along = mixed @ np.linalg.pinv(among, hermitian=True)
-        cross[some] -= np.einsum("skf,sf->sk", along, with_record)
-        gram[some] = np.maximum(gram[some] - np.sum(along * mixed, axis=-1), NOTHING * gram[some])
-    return cross, gram

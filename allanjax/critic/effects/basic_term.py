@@ -42,7 +42,7 @@ class BasicTerm(Effect):
             return None
         allowed = [*view.allowed, term]
         noise = view.model_evidence.best(allowed, required=(term,))
-        gain = view.model_evidence.sets(allowed, required=(term,)).total - view.log_evidence
+        gain = view.model_evidence.total(allowed, required=(term,)) - view.log_evidence
         if gain <= 0.0 or (term != RAMP and term not in noise.power):
             return None
 

@@ -3,43 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache, partial
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from allanjax.critic.bank import (
     FINEST,
-    SLOW,
     Bank,
-    Matched,
     log_occam_factor,
     log_trials_factor,
     step_bank,
     step_coefficients,
 )
 from allanjax.critic.effect import Effect
+from allanjax.critic.effects.slow_change import is_slow
 from allanjax.critic.noise import Noise
-from allanjax.critic.policy import PRIORS, judged
+from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import (
-    HOPELESS,
-    adding,
-    additive,
-    marginal,
-    mean_and_std,
-    shape_parameter,
-)
+from allanjax.critic.waveform import HOPELESS, additive, mean_and_std, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
-_SURE, _CLEAR = judged("bias_step", "sure"), judged("bias_step", "clear")
-# Shortest length of a change that is compared with a step, as a share of the record; numbers of lengths and
-# of steps that form one; places of its middle, in lengths.
-_SUDDEN, _LENGTHS, _PIECES, _MIDDLES = 4e-3, 10, 16, np.array([-0.25, 0.0, 0.25, 0.5])
-# Places of the finer bank around the best one; most rounds in which two steps and the noise are estimated in
-# turn.
-_FINER, _ROUNDS = 64, 3
+# Places of the finer bank around the best one.
+_FINER = 64
+# Spacing of the steps of the bank that may form a pair; most rounds in which it and the noise are estimated.
+_COARSER, _ROUNDS = 8, 3
 
 
 class BiasStep(Effect):
@@ -50,13 +39,8 @@ class BiasStep(Effect):
 
     def detect(self, view: View) -> Candidate | None:
         found = self.again(view)
-        if found is None or found.gain < _SURE:
-            least = -PRIORS[self.name].log_odds + (0.0 if found is None else found.gain)
-            both = self._two(view, *step_bank(view.n), least)
-            # Each of the two must gain on held-out data; otherwise the single step is kept.
-            if both is not None and (found is None or both.held_out() > 0.0):
-                return both
-        return found
+        least = 0.0 if found is None else found.gain
+        return self._two(view, least - PRIORS[self.name].log_odds) or found
 
     def again(self, view: View, found: Candidate | None = None) -> Candidate | None:
         """Best single step, located on a finer bank if it is strong."""
@@ -82,7 +66,7 @@ class BiasStep(Effect):
         self,
         view: View,
         bank: Bank,
-        places: np.ndarray,
+        places: Float[np.ndarray, " places"],
         log_trials: float = 0.0,
         coarse: Candidate | None = None,
     ) -> Candidate | None:
@@ -91,102 +75,84 @@ class BiasStep(Effect):
             view,
             self.name,
             bank,
-            lambda k: _shape(view, places[k]),
+            lambda k: (np.arange(view.n) >= places[k]).astype(float),
             lambda k, a, std, likelihood: _parameters(view, places, a, std, likelihood),
             lambda k: (places[k] / view.rate, view.duration),
             log_trials,
-            lambda k, a: _term(view, places[k], a),
+            lambda k, a: terms.BiasStep(abs(a), float(places[k] / view.rate), sign=int(np.copysign(1.0, a))),
             coarse=coarse,
         )
-        return found and found.doubted(_doubt(view, found.after, found.support[0] * view.rate))
+        slow = found and is_slow(view, found.after.noise, found.support[0] * view.rate)
+        return found and found.doubted("it begins slowly or decays" if slow else "")
 
-    def _two(self, view: View, bank: Bank, places: np.ndarray, least: float) -> Candidate | None:
-        """Best pair of steps that hide each other, if they gain more than the `least`, else None."""
-        found = []
-        for noise in view.noises:
-            pair = best_pair(bank, view, noise)
-            for _ in range(_ROUNDS):
-                without = view.noise_without(pair.amplitude @ bank.shapes[list(pair.members)])
-                before, pair = pair, best_pair(bank, view, without, pair.members)
-                if pair.members == before.members:
-                    break
-            price = pair.log_trials_factor + float(np.sum(log_occam_factor(pair.snr)))
-            found.append((without.log_evidence - view.noise.log_evidence - price, price, pair))
-        rough, price, pair = max(found, key=lambda each: each[0])
-        if rough < least + HOPELESS:
+    def _two(self, view: View, least: float) -> Candidate | None:
+        """Two steps, if they gain more than the `least`, and each has a gain given the other."""
+        bank, places = step_bank(view.n)
+        found = [_pair(view, bank, noise) for noise in view.noises]
+        both = max(found, key=lambda pair: pair.gain)
+        if both.gain < least + HOPELESS:
             return None
-        both = [a * _shape(view, places[k]) for k, a in zip(pair.members, pair.amplitude, strict=True)]
-        after = view.with_samples(view.samples - both[0] - both[1])
-        gain = after.log_evidence - view.log_evidence - price
-        if gain <= least:
+        later = (np.arange(view.n) >= places[both.members[1]]).astype(float)
+        alone = view.with_samples(view.samples - both.amplitude[1] * later)
+        if (first := self.again(alone)) is None:
             return None
-        first = self._given_other(view, bank, places, pair.members[0], both, after)
-        second = self._given_other(view, bank, places, pair.members[1], both[::-1], after)
-        first = dataclasses.replace(first, after=view.with_samples(view.samples - both[0]))
-        return Candidate(
-            self.name,
-            first.estimates,
-            gain,
-            max(first.chance, second.chance),
-            after,
-            lambda: min(first.held_out(), second.held_out()),
-            (min(first.support[0], second.support[0]), view.duration),
-            parts=(first, second),
+        rest = view.with_samples(view.samples - (alone.samples - first.after.samples))
+        if (second := self.again(rest)) is None:
+            return None
+        each = ((first, alone), (second, rest))
+        prices = (c.after.log_evidence - before.log_evidence - c.gain for c, before in each)
+        # Either of them may be the first.
+        gain = second.after.log_evidence - view.log_evidence - sum(prices) + float(np.log(2.0))
+        if gain <= least or min(first.held_out(), second.held_out()) <= 0.0:
+            return None
+        return dataclasses.replace(
+            second,
+            gain=gain,
+            p_value=max(first.chance, second.chance),
+            held_out=lambda: min(first.held_out(), second.held_out()),
             bound=float(np.exp(-gain)),
-        )
-
-    def _given_other(
-        self, view: View, bank: Bank, places: np.ndarray, k: int, steps: list[np.ndarray], without: View
-    ) -> Candidate:
-        """First of two steps as a finding in the record without the other, with its additional gain."""
-        alone = view.with_samples(view.samples - steps[1])
-        scan = bank.scan(alone, without.noise)
-        a = float(scan.amplitude[k])
-        return Candidate(
-            self.name,
-            _parameters(view, places, a, *marginal(alone, without, bank, k, a)),
-            without.log_evidence - alone.log_evidence - scan.log_trials_factor,
-            bank.p_value(alone, without.noise, float(scan.snr[k])),
-            without,
-            cache(partial(bank.held_out, alone, without)),
-            (float(places[k] / view.rate), view.duration),
-            add_to_model=adding(_term(view, places[k], a)),
-            has_waveform=True,
-            doubt=_doubt(alone, without, places[k]),
+            parts=(dataclasses.replace(first, after=rest), second),
         )
 
 
-def _doubt(view: View, after: View, place: float) -> str:
-    """Why a change of the bias at a place [samples] is hardly a step: it begins slowly, or decays."""
-    share = (np.arange(_PIECES) + 0.5) / _PIECES
-    # Sums of steps, as their places and heights; the quantiles of the exponential law make a decay.
-    alone, even = [(np.array([place]), np.ones(1))], np.full(_PIECES, 1.0 / _PIECES)
-    others = []
-    for length in np.geomspace(_SUDDEN, 0.5, _LENGTHS) * view.n:
-        later = place - length * np.log1p(-share)
-        others.append((np.append(place, later), np.append(1.0, -even)))
-        others += [(middle + length * (share - 0.5), even) for middle in place + length * _MIDDLES]
-    best, own = (_gain(view, after.noise, each) for each in (others, alone))
-    return "it begins slowly or decays" if best - own > judged("bias_step", "clearly") else ""
+class _Pair(NamedTuple):
+    """Two steps of a bank, their amplitudes, and their approximate log evidence [nats]."""
+
+    members: tuple[int, int]
+    amplitude: Float[np.ndarray, " 2"]
+    gain: float
 
 
-def _gain(view: View, noise: Noise, sums: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Largest gain in log-likelihood by one of these sums of steps [nats]."""
-    J = min(SLOW // 4, view.n - 1)
-    rows = [heights @ step_coefficients(places.clip(0.0, view.n), view.n, J) for places, heights in sums]
-    return 0.5 * float(np.max(Bank(np.stack(rows)).scan(view, noise).snr ** 2))
-
-
-def _shape(view: View, place: float) -> np.ndarray:
-    return (np.arange(view.n) >= place).astype(float)
-
-
-def _term(view: View, place: float, amplitude: float) -> terms.BiasStep:
-    return terms.BiasStep(abs(amplitude), float(place / view.rate), sign=int(np.copysign(1.0, amplitude)))
+def _pair(view: View, bank: Bank, noise: Noise) -> _Pair:
+    """Best two of every eighth step of a bank; they and the noise without them are estimated in turn."""
+    some = np.arange(_COARSER // 2, len(bank.shapes), _COARSER)
+    i, j = np.triu_indices(len(some), 1)
+    members = (-1, -1)
+    for _ in range(_ROUNDS):
+        matched = bank.matched(view, noise)
+        p, rows = matched.products(matched.whitened)[some], matched.rows(some)
+        gram = rows @ rows.T
+        own = np.diag(gram)
+        det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
+        gains = 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
+        best = int(np.argmax(gains))
+        pair = [i[best], j[best]]
+        covariance = np.linalg.pinv(gram[np.ix_(pair, pair)])
+        amplitude = covariance @ p[pair]
+        before, members = members, (int(some[pair[0]]), int(some[pair[1]]))
+        noise = view.noise_without(amplitude @ bank.shapes[list(members)])
+        if members == before:
+            break
+    price = log_trials_factor(gains) + np.sum(log_occam_factor(amplitude / np.sqrt(np.diag(covariance))))
+    return _Pair(members, amplitude, noise.log_evidence - view.noise.log_evidence - float(price))
 
 
 def _parameters(
-    view: View, places: np.ndarray, amplitude: float, std: float, likelihood: np.ndarray
+    view: View,
+    places: Float[np.ndarray, " places"],
+    amplitude: float,
+    std: float,
+    likelihood: Float[np.ndarray, " places"],
 ) -> list[Estimate]:
     spacing = places[1] - places[0]
     place, spread, limit = shape_parameter(places, likelihood)
@@ -198,72 +164,3 @@ def _parameters(
         view.estimate("time", place / view.rate, spread / view.rate, "s", limit),
         view.amplitude_estimate("amplitude", amplitude, std),
     ]
-
-
-# Spacing of the shapes of the bank that are tried first.
-_COARSER = 8
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Pair:
-    """Most likely pair of shapes.
-
-    Attributes:
-        members: indices of the shapes in the bank.
-        amplitude: amplitude of each, by generalized least squares.
-        snr: signal-to-noise ratio of each given the other, with its sign.
-        log_trials_factor: of the search for both [nats]: the best likelihood over the mean of all pairs.
-    """
-
-    members: tuple[int, int]
-    amplitude: Float[np.ndarray, 2]
-    snr: Float[np.ndarray, 2]
-    log_trials_factor: float
-
-
-def best_pair(bank: Bank, view: View, noise: Noise, near: tuple[int, int] | None = None) -> Pair:
-    """Most likely pair of shapes: from every eighth shape first, then from all, each in turn given the other.
-
-    Where the pair is known approximately, the search begins `near` it.
-    """
-    matched = bank.matched(view, noise)
-    p = matched.products(matched.whitened)
-    some = np.arange(_COARSER // 2, len(p), _COARSER)
-    i, j = np.triu_indices(len(some), 1)
-    coarse = _gains(matched.rows(some), p[some], i, j)
-    if near is None:
-        best = int(np.argmax(coarse))
-        near = int(some[i[best]]), int(some[j[best]])
-    first, _ = _best_given(matched, p, near[1])
-    second, price = _best_given(matched, p, first)
-    price += _best_given(matched, p, second)[1] - np.log(2.0)
-    chosen, p = matched.rows(np.array([first, second])), p[[first, second]]
-    covariance = np.linalg.pinv(chosen @ chosen.T)
-    amplitude = covariance @ p
-    # If both are located more sharply than the coarse pairs, the factor from single searches is better.
-    among = 0.5 * float(p @ amplitude) - float(np.logaddexp.reduce(coarse)) + np.log(len(coarse))
-    snr = amplitude / np.sqrt(np.diag(covariance))
-    return Pair((first, second), amplitude, snr, min(price, float(among)))
-
-
-def _gains(
-    shapes: Float[np.ndarray, "shapes slow"],
-    p: Float[np.ndarray, " shapes"],
-    i: Int[np.ndarray, " pairs"],
-    j: Int[np.ndarray, " pairs"],
-) -> Float[np.ndarray, " pairs"]:
-    """Gain in log-likelihood by each pair of whitened shapes, `p` being their products with the record."""
-    gram = shapes @ shapes.T
-    own = np.diag(gram)
-    det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
-    return 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
-
-
-def _best_given(matched: Matched, p: Float[np.ndarray, " shapes"], other: int) -> tuple[int, float]:
-    """Most likely shape given another one, and its log trials factor [nats]; `p`: products with the data."""
-    own = matched.lengths**2
-    common = matched.products(matched.rows(np.array([other]))[0]) / own[other]
-    left = np.maximum(own - common**2 * own[other], 0.0)
-    clear = left > _CLEAR**2 * left.max()
-    half = np.where(clear, 0.5 * (p - common * p[other]) ** 2 / np.where(clear, left, 1.0), 0.0)
-    return int(np.argmax(half)), log_trials_factor(half)

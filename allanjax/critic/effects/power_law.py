@@ -35,7 +35,7 @@ class PowerLaw(Effect):
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         noise = view.model_evidence.best(allowed, required=(POWER_LAW,))
         # A basic term is preferred if it explains as much.
-        gain = view.model_evidence.sets(allowed, required=(POWER_LAW,)).total - view.log_evidence_all_terms
+        gain = view.model_evidence.total(allowed, required=(POWER_LAW,)) - view.log_evidence_all_terms
         if POWER_LAW not in noise.power or gain <= 0.0:
             return None
         after = view.allowing(allowed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,14 +12,18 @@ from scipy.fft import dct
 
 from allanjax.critic.bank import Bank
 from allanjax.critic.effect import Effect
+from allanjax.critic.noise import Noise
+from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import additive
 from allanjax.noise.estimate import Estimate
 
 # Lengths as shares of the record, and places per length.
 _LENGTHS, _PER_LENGTH = 2.0 ** -np.arange(2.0, 7.0), 4
+# Lengths of the changes that are compared with a step, and places of their middles, in lengths.
+_SUDDEN, _MIDDLES = np.geomspace(4e-3, 0.5, 10), (-0.25, 0.0, 0.25, 0.5)
 # Points of a record at which courses are evaluated, and number of their coefficients that are compared.
-_POINTS, _COUNT = 2048, 512
+_POINTS, _COUNT = 4096, 512
 
 
 class Course(NamedTuple):
@@ -84,6 +89,21 @@ def _bank(n: int) -> tuple[list[Course], Bank]:
         for length in _LENGTHS
         for place in np.arange(length / 2.0, 1.0 - length / 4.0, length / _PER_LENGTH)
     ]
+    return courses, _bank_of(courses, n)
+
+
+def _bank_of(courses: Sequence[Course], n: int) -> Bank:
+    """Lowest coefficients of courses for records of n samples."""
     time = (np.arange(_POINTS) + 0.5) / _POINTS
     shapes = dct(np.stack([course.at(time) for course in courses]), norm="ortho", axis=1)
-    return courses, Bank(shapes[:, 1 : min(_COUNT, n - 1) + 1] * np.sqrt(n / _POINTS))
+    return Bank(shapes[:, 1 : min(_COUNT, n - 1) + 1] * np.sqrt(n / _POINTS))
+
+
+def is_slow(view: View, noise: Noise, place: float) -> bool:
+    """Whether a change at a place [samples] rather begins slowly or decays than being a step, in a noise."""
+    share = place / view.n
+    courses = [Course("decay", share, length) for length in _SUDDEN]
+    courses += [Course("transition", share + m * length, length) for length in _SUDDEN for m in _MIDDLES]
+    step = Course("transition", share, 1.0 / view.n)
+    slow, sudden = (_bank_of(each, view.n).scan(view, noise).snr ** 2 for each in (courses, [step]))
+    return bool(0.5 * (slow.max() - sudden[0]) > judged("bias_step", "clearly"))
