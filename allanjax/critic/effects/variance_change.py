@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import multivariate_normal, norm
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.bank import any_of, extrapolated, folds
+from allanjax.critic.bank import PARTS, any_of, extrapolated, folds
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.policy import judged
@@ -303,17 +303,23 @@ def _null(blocks: int) -> Float[np.ndarray, " draws"]:
 
 def _held_out(kind: _Kind) -> float:
     """Gain in log-likelihood [nats] on parts of the samples with the interval from the other parts."""
-    squares, edges = kind.squares, kind.edges
-    gain, place = 0.0, np.arange(len(squares))
-    for part in folds(len(squares), _FOLD_BLOCK):
-        fold = ~part
-        counted = np.concatenate([[0.0], np.cumsum(fold)])[edges.astype(int)]
-        gains = kind.worth * interval_gains(squares[fold], counted) - _log_trials_factor(len(edges))
+    edges, place = kind.edges.astype(int), np.arange(len(kind.squares))
+    # Sums and numbers of the squares in each block and part.
+    owner = np.argmax(folds(len(place), _FOLD_BLOCK), axis=0)
+    cell = np.repeat(np.arange(len(edges) - 1), np.diff(edges)) * PARTS + owner
+    shape = len(edges) - 1, PARTS
+    sums = np.bincount(cell, kind.squares, minlength=shape[0] * PARTS).reshape(shape)
+    counts = np.bincount(cell, minlength=shape[0] * PARTS).reshape(shape)
+    gain = 0.0
+    for part in range(PARTS):
+        others = np.arange(PARTS) != part
+        total, count = (np.append(0.0, np.cumsum(x[:, others].sum(axis=1))) for x in (sums, counts))
+        gains = kind.worth * _gains(total, count) - _log_trials_factor(len(edges))
         i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-        inside = (place >= edges[i]) & (place < edges[j])
-        whole = squares[fold].mean()
+        inside = (np.arange(shape[0]) >= i) & (np.arange(shape[0]) < j)
+        whole = total[-1] / count[-1]
         for stretch in (inside, ~inside):
-            level = squares[fold & stretch].mean()
-            rest = squares[part & stretch]
-            gain += 0.5 * float(np.sum(rest / whole - rest / level) + len(rest) * np.log(whole / level))
+            level = sums[stretch][:, others].sum() / counts[stretch][:, others].sum()
+            rest, size = sums[stretch, part].sum(), counts[stretch, part].sum()
+            gain += 0.5 * float(rest / whole - rest / level + size * np.log(whole / level))
     return kind.worth * gain
