@@ -25,7 +25,7 @@ from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import judged
 from allanjax.critic.profiles import Comparison, compared
 from allanjax.critic.result import AxisCritique, Critique, Snapshot
-from allanjax.critic.search import Draft, Search, concluded, going_on, search
+from allanjax.critic.search import Search, concluded, going_on, search
 from allanjax.critic.step import Step
 from allanjax.critic.unknown import CERTAIN, reported
 from allanjax.critic.view import View
@@ -184,7 +184,7 @@ def _searches(
 
     rule = AcceptanceRule.of(false_alarms, effects)
 
-    def searched(k: int) -> Draft:
+    def searched(k: int) -> Search:
         """Search in one axis, starting from the given model."""
         scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
@@ -196,17 +196,17 @@ def _searches(
         """Search in an axis, also at the places of findings in other axes."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
         there = [again for effect in effects if (again := effect.at(others)) is not None]
-        draft = going_on(drafts[k], there, rule, tell) if others else drafts[k]
+        state = going_on(states[k], there, rule, tell) if others else states[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
-        return dataclasses.replace(concluded(draft, effects), others=further or None)
+        return concluded(state, effects, further or None)
 
     # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
     # the search needs no fit: the fit is for the report.
     with ThreadPoolExecutor(_WORKERS) as pool:
         fitting = pool.submit(lambda: _baseline(recording, seen, tell) if given is None else given)
         found = pool.map(_guarded(searched, recording.axes, failed), range(len(recording.axes)))
-        drafts = {k: draft for k, draft in enumerate(found) if draft is not None}
-        places = {k: places_in(draft.end, (s.candidate for s in draft.steps)) for k, draft in drafts.items()}
+        states = {k: state for k, state in enumerate(found) if state is not None}
+        places = {k: places_in(state.end, (s.candidate for s in state.steps)) for k, state in states.items()}
         searches = list(pool.map(_guarded(concluding, recording.axes, failed), range(len(recording.axes))))
     # The critique searches for filters, resonances and lines itself.
     return [s for s in searches if s is not None], fitting.result().without_extensions()

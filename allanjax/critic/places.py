@@ -1,7 +1,7 @@
-"""Frequencies of lines and resonances in one axis, at which the other axes are searched again.
+"""Frequencies of lines in one axis, at which weaker ones are detected in the others.
 
-Vibration and interference affect several axes of a sensor. If the frequency is known from one axis, only this
-one is tried in the others, so that weaker effects are detected.
+Vibration and interference affect several axes of a sensor. A frequency that is known from another axis need
+not be searched for.
 """
 
 from __future__ import annotations
@@ -11,20 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 
-_SHARP = judged("line", "quality")
 # Reach of a place: in resolved frequencies [1/duration], and in standard deviations of its frequency.
 _RESOLVED, _DEVIATIONS = 2.0, 4.0
 
 
 class Place(NamedTuple):
-    """Frequency of a line or a narrow resonance [Hz], its largest error [Hz], and its quality factor."""
+    """Frequency of a line and its largest error [Hz]."""
 
     frequency: float
     reach: float
-    quality: float
 
     def holds(self, frequency: float) -> bool:
         """Whether a frequency [Hz] is at this place."""
@@ -32,21 +29,12 @@ class Place(NamedTuple):
 
 
 def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
-    """Places of the lines among these, and of the view's narrow resonances."""
+    """Places of the lines among these."""
     resolved = _RESOLVED / view.duration
-    lines = [c.parameters["frequency"] for c in candidates if c.cause == "sinusoid"]
-    found = [
-        Place(line.value, max(resolved, _DEVIATIONS * line.std), line.value * view.duration)
-        for line in lines
-        if np.isfinite(line.std)
+    lines = (c.parameters["frequency"] for c in candidates if c.cause == "sinusoid")
+    return [
+        Place(line.value, max(resolved, _DEVIATIONS * line.std)) for line in lines if np.isfinite(line.std)
     ]
-    if view.structure is not None:
-        for k in view.structure.oscillators:
-            own = view.structure.components[k]
-            quality, f = own.quality, own.frequency * view.rate / (2.0 * np.pi)
-            if quality > _SHARP:
-                found.append(Place(f, max(resolved, f / quality), quality))
-    return found
 
 
 def elsewhere(own: Sequence[Place], others: Sequence[Place]) -> tuple[Place, ...]:

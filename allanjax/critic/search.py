@@ -36,8 +36,8 @@ _ODDS, _MOST, _CERTAIN, _CLEARLY, _TOO_MANY = (
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Draft:
-    """Search in one axis that may be continued.
+class Search:
+    """Search in one axis, which may be continued.
 
     Attributes:
         start, end: view of the axis without findings, and with all of them subtracted.
@@ -46,6 +46,8 @@ class Draft:
         notes: notes for the user: effects about as probable as noise terms, or an early end of the search.
         preprocessed: whether a finding concerns the samples themselves, such as rounding.
         is_anew: whether findings were refitted, so that the views of the steps are outdated.
+        noise_model: random terms of the extended model, if there is a filter or a resonance among them.
+        others: terms of the baseline other than basic ones, if any.
     """
 
     start: View
@@ -55,26 +57,15 @@ class Draft:
     notes: tuple[str, ...] = ()
     preprocessed: bool = False
     is_anew: bool = False
+    noise_model: Model | None = None
+    others: Model | None = None
 
-    def noting(self, texts: Iterable[str]) -> Draft:
-        """Draft of an ended search, with these further notes on its axis."""
+    def noting(self, texts: Iterable[str]) -> Search:
+        """Ended search, with these further notes on its axis."""
         # It may have to wait for the searches in other axes.
         self.end.forget()
         more = (f"{self.end.axis.name}: {text}" for text in texts if text)
         return dataclasses.replace(self, notes=tuple(dict.fromkeys((*self.notes, *more))))
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Search(Draft):
-    """Result of the search in one axis.
-
-    Attributes:
-        noise_model: random terms of the extended model, if there is a filter or a resonance among them.
-        others: terms of the baseline other than basic ones, if any.
-    """
-
-    noise_model: Model | None = None
-    others: Model | None = None
 
 
 class Proposals(NamedTuple):
@@ -84,48 +75,50 @@ class Proposals(NamedTuple):
     untried: list[Effect]
 
 
-def search(view: View, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]) -> Draft:
+def search(
+    view: View, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
+) -> Search:
     """Search for effects in one axis; `tell` is called with a text that describes the step."""
-    draft = prepared(view, effects, rule)
-    tests = {c.name: p for c in _sought(draft.end, effects) if (p := c.p_value(draft.end)) is not None}
-    return going_on(dataclasses.replace(draft, tests=tests), effects, rule, tell)
+    state = prepared(view, effects, rule)
+    tests = {c.name: p for c in _sought(state.end, effects) if (p := c.p_value(state.end)) is not None}
+    return going_on(dataclasses.replace(state, tests=tests), effects, rule, tell)
 
 
 def going_on(
-    draft: Draft, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
-) -> Draft:
+    state: Search, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
+) -> Search:
     """Continued search, with effects that have not been tried yet."""
-    effects, promised = _sought(draft.end, effects), dict[Effect, float]()
+    effects, promised = _sought(state.end, effects), dict[Effect, float]()
     # Findings that are dropped again count too.
     for _ in range(2 * int(_MOST)):
-        if len(draft.steps) >= _MOST:
+        if len(state.steps) >= _MOST:
             break
-        proposals = propose(draft.end, effects, promised, tell)
-        step = measure(proposals, draft.end, rule)
+        proposals = propose(state.end, effects, promised, tell)
+        step = measure(proposals, state.end, rule)
         if step is None and proposals.untried:
-            rest = propose(draft.end, proposals.untried, {}, tell)
+            rest = propose(state.end, proposals.untried, {}, tell)
             proposals = Proposals(proposals.candidates | rest.candidates, rest.untried)
-            step = measure(proposals, draft.end, rule)
+            step = measure(proposals, state.end, rule)
         if step is None:
-            return draft.noting(_undecided(c, draft.end) for c in proposals.candidates.values())
-        longer = extend(draft, step)
-        draft = prune(longer, effects)
+            return state.noting(_undecided(c, state.end) for c in proposals.candidates.values())
+        longer = extend(state, step)
+        state = prune(longer, effects)
         # A waveform may have hidden any effect, others hardly; in the end all effects are tried again.
-        alone = len(draft.steps) < len(longer.steps) or step.candidate.has_waveform
+        alone = len(state.steps) < len(longer.steps) or step.candidate.has_waveform
         promised = {} if alone else _promised(proposals, promised, effects, step)
-    return draft.noting([f"the search stopped at {len(draft.steps)} findings; there may be more"])
+    return state.noting([f"the search stopped at {len(state.steps)} findings; there may be more"])
 
 
-def prepared(view: View, effects: Sequence[Effect], rule: AcceptanceRule) -> Draft:
-    """Draft with what is visible directly in the samples and must be undone before the search for others."""
-    draft = Draft(view, (), view, {})
+def prepared(view: View, effects: Sequence[Effect], rule: AcceptanceRule) -> Search:
+    """Search with what is visible directly in the samples and must be undone before the search for others."""
+    state = Search(view, (), view, {})
     for effect in (c for c in effects if c.is_preprocessing):
-        candidate = effect.detect(draft.end)
+        candidate = effect.detect(state.end)
         # Gains that cannot be held out are nan.
         if candidate and rule.accepts(candidate) and not (gain := candidate.held_out()) <= 0.0:
-            step = Step.of(candidate, gain, (), draft.end)
-            draft = Draft(view, (*draft.steps, step), candidate.after, {}, preprocessed=True, is_anew=True)
-    return draft
+            step = Step.of(candidate, gain, (), state.end)
+            state = Search(view, (*state.steps, step), candidate.after, {}, preprocessed=True, is_anew=True)
+    return state
 
 
 def propose(
@@ -164,45 +157,43 @@ def measure(proposals: Proposals, view: View, rule: AcceptanceRule) -> Step | No
     return None
 
 
-def extend(draft: Draft, step: Step) -> Draft:
-    """Draft with a further finding, or with all that were accepted together."""
-    view, steps = draft.end, list(draft.steps)
+def extend(state: Search, step: Step) -> Search:
+    """Search with a further finding, or with all that were accepted together."""
+    view, steps = state.end, list(state.steps)
     for part in step.candidate.parts or (step.candidate,):
         gain = part.held_out() if step.candidate.parts else step.gain
         # Candidates accepted together were built independently: the list of findings is extended here.
         after = part.after.accepted().with_findings(*view.found, part.cause)
         steps.append(Step.of(dataclasses.replace(part, after=after), gain, step.rivals, view))
         view = after
-    return dataclasses.replace(draft, steps=tuple(steps), end=view)
+    return dataclasses.replace(state, steps=tuple(steps), end=view)
 
 
-def prune(draft: Draft, effects: Sequence[Effect], last: bool = False) -> Draft:
-    """Draft with findings refitted where others changed their conditions, and without superfluous ones."""
-    steps, end = refitted(draft.steps, draft.end, effects, last)
-    anew = [s.candidate for s in steps] != [s.candidate for s in draft.steps]
-    return dataclasses.replace(draft, steps=tuple(steps), end=end, is_anew=draft.is_anew or anew)
+def prune(state: Search, effects: Sequence[Effect], last: bool = False) -> Search:
+    """Search with findings refitted where others changed their conditions, and without superfluous ones."""
+    steps, end = refitted(state.steps, state.end, effects, last)
+    anew = [s.candidate for s in steps] != [s.candidate for s in state.steps]
+    return dataclasses.replace(state, steps=tuple(steps), end=end, is_anew=state.is_anew or anew)
 
 
-def concluded(draft: Draft, effects: Sequence[Effect]) -> Search:
+def concluded(state: Search, effects: Sequence[Effect], others: Model | None) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
-    draft = prune(draft, _sought(draft.end, effects), last=True)
-    steps, view, anew, shape = list(draft.steps), draft.end, draft.is_anew, None
+    state = prune(state, _sought(state.end, effects), last=True)
+    steps, view, anew, shape = list(state.steps), state.end, state.is_anew, None
     if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
         shape, anew, place = finished(view, mine[0]), True, steps.index(mine[0])
         steps[place:] = [*(shape.steps if shape else ()), *(s for s in steps[place:] if s not in mine)]
         view = view if shape else view.with_structure(None)
     if anew:
-        steps = replay(draft.start, steps)
-        view = steps[-1].candidate.after if steps else draft.start
-    return Search(
-        draft.start.without_caches(),
-        tuple(grouped(steps)),
-        view.without_caches(),
-        draft.tests,
-        draft.notes,
-        draft.preprocessed,
-        anew,
-        shape and shape.model,
+        steps = replay(state.start, steps)
+        view = steps[-1].candidate.after if steps else state.start
+    return dataclasses.replace(
+        state,
+        start=state.start.without_caches(),
+        steps=tuple(grouped(steps)),
+        end=view.without_caches(),
+        noise_model=shape and shape.model,
+        others=others,
     )
 
 

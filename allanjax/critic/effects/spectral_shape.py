@@ -6,35 +6,27 @@ described after the search, from the final model.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from allanjax.critic.effect import FREQUENCIES, Effect
-from allanjax.critic.places import Place
-from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain, structure_at
+from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.model import response_of
 
 
 class SpectralShape(Effect):
-    """A low-pass filter and resonances, or narrow resonances at given frequencies."""
+    """A low-pass filter and resonances."""
 
     name = "spectral_shape"
     sensible: ClassVar = {"bandwidth": FREQUENCIES}
-
-    def __init__(self, places: Sequence[Place] = ()) -> None:
-        self._places = tuple(places)
-
-    def at(self, places: Sequence[Place]) -> SpectralShape:
-        return SpectralShape(places)
 
     def p_value(self, view: View) -> float:
         return conspicuous(view.squared_whitened).p_value
 
     def detect(self, view: View) -> Candidate | None:
-        found = structure_at(view, self._places) if self._places else candidate_structure(view)
+        found = candidate_structure(view)
         if found is None:
             return None
         after, gain = found
@@ -42,8 +34,8 @@ class SpectralShape(Effect):
         assert structure is not None
         response = response_of(structure, view.rate)
         corner = [] if response is None else [view.estimate("bandwidth", response.half_power, np.nan, "Hz")]
-        # For a filter, and at a known place, the odds are the only statistic.
-        p_value = None if self._places or response is not None else self.p_value(view)
+        # For a filter, the odds are the only statistic.
+        p_value = None if response is not None else self.p_value(view)
         return Candidate(
             self.name,
             corner,
