@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.critic.effect import Effect, Range
-from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS
+from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS, SHARED
 from allanjax.critic.view import Candidate
 
 
@@ -50,7 +50,7 @@ class AcceptanceRule(NamedTuple):
         )
 
     def least_log_odds(self, cause: str) -> float:
-        """Gain [nats] above which a candidate of an effect has the required posterior odds."""
+        """Gain [nats] above which a candidate of a cause has the required posterior odds."""
         return float(np.log(FALSE_ALARMS / self.false_alarms)) - PRIORS.get(cause, OWN).log_odds
 
     def level(self, cause: str) -> float:
@@ -61,8 +61,9 @@ class AcceptanceRule(NamedTuple):
     def accepts(self, candidate: Candidate) -> bool:
         """Whether a candidate is probable enough, unlikely to be chance, and makes sense."""
         # An effect that is visible directly in the samples has no odds: nan.
-        doubtful = candidate.gain < self.least_log_odds(candidate.cause)
-        probable = not doubtful and candidate.chance < self.level(candidate.cause)
+        prior = SHARED if candidate.is_shared else candidate.cause
+        doubtful = candidate.gain < self.least_log_odds(prior)
+        probable = not doubtful and candidate.chance < self.level(prior)
         return bool(probable and self._makes_sense(candidate))
 
     def _makes_sense(self, candidate: Candidate) -> bool:

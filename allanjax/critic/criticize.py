@@ -195,8 +195,12 @@ def _searches(
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
         others = elsewhere(places[k], [place for i, own in places.items() if i != k for place in own])
-        there = [again for effect in effects if (again := effect.at(others)) is not None]
-        state = going_on(states[k], there, rule, tell) if others else states[k]
+        there = [
+            effect.at(own)
+            for effect in effects
+            if (own := [place for place in others if place.cause == effect.name])
+        ]
+        state = going_on(states[k], there, rule, tell) if there else states[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)
         return concluded(state, effects, further or None)
 

@@ -66,9 +66,9 @@ class Effect(ABC):
         """The finding refitted in a view with other findings; None if nothing remains of it."""
         return self.detect(view)
 
-    def at(self, places: Sequence[Place]) -> Effect | None:
-        """This effect, searching only at places known from other axes; None if it has no such search."""
-        return None
+    def at(self, places: Sequence[Place]) -> Effect:
+        """This effect, searching only at places of its own cause that are known from other axes."""
+        return self
 
     def p_value(self, view: View) -> float | None:
         """p-value of this effect's statistic under noise alone, corrected for the search over places.

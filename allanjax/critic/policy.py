@@ -40,6 +40,8 @@ _OF_SAMPLES = (
     "its probability follows from the samples, beyond any threshold; the share is one of fifteen equal"
 )
 
+#: Name of the prior of what is at a place known from another axis.
+SHARED = "shared"
 #: Prior odds and shares by the name of the effect.
 PRIORS: Mapping[str, Prior] = {
     **dict.fromkeys(
@@ -86,6 +88,11 @@ PRIORS: Mapping[str, Prior] = {
     "rounding": Prior(0.0, EQUAL, _OF_SAMPLES),
     "saturation": Prior(0.0, EQUAL, _OF_SAMPLES),
     "repeated_samples": Prior(0.0, EQUAL, _OF_SAMPLES),
+    SHARED: Prior(
+        -3.0,
+        EQUAL,
+        "judgement: vibration and knocks act on several axes, but not on all; the share is one of fifteen",
+    ),
     "common_mode": Prior(
         0.0, EQUAL, "derived: the distribution of a correlation is known; one of fifteen equal shares"
     ),

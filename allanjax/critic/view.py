@@ -349,6 +349,7 @@ class Candidate:
         details: words and lists of numbers by name.
         bound: upper bound of the probability of such odds under noise alone, e.g. e^−gain.
         doubt: why it may describe the data without being the cause, "" if nothing speaks for that.
+        is_shared: whether its place is known from another axis.
     """
 
     cause: str
@@ -365,6 +366,7 @@ class Candidate:
     details: Mapping[str, Detail] = dataclasses.field(default_factory=dict)
     bound: float = 1.0
     doubt: str = ""
+    is_shared: bool = False
 
     @property
     def chance(self) -> float:

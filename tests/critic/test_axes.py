@@ -159,6 +159,20 @@ def test_a_knock_is_one_event_with_the_peak_of_each_axis():
     assert knock.gain == pytest.approx(sum(f.gain for f in knock.members))
 
 
+def test_a_weak_knock_is_found_where_another_axis_has_a_strong_one_and_not_alone():
+    """Motions that a matched filter finds with 300, 45 and 0 nats."""
+    x = np.random.default_rng(46).standard_normal((N, 3))
+    after = np.maximum(np.arange(N) - 9_000, 0) / RATE
+    motion = np.exp(-after / 0.8) * np.sin(2.0 * np.pi * 2.0 * after)
+    for k, nats in enumerate((300.0, 45.0)):
+        x[:, k] += motion * np.sqrt(2.0 * nats / np.sum(motion**2))
+    options = {"rate": RATE, "gyro_unit": "deg/s", "effects": only("disturbance")}
+    assert aj.critique(x[:, 1], names=["gyro_y"], **options).findings == ()
+    (knock,) = aj.critique(x, **options).findings
+    assert (knock.cause, knock.axes) == ("disturbance", ("gyro_x", "gyro_y"))
+    assert knock.span[0] == pytest.approx(9_000 / RATE, abs=0.5)
+
+
 def test_what_is_left_of_an_event_is_reported_with_it_and_another_event_within_a_loud_half_is_not():
     """A tenth of the record is three times louder on two axes, its middle third thrice as loud again."""
     x = np.random.default_rng(45).standard_normal((N, 3))

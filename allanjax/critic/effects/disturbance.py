@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
 import numpy as np
 from jaxtyping import Float
 from scipy.fft import dct
@@ -10,6 +13,7 @@ from scipy.special import gammaincc
 from allanjax.critic.bank import folds
 from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
@@ -19,12 +23,21 @@ _SHORTEST, _LONGEST, _SMOOTH, _LOUD, _QUIET = (
 )
 # Smallest gain of a window that is examined more closely [nats].
 _WORTH = 12.0
-# Bands of the spectrum, each twice as wide as the one below.
-_BANDS = 6
+# Bands of the spectrum, each twice as wide as the one below; log Occam factor of the level of each [nats].
+_BANDS, _PER_BAND = 6, 2.5
 # Blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at each.
 _FADING, _UNSEEN = 10, 0.1
-# Neighbouring samples that are held out together.
-_FOLD_BLOCK = 16
+
+#: Whitened samples, or their squares.
+Samples: TypeAlias = Float[np.ndarray, " n"]
+
+
+class _Stretch(NamedTuple):
+    """First sample of a stretch and that after it, and the number of stretches searched."""
+
+    start: int
+    end: int
+    windows: float
 
 
 class Disturbance(Effect):
@@ -32,8 +45,21 @@ class Disturbance(Effect):
 
     name = "disturbance"
 
+    def __init__(self, places: Sequence[Place] = ()) -> None:
+        self._places = tuple(places)
+
+    def at(self, places: Sequence[Place]) -> Disturbance:
+        return Disturbance(places)
+
     def detect(self, view: View) -> Candidate | None:
         block = max(int(np.rint(_SHORTEST * view.rate)), 4)
+        ends = ((round(place.start * view.rate), round(place.end * view.rate)) for place in self._places)
+        known = [_Stretch(start, end, 1.0) for start, end in ends]
+        found = [self._within(view, block, stretch) for stretch in known or (None,)]
+        return max((c for c in found if c is not None), key=lambda c: c.gain, default=None)
+
+    def _within(self, view: View, block: int, known: _Stretch | None) -> Candidate | None:
+        """Disturbance in a known stretch, or in the one that is most likely louder."""
         quiet = view
         # The first noise was estimated with the motion in it and contains part of it: repeated without.
         for _ in range(2):
@@ -41,11 +67,9 @@ class Disturbance(Effect):
             e /= 1.4826 * float(np.median(abs(e)))
             # Imputed samples are not part of a disturbance.
             squares = np.where(view.imputed, 1.0, e**2)
-            loudest = _loudest(squares, block)
-            if loudest is None:
+            if (stretch := known or _searched(e, squares, block)) is None:
                 return None
-            start, end = _grown(squares, loudest[0], loudest[1], block)
-            start, end = _faded(e, start, end, block)
+            start, end, windows = stretch
             excess = _bands(e[start:end])
             power = excess[:, 0] * (excess[:, 1] - 1.0)
             if np.sum(power[:-2]) < _SMOOTH * np.sum(power) or np.max(excess[:, 1]) < _LOUD:
@@ -53,16 +77,19 @@ class Disturbance(Effect):
             missing = np.zeros(view.n, bool)
             missing[max(start - block, 0) : end + block] = True
             quiet = impute_gaussian(view, missing)
-        assert loudest is not None
-        windows = loudest[2]
         m, level = end - start, float(np.mean(squares[start:end]))
+        tested = np.array([m, level])
+        if known:
+            # That it is slow is known, too.
+            excess = np.stack([_merged(excess[:-2]), _merged(excess[-2:])])
+            tested = excess[0]
         coloured = 0.5 * float(np.sum(excess[:, 0] * (excess[:, 1] - 1.0 - np.log(excess[:, 1]))))
-        white = 0.5 * m * (level - 1.0 - np.log(level))
-        price = 2.0 * np.log(len(squares) / block) + 2.5 * len(excess)
-        gain = coloured - price
-        if coloured - 2.5 * len(excess) < white:
+        white = 0.5 * m * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
+        levels = _PER_BAND * len(excess)
+        if coloured - levels < white:
             return None
-        p_value = float(min(windows * gammaincc(m / 2.0, m * level / 2.0), 1.0))
+        # At a known place it has not been searched for.
+        gain = coloured - levels - (0.0 if known else 2.0 * np.log(len(squares) / block))
         # It begins and ends below the noise, so a share of it is hidden.
         std = float(np.hypot(_FADING * block / np.sqrt(12.0), _UNSEEN * m))
         peak = float(np.max(abs(view.samples[start:end] - np.median(view.samples))))
@@ -74,15 +101,26 @@ class Disturbance(Effect):
                 view.amplitude_estimate("peak", peak, view.loo_residuals[1]),
             ],
             gain,
-            p_value,
+            float(min(windows * gammaincc(tested[0] / 2.0, tested.prod() / 2.0), 1.0)),
             quiet,
-            lambda: _held_out(squares, start, end),
+            lambda: _held_out(e[start:end], excess),
             (start / view.rate, end / view.rate),
+            bound=float(np.exp(-max(gain, 0.0))),
+            is_shared=bool(known),
         )
 
 
-def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, float] | None:
-    """Window most likely to be louder, and the number of windows searched."""
+def _searched(e: Samples, squares: Samples, block: int) -> _Stretch | None:
+    """Stretch that is most likely louder, with its ends where it fades into the noise."""
+    loudest = _loudest(squares, block)
+    if loudest is None:
+        return None
+    start, end = _grown(squares, loudest.start, loudest.end, block)
+    return _Stretch(*_faded(e, start, end, block), loudest.windows)
+
+
+def _loudest(squares: Samples, block: int) -> _Stretch | None:
+    """Window most likely to be louder."""
     total = np.concatenate([[0.0], np.cumsum(squares)])
     best, windows, width = (0.0, 0, 0), 0.0, block
     while width <= _LONGEST * len(squares):
@@ -94,7 +132,7 @@ def _loudest(squares: Float[np.ndarray, " n"], block: int) -> tuple[int, int, fl
             best = (float(gain[k]), int(first[k]), int(first[k] + width))
         windows += len(first)
         width *= 2
-    return None if best[0] < _WORTH else (best[1], best[2], windows)
+    return None if best[0] < _WORTH else _Stretch(best[1], best[2], windows)
 
 
 def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
@@ -132,10 +170,21 @@ def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:
     return np.column_stack([size, np.maximum(np.add.reduceat(c**2, edges[:-1]) / size, 1e-12)])
 
 
-def _held_out(squares: Float[np.ndarray, " n"], start: int, end: int) -> float:
-    """Gain in log-likelihood [nats] on parts of the stretch with the level from the other parts."""
-    gain, inside = 0.0, squares[start:end]
-    for part in folds(len(inside), max(min(_FOLD_BLOCK, len(inside) // 16), 1)):
-        level, rest = inside[~part].mean(), inside[part]
-        gain += 0.5 * float(np.sum(rest - rest / level) - len(rest) * np.log(level))
+def _merged(bands: Float[np.ndarray, "bands 2"]) -> Float[np.ndarray, " 2"]:
+    """Number of coefficients and mean square of several bands together."""
+    size = bands[:, 0].sum()
+    return np.array([size, bands[:, 0] @ bands[:, 1] / size])
+
+
+def _held_out(e: Samples, bands: Float[np.ndarray, "bands 2"]) -> float:
+    """Gain in log-likelihood [nats] on parts of the coefficients with the levels of bands from the others."""
+    squares = dct(e, norm="ortho") ** 2
+    band = np.repeat(np.arange(len(bands)), bands[:, 0].astype(int))
+    gain = 0.0
+    for part in folds(len(e), 1):
+        others = ~part
+        # A band of few coefficients has the level of noise if no others are left.
+        sums, count = (np.bincount(band[others], x, len(bands)) for x in (squares[others], None))
+        level = ((sums + 1.0) / (count + 1.0))[band[part]]
+        gain += 0.5 * float(np.sum(squares[part] * (1.0 - 1.0 / level) - np.log(level)))
     return gain

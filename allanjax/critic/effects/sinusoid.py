@@ -67,7 +67,7 @@ class Sinusoid(Effect):
 
     def detect(self, view: View) -> Candidate | None:
         line = _strongest(view, self._places)
-        band = sum(2.0 * place.reach for place in self._places) or 0.5 * view.rate
+        band = sum(place.end - place.start for place in self._places) or 0.5 * view.rate
         if line is None or line.gain - line.log_price(band) < _HOPELESS:
             return None
         after = view.with_samples(view.samples - wave(line.frequency, line.beta, view.n, view.rate))
@@ -107,6 +107,7 @@ class Sinusoid(Effect):
             (f - width, f + width),
             "frequency",
             lambda model: model + terms.Sinusoid(amplitude, f, phase=phase),
+            is_shared=bool(self._places),
         )
 
 
@@ -132,7 +133,7 @@ def _looked_at(
     first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(spectrum) - 1
     if not places:
         return np.arange(first, last)
-    edges = [((p.frequency - p.reach) / spacing, (p.frequency + p.reach) / spacing) for p in places]
+    edges = np.array([(place.start, place.end) for place in places]) / spacing
     each = [np.arange(max(int(np.ceil(low)), first), min(int(high) + 1, last)) for low, high in edges]
     return np.unique(np.concatenate(each))
 
@@ -143,7 +144,7 @@ def _line_p_value(z: float, view: View, places: Sequence[Place]) -> float:
     Baluev (2008), MNRAS 385:1279, eq. 6: W e^{−z} √z with W = band·√(4π var t), and 1 − e^{−z} for the start
     of each band searched.
     """
-    band = sum(2.0 * p.reach for p in places) or view.rate / 2.0 - _PERIODS / view.duration
+    band = sum(p.end - p.start for p in places) or view.rate / 2.0 - _PERIODS / view.duration
     expected = band * view.duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
     return float(-np.expm1(max(len(places), 1) * np.log1p(-np.exp(-z)) - expected))
 
