@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -40,35 +40,11 @@ class BasicTerm(Effect):
         # A power law takes the place of the Markov process.
         if term in view.allowed or (term == MARKOV and POWER_LAW in view.allowed):
             return None
-        allowed = [*view.allowed, term]
-        noise = view.model_evidence.best(allowed, required=(term,))
-        gain = view.model_evidence.total(allowed, required=(term,)) - view.log_evidence
-        if gain <= 0.0 or (term != RAMP and term not in noise.power):
-            return None
+        return noise_with(view, term, [*view.allowed, term], view.log_evidence, self._parameters, _p_value)
 
-        after = view.allowing(allowed)
-
-        def held_out() -> float:
-            if term == RAMP:
-                # Its shape is known and nearly all in one coefficient, so parts of the time are held out.
-                shape = Bank(view.family.ramp[None, :SLOW])
-                return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
-            with_it = view.cross_validated(
-                lambda fold: view.model_evidence_of(fold).best(allowed, required=(term,))
-            )
-            return with_it - view.cv_log_likelihood
-
-        return Candidate(
-            term,
-            self._parameters(view, allowed, noise, term),
-            gain,
-            _p_value(view, term),
-            after,
-            held_out,
-        )
-
-    def _parameters(self, view: View, allowed: Sequence[str], noise: Noise, term: str) -> list[Estimate]:
+    def _parameters(self, view: View, allowed: Sequence[str], noise: Noise) -> list[Estimate]:
         """Parameters of the best subset; deviations include the spread between plausible subsets."""
+        term = self.name
         sets = view.model_evidence.likely(allowed, (term,), most=SETS)
         found = [_value(view, other, term) for other in sets]
         value = _value(view, noise, term)[0]
@@ -87,6 +63,33 @@ class BasicTerm(Effect):
             least = max(value - ONE_SIDED_95 * std, 0.0) / scale
             amplitude = view.estimate(parameter.name, least, np.nan, unit, "above")
         return [amplitude, time]
+
+
+def noise_with(
+    view: View,
+    term: str,
+    allowed: Sequence[str],
+    without: float,
+    parameters: Callable[[View, Sequence[str], Noise], Sequence[Estimate]],
+    p_value: Callable[[View, str], float] | None = None,
+) -> Candidate | None:
+    """Noise with a term, one of the `allowed` ones, against the log evidence `without` it."""
+    noise = view.model_evidence.best(allowed, required=(term,))
+    gain = view.model_evidence.total(allowed, required=(term,)) - without
+    if gain <= 0.0 or (term != RAMP and term not in noise.power):
+        return None
+    after = view.allowing(allowed)
+
+    def held_out() -> float:
+        if term == RAMP:
+            # Its shape is known and nearly all in one coefficient, so parts of the time are held out.
+            shape = Bank(view.family.ramp[None, :SLOW])
+            return shape.held_out(view, after, dataclasses.replace(noise, ramp=False))
+        best = view.cross_validated(lambda fold: view.model_evidence_of(fold).best(allowed, required=(term,)))
+        return best - view.cv_log_likelihood
+
+    found = parameters(view, allowed, noise)
+    return Candidate(term, found, gain, p_value and p_value(view, term), after, held_out)
 
 
 def _value(view: View, noise: Noise, term: str) -> tuple[float, float]:

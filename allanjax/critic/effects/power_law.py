@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from allanjax.critic.effect import Effect, Range
+from allanjax.critic.effects.basic_term import noise_with
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.parameters import limited
 from allanjax.critic.policy import judged
 from allanjax.critic.spectral import FineLevels, relative_errors
 from allanjax.critic.view import Candidate, View
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is sought.
@@ -33,39 +37,26 @@ class PowerLaw(Effect):
         if POWER_LAW in view.allowed:
             return None
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
-        noise = view.model_evidence.best(allowed, required=(POWER_LAW,))
         # A basic term is preferred if it explains as much.
-        gain = view.model_evidence.total(allowed, required=(POWER_LAW,)) - view.log_evidence_all_terms
-        if POWER_LAW not in noise.power or gain <= 0.0:
-            return None
-        after = view.allowing(allowed)
-        exponent, std, limit = limited(*_exponent(view, noise), _EXPONENTS)
-        amplitude = float(np.sqrt(noise.power[POWER_LAW]))
-        relative = relative_errors(view, noise)[POWER_LAW]
-
-        def held_out() -> float:
-            with_it = view.cross_validated(
-                lambda fold: view.model_evidence_of(fold).best(allowed, required=(POWER_LAW,))
-            )
-            return with_it - view.cv_log_likelihood
-
-        parameters = [
-            view.estimate("exponent", exponent, std, "1", limit),
-            view.amplitude_estimate("amplitude", amplitude, 0.5 * relative * amplitude, "/√Hz"),
-        ]
-        low = view.rate / (2.0 * view.n)
-        return Candidate(
-            self.name,
-            parameters,
-            gain,
-            None,
-            after,
-            held_out,
-            (low, view.rate / 2.0),
-            "frequency",
-            bound=float(np.exp(-gain)),
-            doubt=_doubt(exponent),
+        found = noise_with(view, POWER_LAW, allowed, view.log_evidence_all_terms, _parameters)
+        return found and dataclasses.replace(
+            found,
+            support=(view.rate / (2.0 * view.n), view.rate / 2.0),
+            domain="frequency",
+            bound=float(np.exp(-found.gain)),
+            doubt=_doubt(found.parameters["exponent"].value),
         )
+
+
+def _parameters(view: View, allowed: Sequence[str], noise: Noise) -> list[Estimate]:
+    """Exponent and amplitude."""
+    exponent, std, limit = limited(*_exponent(view, noise), _EXPONENTS)
+    amplitude = float(np.sqrt(noise.power[POWER_LAW]))
+    relative = relative_errors(view, noise)[POWER_LAW]
+    return [
+        view.estimate("exponent", exponent, std, "1", limit),
+        view.amplitude_estimate("amplitude", amplitude, 0.5 * relative * amplitude, "/√Hz"),
+    ]
 
 
 def _doubt(exponent: float) -> str:
