@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -94,9 +94,8 @@ def common_mode(records: Sequence[StageResiduals], alpha: float) -> list[Finding
         p = any_of(float(best.p_value[pair]), len(pairs) * len(tested))
         if p < alpha and best.held_out(pair) > 0.0:
             linked[pair], p_values[pair] = best, p
-    strength = {pair: abs(float(band.correlation[pair])) for pair, band in linked.items()}
     found = []
-    for group in _groups(strength):
+    for group in _groups({pair: abs(band.correlation[pair]) for pair, band in linked.items()}):
         p = min(p_values[pair] for pair in group)
         found.append(_finding(records, bands, {pair: linked[pair] for pair in group}, p))
     return found
@@ -115,20 +114,19 @@ def _bands(records: Sequence[StageResiduals]) -> list[_Band]:
     return [_Band(noise, z[:, :top], share[:, :top]) for noise, share in shares.items() for top in tops]
 
 
-def _groups(strength: Mapping[Pair, float]) -> list[list[Pair]]:
-    """Groups of pairs with axes in common, directly or through others.
+def _groups(strength: Mapping[Pair, float]) -> Iterator[list[Pair]]:
+    """Pairs in groups, within which axes are linked directly or through others.
 
     They are built from the strongest pair onwards; much weaker ones belong to other groups.
     """
-    groups, left = [], sorted(strength, key=lambda pair: -strength[pair])
+    left = dict(strength)
     while left:
-        group, least = left[:1], _WEAKEST * strength[left[0]]
-        for known in group:
-            near = [pair for pair in left if {*pair} & {*known} and strength[pair] >= least]
-            group += [pair for pair in near if pair not in group]
-        groups.append(sorted(group))
-        left = [pair for pair in left if not any({*pair} & {*known} for known in group)]
-    return groups
+        first = max(left, key=lambda pair: left[pair])
+        near, axes = [pair for pair in left if left[pair] >= _WEAKEST * left[first]], {*first}
+        for _ in near:
+            axes |= {k for pair in near if axes & {*pair} for k in pair}
+        yield [pair for pair in near if axes & {*pair}]
+        left = {pair: size for pair, size in left.items() if not axes & {*pair}}
 
 
 def _finding(
@@ -147,15 +145,15 @@ def _finding(
     pairs = [pair for pair, is_strong in zip(linked, strong[best], strict=True) if is_strong]
     # Which noise is correlated is part of the uncertainty.
     spread = np.average((means - mean) ** 2, weights=np.exp(evidence - evidence[best]))
-    std = np.sqrt(
-        _variance(mean, np.mean([band.common(pair) for pair in pairs], axis=0), len(pairs)) + spread
-    )
-    axes = [records[k].axis for k in sorted({k for pair in linked for k in pair})]
+    share = np.mean([band.common(pair) for pair in pairs], axis=0)
+    std = np.sqrt(_variance(mean, share, len(pairs)) + spread)
+    every = [record.axis for record in records]
+    axes = [every[k] for k in sorted({k for pair in linked for k in pair})]
     names = tuple(axis.name for axis in axes)
     together = Axis(" and ".join(names), axes[0].sensor, axes[0].unit)
     limit: Limit = "" if mean < _STRONGEST - 1e-9 else "above"
     signs = (
-        (records[a].axis.name, records[b].axis.name, own.correlation[a, b]) for (a, b), own in linked.items()
+        f"{every[a].name}/{every[b].name}: {own.correlation[a, b]:+.3g}" for (a, b), own in linked.items()
     )
     spacing = records[0].rate / (2.0 * records[0].n)
     return Finding(
@@ -168,11 +166,7 @@ def _finding(
         rivals=(),
         span=(spacing, band.z.shape[1] * spacing),
         domain="frequency",
-        details={
-            "axes": names,
-            "noise": band.noise,
-            "pairs": tuple(f"{one}/{other}: {r:+.3g}" for one, other, r in signs),
-        },
+        details={"axes": names, "noise": band.noise, "pairs": tuple(signs)},
     )
 
 

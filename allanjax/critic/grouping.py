@@ -8,32 +8,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from allanjax.critic.merging import OUTLIERS, order_of
 from allanjax.critic.parameters import Detail
-from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.noise.estimate import Estimate
-
-_ORDERS = judged("line", "orders")
-
-
-def order_of(high: Estimate, low: Estimate, least: float = 0.0, most: float = np.inf) -> int:
-    """Order of a line as a harmonic of a lower one, from their frequencies; 0 if it is none.
-
-    They agree within four standard deviations or `least` [Hz]; an error above `most` [Hz] tells nothing.
-    """
-    order = round(high.value / low.value)
-    high_std, low_std = np.nan_to_num([high.std, low.std])
-    reach = max(4.0 * float(np.hypot(high_std, order * low_std)), least)
-    is_multiple = abs(high.value - order * low.value) <= reach < most
-    return order if is_multiple and 2 <= order <= _ORDERS else 0
 
 
 def grouped(steps: Sequence[Step]) -> list[Step]:
     """Steps in which the harmonics of a fundamental are one finding, and all outliers are one."""
-    firsts = [_first(step, steps) for step in steps]
-    both = list(zip(steps, firsts, strict=True))
-    others = {first: [s for s, own in both if own is first and s is not first] for first in firsts}
-    return [_together(first, more) if more else first for first, more in others.items()]
+    groups: dict[Step, list[Step]] = {}
+    for step in steps:
+        groups.setdefault(_first(step, steps), []).append(step)
+    return [_together(first, group) if len(group) > 1 else first for first, group in groups.items()]
 
 
 def _first(step: Step, steps: Sequence[Step]) -> Step:
@@ -42,15 +28,16 @@ def _first(step: Step, steps: Sequence[Step]) -> Step:
     if step.candidate.cause == "sinusoid":
         lower = [s for s in alike if order_of(_frequency(step), _frequency(s))]
         return _first(min(lower, key=lambda s: _frequency(s).value), steps) if lower else step
-    return alike[0] if step.candidate.cause == "outliers" else step
+    return alike[0] if step.candidate.cause == OUTLIERS else step
 
 
 def _frequency(step: Step) -> Estimate:
     return step.candidate.parameters["frequency"]
 
 
-def _together(first: Step, others: Sequence[Step]) -> Step:
-    """A step and those that belong to it as one, with lists of what they are."""
+def _together(first: Step, group: Sequence[Step]) -> Step:
+    """A group of steps as one, with what the first of them has and lists of what the others add."""
+    others = [s for s in group if s is not first]
     every, estimates, details = (first, *others), first.candidate.estimates, _lists(first, others)
     if "times" in details:
         count, *rest = estimates

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.special import gammainc
 
 from allanjax.critic.finding import UNEXPLAINED, Finding, Rival
-from allanjax.critic.grouping import order_of
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate, side_of_limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.noise.estimate import Estimate
@@ -24,13 +24,18 @@ OUTLIERS, EVENT = "outliers", "event"
 # Causes that are events if they are short, and names of the events of which they are a part.
 _STRETCHES = ("disturbance", "variance_change")
 # Parameters that the axes have in common; all others belong to one axis.
-_SHARED = ("frequency", "quality_factor", "bandwidth", "order", "time", "time_constant", "lag")
-# Standard deviations within which values count as the same.
-_DEVIATIONS = 4.0
+_SHARED = (
+    *("frequency", "quality_factor", "bandwidth", "order"),
+    *("time", "time_constant", "lag", "start", "end"),
+)
+# Standard deviations within which values count as the same: frequencies and times, and shapes.
+_PLACE, _SHAPE = 4.0, 3.0
 _ODDS = judged("search", "rivals")
 _SHORT, _PAUSE, _FEW, _CHANCE = (judged("event", name) for name in ("short", "pause", "few", "chance"))
 _NESTED, _SAME, _ALIKE = (judged("event", name) for name in ("nested", "same", "alike"))
-_NARROW, _STEADY, _BY_CHANCE = (judged("line", name) for name in ("quality", "steady", "near"))
+_NARROW, _STEADY, _ORDERS, _BY_CHANCE = (
+    judged("line", name) for name in ("quality", "steady", "orders", "near")
+)
 _FILTER, _DAMPING, _WARMING = (judged(cause, "same") for cause in ("low_pass", "resonance", "warm_up"))
 _AT_ONCE, _APART = judged("bias_step", "at once"), judged("bias_step", "apart")
 
@@ -42,15 +47,31 @@ def merged(
 
     `findings` are those of the single axes, axis by axis; `of_several` those that several axes share.
     """
-    by_kind: dict[tuple[str, str], list[Finding]] = {}
-    for f in _with_events(findings, duration):
-        by_kind.setdefault(_kind(f), []).append(f)
-    found = [*of_several]
-    for (name, _), own in by_kind.items():
-        rule = RULES.get(name)
-        for family in rule.families(own, duration) if rule else [[f] for f in own]:
-            found.append(rule.combine(family) if rule and len(family) > 1 else family[0])
+    found = [*_families(_with_events(findings, duration), duration), *of_several]
     return tuple(sorted(found, key=lambda f: (f.cause == UNEXPLAINED, -f.impact.size, -_weight(f))))
+
+
+def _families(findings: Sequence[Finding], duration: float) -> Iterator[Finding]:
+    """Findings, with those that are one joined."""
+    kinds = [_kind(f) for f in findings]
+
+    def rank(k: int) -> float:
+        """The strongest finding comes first, but of lines the lowest, which may be the fundamental."""
+        return findings[k].parameters["frequency"].value if kinds[k][0] == "line" else -_weight(findings[k])
+
+    left = sorted(range(len(findings)), key=rank)
+    while left:
+        family = [left.pop(0)]
+        kind = kinds[family[0]]
+        rule = RULES.get(kind[0], Rule(lambda one, other, duration: False))
+        for known in family if rule.grows else family[:1]:
+            for k in [k for k in left if kinds[k] == kind]:
+                taken = rule.is_once and findings[k].axes in [findings[i].axes for i in family]
+                if not taken and rule.same(findings[known], findings[k], duration):
+                    family.append(k)
+                    left.remove(k)
+        members = [findings[k] for k in sorted(family)]
+        yield rule.combine(members) if len(members) > 1 else members[0]
 
 
 def _weight(f: Finding) -> float:
@@ -75,37 +96,32 @@ def together(
     """
     # Of a finding that is split, one part has these.
     counted = [f for f in members if (f.p_value, f.evidence, f.gain) != (None, None, None)] or members
-    p = [f.p_value for f in counted if f.p_value is not None]
+    p, evidence, gain = (
+        [x for x in own if x is not None]
+        for own in zip(*((f.p_value, f.evidence, f.gain) for f in counted), strict=True)
+    )
     odds = [{rival.cause: rival.odds for rival in f.rivals} for f in counted]
     product = {name: float(np.prod([own.get(name, np.inf) for own in odds])) for name in odds[0]}
     start, end = zip(*(f.span for f in members), strict=True)
     axes = tuple(dict.fromkeys(axis for f in members for axis in f.axes))
     sizes = _largest(members) if per_axis is None else per_axis
-    words: Iterable[set[tuple[str, Detail]]] = (
-        {(name, x) for name, x in f.details.items() if isinstance(x, str)} for f in members
-    )
+    channel = {name: x for name, x in members[0].details.items() if name == "channel"}
     return dataclasses.replace(
         max(counted, key=lambda f: (f.impact.size, _weight(f))),
         cause=cause or members[0].cause,
         axes=axes,
         parameters=_means(members) if parameters is None else parameters,
         p_value=min(1.0, min(p) * len(counted)) if p else None,
-        evidence=_sum(f.evidence for f in counted),
-        gain=_sum(f.gain for f in counted),
+        evidence=sum(evidence) if evidence else None,
+        gain=sum(gain) if gain else None,
         rivals=tuple(Rival(name, value) for name, value in product.items() if value < _ODDS),
         span=(min(start), max(end)),
         rest=min((f.rest for f in counted if f.rest), key=lambda rest: rest.p_value, default=None),
-        details=dict(sorted(set.intersection(*words))) if details is None else details,
+        details=channel if details is None else details,
         members=tuple(made for f in members for made in f.members or (f,)),
         per_axis={axis: sizes[axis] for axis in axes if axis in sizes},
         stages=(-1, -1),
     )
-
-
-def _sum(values: Iterable[float | None]) -> float | None:
-    """Sum of the numbers that are not None; None if there are none."""
-    known = [value for value in values if value is not None]
-    return float(sum(known)) if known else None
 
 
 def _largest(members: Sequence[Finding]) -> dict[str, Estimate]:
@@ -114,13 +130,11 @@ def _largest(members: Sequence[Finding]) -> dict[str, Estimate]:
     return dict(sorted(sizes, key=lambda size: (size[1].unit != "1", abs(size[1].value))))
 
 
-def _means(members: Sequence[Finding], labels: Sequence[str] = _SHARED) -> dict[str, Estimate]:
-    """Means of parameters that the members have in common, and the sum of their counts."""
-    each = {
-        name: [f.parameters[name] for f in members if name in f.parameters] for name in (*labels, "count")
-    }
-    found = {name: mean for name in labels if (mean := _mean(each[name]))}
-    if counts := each["count"]:
+def _means(members: Sequence[Finding]) -> dict[str, Estimate]:
+    """Means of the parameters that members have in common, and the sum of their counts."""
+    each = {name: [f.parameters[name] for f in members if name in f.parameters] for name in _SHARED}
+    found = {name: mean for name, own in each.items() if (mean := _mean(own))}
+    if counts := [f.parameters["count"] for f in members if "count" in f.parameters]:
         std = float(np.linalg.norm([e.std for e in counts]))
         found["count"] = _changed(counts[0], sum(e.value for e in counts), std)
     return found
@@ -156,103 +170,88 @@ def _changed(e: Estimate, value: float, std: float, limit: Limit = "") -> Estima
 # --- Events -------------------------------------------------------------------------------------------------
 
 
-class _Mark(NamedTuple):
-    """Stretch of an axis [s]: all of finding number `finding`, or its outlier number `place`."""
-
-    start: float
-    end: float
-    finding: int
-    place: int | None
-
-
 def _with_events(findings: Sequence[Finding], duration: float) -> list[Finding]:
     """Findings whose parts that happen together are events instead."""
-    events = _events(findings, duration)
-    event_of = {(mark.finding, mark.place): number for number, event in enumerate(events) for mark in event}
-    parts: list[list[Finding]] = [[] for _ in events]
+    events: dict[int, list[Finding]] = {}
     left = []
-    for k, f in enumerate(findings):
-        places = [mark.place for mark in _marks(k, f, duration)] or [None]
-        inside = [event_of.get((k, place)) for place in places]
-        count = Counter(inside)
+    for f, numbers in zip(findings, _event_numbers(findings, duration), strict=True):
+        count = Counter(numbers.tolist() or [-1])
         # Evidence and gain are reported where most of it is.
-        home = max(count, key=lambda number: (count[number], number is not None))
-        for number in count:
-            own = [k for k, event in zip(places, inside, strict=True) if event == number and k is not None]
-            is_whole = len(own) == 0 or (number is None and len(count) == 1)
-            part = f if is_whole else _part(f, own, number == home, number is not None)
-            if number is not None:
-                parts[number].append(part)
-            elif home is None or len(own) > _FEW * len(places):
+        home = max(count, key=lambda number: (count[number], number >= 0))
+        for number, size in count.items():
+            part, is_event = f, number >= 0
+            if f.cause == OUTLIERS and (is_event or size < len(numbers)):
+                part = _part(f, np.flatnonzero(numbers == number), number == home, is_event)
+            if is_event:
+                events.setdefault(number, []).append(part)
+            elif home < 0 or size > _FEW * len(numbers):
                 left.append(part)
-    return [*map(_event, parts), *left]
+    return [*map(_event, events.values()), *left]
 
 
-def _events(findings: Sequence[Finding], duration: float) -> list[list[_Mark]]:
-    """Marks of each event, which follow each other without a pause."""
-    marks = [mark for k, f in enumerate(findings) for mark in _marks(k, f, duration)]
-    marks.sort(key=lambda mark: mark[:2])
-    clusters: list[list[_Mark]] = []
-    end = -np.inf
-    for mark in marks:
-        if mark.start - end > _PAUSE:
-            clusters.append([])
-        clusters[-1].append(mark)
-        end = max(end, mark.end)
-    # Rate of other outliers [1/s], from the share of the record's parts without any: an event, with however
-    # many outliers, is in few of these parts, one of which does not count.
-    parts = max(int(duration / _PAUSE), 2)
-    seen = {int(mark.start / _PAUSE) for mark in marks if mark.place is not None}
-    rate = -float(np.log1p(-min(max(len(seen) - 1, 0), parts - 1) / parts)) / _PAUSE
-    return [kept for cluster in clusters if (kept := _crowd(cluster, rate, duration))]
+def _event_numbers(findings: Sequence[Finding], duration: float) -> list[Int[np.ndarray, " parts"]]:
+    """Number of the event of each part of each finding; -1 for none.
+
+    Parts of an event follow each other within a pause, belong to several findings, and are no coincidence.
+    """
+    parts = [_spans(f, duration) for f in findings]
+    owner = np.repeat(np.arange(len(parts)), [len(own) for own in parts])
+    is_point = np.array([f.cause == OUTLIERS for f in findings], bool)[owner]
+    if len(owner) == 0:
+        return [owner] * len(parts)
+    spans = np.concatenate(parts)
+    order = np.argsort(spans[:, 0], kind="stable")
+    start, end = spans[order, 0], np.maximum.accumulate(spans[order, 1])
+    breaks = np.flatnonzero(start[1:] - end[:-1] > _PAUSE) + 1
+    number = np.empty(len(owner), int)
+    number[order] = np.searchsorted(breaks, np.arange(len(owner)), side="right")
+    length = end[np.append(breaks, 0) - 1] - start[np.append(0, breaks)] + 2.0 * _PAUSE
+    # Rate of other outliers [1/s], from the share of the record's blocks without any: an event, with however
+    # many outliers, is in few of these blocks, one of which does not count.
+    blocks = max(int(duration / _PAUSE), 2)
+    loud = max(len(np.unique(spans[is_point, 0] // _PAUSE)) - 1, 0)
+    rate = -float(np.log1p(-min(loud, blocks - 1) / blocks)) / _PAUSE
+    points, stretches = (np.bincount(number, weights=some) for some in (is_point, ~is_point))
+    # Probability of so many beside a stretch, and number of so many of which each is near the one before.
+    beside = gammainc(points, rate * length)
+    alone = (1.0 + rate * duration) * (-np.expm1(-rate * _PAUSE)) ** np.maximum(points - 1.0, 0.0)
+    kept = ~is_point | (np.where(stretches > 0, beside, alone) < _CHANCE)[number]
+    pairs = np.unique(np.stack([number[kept], owner[kept]]), axis=1)
+    is_event = np.bincount(pairs[0], minlength=len(points)) > 1
+    number = np.where(kept & is_event[number], number, -1)
+    return [number[owner == k] for k in range(len(parts))]
 
 
-def _marks(k: int, f: Finding, duration: float) -> list[_Mark]:
-    """Marks of finding number k that may be part of an event."""
+def _spans(f: Finding, duration: float) -> Float[np.ndarray, "parts 2"]:
+    """Starts and ends of the parts of a finding that may belong to an event: outliers, or a short stretch."""
     if f.cause == OUTLIERS:
-        times = [float(t) for t in values_of(f.details.get("times", ()))[0]]
-        return [_Mark(t, t, k, place) for place, t in enumerate(times)]
+        times = np.array(values_of(f.details.get("times", ()))[0], float)
+        return np.stack([times, times], axis=1)
     start, end = f.span
-    if f.cause not in _STRETCHES or (f.cause == "variance_change" and end - start > _SHORT * duration):
-        return []
-    return [_Mark(start - _value(f, "start")[1], end + _value(f, "end")[1], k, None)]
+    if f.cause == "disturbance" or (f.cause == "variance_change" and end - start <= _SHORT * duration):
+        return np.array([[start - _value(f, "start")[1], end + _value(f, "end")[1]]])
+    return np.zeros((0, 2))
 
 
-def _crowd(cluster: Sequence[_Mark], rate: float, duration: float) -> list[_Mark]:
-    """Marks of a cluster that are not a chance coincidence; none if all belong to one finding."""
-    stretches = [mark for mark in cluster if mark.place is None]
-    points = len(cluster) - len(stretches)
-    if stretches:
-        length = max(mark.end for mark in cluster) - cluster[0].start + 2.0 * _PAUSE
-        # Poisson process: probability of so many or more.
-        by_chance = float(gammainc(points, rate * length)) if points else 0.0
-    else:
-        # So many, each within one pause after the last.
-        by_chance = (1.0 + rate * duration) * float(-np.expm1(-rate * _PAUSE)) ** (points - 1)
-    kept = [*cluster] if by_chance < _CHANCE else stretches
-    return kept if len({mark.finding for mark in kept}) > 1 else []
-
-
-def _part(f: Finding, places: Sequence[int], is_home: bool, is_event: bool) -> Finding:
-    """Some outliers of a finding, as a stretch if they are in an event; it keeps the evidence in its home."""
+def _part(f: Finding, places: Int[np.ndarray, " some"], is_home: bool, is_event: bool) -> Finding:
+    """Some outliers of a finding, with its evidence if they are its home; those of an event as a stretch."""
     nothing = Finding(f.cause, f.axes, {}, None, None, None, (), f.span, f.domain)
     lists = {name: [e for e in x if isinstance(e, Estimate)] for name, x in f.details.items()}
     details = {name: tuple(own[k] for k in places) for name, own in lists.items() if own}
-    times, peak = details["times"], max(details["sizes"], key=lambda e: abs(e.value))
+    times, loudest = details["times"], max(details["sizes"], key=lambda e: abs(e.value))
     count = _changed(f.parameters["count"], len(times), f.parameters["count"].std)
-    peak = parameter_estimate(peak.axis, "peak", abs(peak.value), peak.std, peak.unit)
-    as_event = {
-        "start": dataclasses.replace(times[0], label="start"),
-        "end": dataclasses.replace(times[-1], label="end"),
-        "peak": peak,
-    }
+    parameters, sizes = {**f.parameters, "count": count}, f.amplitudes
+    if is_event:
+        start, end = (dataclasses.replace(times[k], label=name) for k, name in ((0, "start"), (-1, "end")))
+        peak = parameter_estimate(loudest.axis, "peak", abs(loudest.value), loudest.std, loudest.unit)
+        parameters, sizes = {"start": start, "end": end}, {f.axes[0]: peak}
     return dataclasses.replace(
         f if is_home else nothing,
-        parameters=as_event if is_event else {**f.parameters, "count": count},
+        parameters=parameters,
         span=(times[0].value, times[-1].value),
         details={**f.details, **details},
         members=(f,),
-        per_axis={f.axes[0]: peak} if is_event else f.amplitudes,
+        per_axis=sizes,
         stages=(-1, -1),
     )
 
@@ -290,27 +289,6 @@ class Rule(NamedTuple):
     is_once: bool = True
     grows: bool = False
 
-    def families(self, findings: Sequence[Finding], duration: float) -> list[list[Finding]]:
-        """Findings that are one, together."""
-
-        def rank(k: int) -> float:
-            """The strongest finding comes first, but of lines the lowest, which may be the fundamental."""
-            tone = None if self.is_once else findings[k].parameters.get("frequency")
-            return tone.value if tone else -_weight(findings[k])
-
-        left = sorted(range(len(findings)), key=rank)
-        found = []
-        while left:
-            family = [left.pop(0)]
-            for known in family if self.grows else family[:1]:
-                for k in left[:]:
-                    taken = self.is_once and findings[k].axes in [findings[i].axes for i in family]
-                    if not taken and self.same(findings[known], findings[k], duration):
-                        family.append(k)
-                        left.remove(k)
-            found.append([findings[k] for k in sorted(family)])
-        return found
-
 
 def _kind(f: Finding) -> tuple[str, str]:
     """Rule of a finding, and what else findings must have in common to be one: a sensor or a channel."""
@@ -330,22 +308,35 @@ def _value(f: Finding, label: str) -> tuple[float, float]:
     return (np.nan, 0.0) if e is None else (e.value, float(np.nan_to_num(e.std)))
 
 
-def _agree(one: Finding, other: Finding, label: str, least: float, most: float = np.inf) -> bool:
+def _agree(
+    one: Finding, other: Finding, label: str, least: float, most: float = np.inf, deviations: float = _PLACE
+) -> bool:
     """Whether two parameters agree within their errors; `least` is always allowed, more than `most` never."""
     (a, a_std), (b, b_std) = _value(one, label), _value(other, label)
-    return bool(abs(a - b) <= max(min(_DEVIATIONS * float(np.hypot(a_std, b_std)), most), least))
+    return bool(abs(a - b) <= max(min(deviations * float(np.hypot(a_std, b_std)), most), least))
 
 
 def _similar(one: Finding, other: Finding, label: str, factor: float) -> bool:
     """Whether two positive parameters agree within a factor or within their errors."""
     (a, a_std), (b, b_std) = _value(one, label), _value(other, label)
-    error = _DEVIATIONS * np.hypot(a_std / a, b_std / b)
+    error = _SHAPE * np.hypot(a_std / a, b_std / b)
     return bool(a > 0.0 and b > 0.0 and abs(np.log(a / b)) <= max(error, np.log(factor)))
 
 
 def _width(f: Finding) -> float:
     """Width of a resonance [Hz]; 0 for a line that keeps its phase."""
     return _value(f, "frequency")[0] / _value(f, "quality_factor")[0] if f.cause == "resonance" else 0.0
+
+
+def order_of(high: Estimate, low: Estimate, least: float = 0.0, most: float = np.inf) -> int:
+    """Order of a line as a harmonic of a lower one, from their frequencies; 0 if it is none.
+
+    They agree within their errors or `least` [Hz]; with an error above `most` [Hz] that may be chance.
+    """
+    order = round(high.value / low.value)
+    reach = max(_PLACE * float(np.hypot(high.std, order * low.std)), least)
+    is_multiple = abs(high.value - order * low.value) <= reach < most
+    return order if is_multiple and 2 <= order <= _ORDERS else 0
 
 
 def _same_line(low: Finding, high: Finding, duration: float) -> bool:
@@ -359,7 +350,7 @@ def _same_line(low: Finding, high: Finding, duration: float) -> bool:
 def _same_resonance(one: Finding, other: Finding, duration: float) -> bool:
     """Whether two resonances overlap for the most part and are about equally wide."""
     widths = sorted(_width(f) for f in (one, other))
-    is_near = _agree(one, other, "frequency", 0.5 * widths[0], widths[1])
+    is_near = _agree(one, other, "frequency", 0.5 * widths[0], widths[1], _SHAPE)
     return is_near and _similar(one, other, "quality_factor", _DAMPING)
 
 
@@ -394,7 +385,7 @@ def _line(members: Sequence[Finding]) -> Finding:
     return together(
         members,
         cause,
-        ({"frequency": frequency} if frequency else {}) | _means(members, ["quality_factor"]),
+        _means(members) | ({"frequency": frequency} if frequency else {}),
         sizes,
         {"harmonics": harmonics} if harmonics else {},
     )
@@ -411,7 +402,7 @@ def _stretch(members: Sequence[Finding]) -> Finding:
             std = ratio * float(np.linalg.norm([e.std / e.value for e in each]))
             sizes[axis] = _changed(size, ratio, std, max(map(side_of_limit, each), key=bool))
     alike = [f for f in members if _overlap(first, f) > _ALIKE]
-    whole = _event(members, _means(alike, ["start", "end"]), sizes)
+    whole = _event(members, _means(alike), sizes)
     changes = [c for f in whole.members if f.axes == whole.strongest.axes for c in f.coefficients]
     before, after = {c.label: c for c in reversed(changes)}, {c.label: c.after for c in changes}
     whole_change = tuple(dataclasses.replace(before[label], after=value) for label, value in after.items())

@@ -33,26 +33,19 @@ class Place(NamedTuple):
 
 def places_in(view: View, candidates: Iterable[Candidate]) -> list[Place]:
     """Places of the lines among these, and of the view's narrow resonances."""
-    resolved = _RESOLVED / view.duration
-    lines = [c.parameters["frequency"] for c in candidates if c.cause == "sinusoid"]
-    found = [
-        Place(line.value, max(resolved, _DEVIATIONS * line.std), line.value * view.duration)
-        for line in lines
-        if np.isfinite(line.std)
-    ]
+    lines = (c.parameters["frequency"] for c in candidates if c.cause == "sinusoid")
+    found = [(e.value, _DEVIATIONS * e.std, e.value * view.duration) for e in lines if np.isfinite(e.std)]
     if view.structure is not None:
-        for k in view.structure.oscillators:
-            own = view.structure.components[k]
-            quality, f = own.quality, own.frequency * view.rate / (2.0 * np.pi)
-            if quality > _SHARP:
-                found.append(Place(f, max(resolved, f / quality), quality))
-    return found
+        shapes = (view.structure.components[k] for k in view.structure.oscillators)
+        own = [(shape.frequency * view.rate / (2.0 * np.pi), shape.quality) for shape in shapes]
+        found += [(f, f / quality, quality) for f, quality in own if quality > _SHARP]
+    return [Place(f, max(error, _RESOLVED / view.duration), quality) for f, error, quality in found]
 
 
 def elsewhere(own: Sequence[Place], others: Sequence[Place]) -> tuple[Place, ...]:
     """Places of other axes, without duplicates, at which this axis has no finding yet."""
-    found: list[Place] = []
+    known = list(own)
     for place in sorted(others, key=lambda place: place.reach):
-        if not any(place.holds(known.frequency) or known.holds(place.frequency) for known in (*own, *found)):
-            found.append(place)
-    return tuple(found)
+        if not any(place.holds(other.frequency) or other.holds(place.frequency) for other in known):
+            known.append(place)
+    return tuple(known[len(own) :])
