@@ -54,12 +54,12 @@ def merged(
 def _families(findings: Sequence[Finding], duration: float) -> Iterator[Finding]:
     """Findings, with those that are one joined."""
     kinds = [_kind(f) for f in findings]
-
-    def rank(k: int) -> float:
-        """The strongest finding comes first, but of lines the lowest, which may be the fundamental."""
-        return findings[k].parameters["frequency"].value if kinds[k][0] == "line" else -_weight(findings[k])
-
-    left = sorted(range(len(findings)), key=rank)
+    # The strongest finding comes first, but of lines the lowest, which may be the fundamental of others.
+    rank = [
+        f.parameters["frequency"].value if name == "line" else -_weight(f)
+        for f, (name, _) in zip(findings, kinds, strict=True)
+    ]
+    left = sorted(range(len(findings)), key=rank.__getitem__)
     while left:
         family = [left.pop(0)]
         kind = kinds[family[0]]
@@ -81,14 +81,8 @@ def _weight(f: Finding) -> float:
 # --- Several findings reported as one -----------------------------------------------------------------------
 
 
-def together(
-    members: Sequence[Finding],
-    cause: str = "",
-    parameters: Mapping[str, Estimate] | None = None,
-    per_axis: Mapping[str, Estimate] | None = None,
-    details: Mapping[str, Detail] | None = None,
-) -> Finding:
-    """Several findings joined into one, by default with all that they have in common.
+def together(members: Sequence[Finding]) -> Finding:
+    """Several findings joined into one, with the parameters that they have in common.
 
     The p-value is the smallest one times their number; evidence and gain are sums, as the findings are in
     different axes or were found one after the other. Rivals are those of all of them. Coefficients, drift and
@@ -104,30 +98,25 @@ def together(
     product = {name: float(np.prod([own.get(name, np.inf) for own in odds])) for name in odds[0]}
     start, end = zip(*(f.span for f in members), strict=True)
     axes = tuple(dict.fromkeys(axis for f in members for axis in f.axes))
-    sizes = _largest(members) if per_axis is None else per_axis
-    channel = {name: x for name, x in members[0].details.items() if name == "channel"}
+    # The largest size in each axis; one that is not a ratio describes an event better.
+    amplitudes = (size for f in members for size in f.amplitudes.items())
+    sizes = dict(sorted(amplitudes, key=lambda size: (size[1].unit != "1", abs(size[1].value))))
     return dataclasses.replace(
         max(counted, key=lambda f: (f.impact.size, _weight(f))),
-        cause=cause or members[0].cause,
+        cause=members[0].cause,
         axes=axes,
-        parameters=_means(members) if parameters is None else parameters,
+        parameters=_means(members),
         p_value=min(1.0, min(p) * len(counted)) if p else None,
         evidence=sum(evidence) if evidence else None,
         gain=sum(gain) if gain else None,
         rivals=tuple(Rival(name, value) for name, value in product.items() if value < _ODDS),
         span=(min(start), max(end)),
         rest=min((f.rest for f in counted if f.rest), key=lambda rest: rest.p_value, default=None),
-        details=channel if details is None else details,
+        details={name: x for name, x in members[0].details.items() if name == "channel"},
         members=tuple(made for f in members for made in f.members or (f,)),
         per_axis={axis: sizes[axis] for axis in axes if axis in sizes},
         stages=(-1, -1),
     )
-
-
-def _largest(members: Sequence[Finding]) -> dict[str, Estimate]:
-    """The largest size in each axis; one that is not a ratio describes an event better."""
-    sizes = (size for f in members for size in f.amplitudes.items())
-    return dict(sorted(sizes, key=lambda size: (size[1].unit != "1", abs(size[1].value))))
 
 
 def _means(members: Sequence[Finding]) -> dict[str, Estimate]:
@@ -256,19 +245,15 @@ def _part(f: Finding, places: Int[np.ndarray, " some"], is_home: bool, is_event:
     )
 
 
-def _event(
-    members: Sequence[Finding],
-    ends: Mapping[str, Estimate] | None = None,
-    sizes: Mapping[str, Estimate] | None = None,
-) -> Finding:
-    """One event, by default from the start of the first member to the end of the last one."""
-    if ends is None:
-        start = min((f.parameters["start"] for f in members), key=lambda e: e.value)
-        end = max((f.parameters["end"] for f in members), key=lambda e: e.value)
-        ends = {"start": start, "end": end}
+def _event(members: Sequence[Finding]) -> Finding:
+    """One event, from the start of the first member to the end of the last one."""
+    start = min((f.parameters["start"] for f in members), key=lambda e: e.value)
+    end = max((f.parameters["end"] for f in members), key=lambda e: e.value)
     causes = tuple(dict.fromkeys(f.cause for f in members))
     cause = next((cause for cause in _STRETCHES if cause in causes), EVENT)
-    return together(members, cause, ends, sizes, {"seen_as": causes} if len(causes) > 1 else {})
+    seen_as: dict[str, Detail] = {"seen_as": causes} if len(causes) > 1 else {}
+    ends = {"start": start, "end": end}
+    return dataclasses.replace(together(members), cause=cause, parameters=ends, details=seen_as)
 
 
 # --- Rules --------------------------------------------------------------------------------------------------
@@ -305,7 +290,7 @@ def _kind(f: Finding) -> tuple[str, str]:
 def _value(f: Finding, label: str) -> tuple[float, float]:
     """A parameter and its error, 0 if that is unknown; nan if there is no such parameter."""
     e = f.parameters.get(label)
-    return (np.nan, 0.0) if e is None else (e.value, float(np.nan_to_num(e.std)))
+    return (np.nan, 0.0) if e is None else (e.value, e.std if np.isfinite(e.std) else 0.0)
 
 
 def _agree(
@@ -319,8 +304,9 @@ def _agree(
 def _similar(one: Finding, other: Finding, label: str, factor: float) -> bool:
     """Whether two positive parameters agree within a factor or within their errors."""
     (a, a_std), (b, b_std) = _value(one, label), _value(other, label)
-    error = _SHAPE * np.hypot(a_std / a, b_std / b)
-    return bool(a > 0.0 and b > 0.0 and abs(np.log(a / b)) <= max(error, np.log(factor)))
+    if not (a > 0.0 and b > 0.0):
+        return False
+    return bool(abs(np.log(a / b)) <= max(_SHAPE * np.hypot(a_std / a, b_std / b), np.log(factor)))
 
 
 def _width(f: Finding) -> float:
@@ -382,31 +368,35 @@ def _line(members: Sequence[Finding]) -> Finding:
         heard += [float(x) / lowest for x in values_of(f.details.get("further_frequencies", ()))[0]]
     multiples = sorted({round(k) for k in heard if abs(k - round(k)) < _BY_CHANCE * k and round(k) > 1})
     harmonics = tuple(parameter_estimate(tones[0].axis, "harmonic", k, 0.0, "1") for k in multiples)
-    return together(
-        members,
-        cause,
-        _means(members) | ({"frequency": frequency} if frequency else {}),
-        sizes,
-        {"harmonics": harmonics} if harmonics else {},
+    whole = together(members)
+    return dataclasses.replace(
+        whole,
+        cause=cause,
+        parameters={**whole.parameters, **({"frequency": frequency} if frequency else {})},
+        per_axis={axis: sizes[axis] for axis in whole.axes if axis in sizes},
+        details={"harmonics": harmonics} if harmonics else {},
     )
 
 
 def _stretch(members: Sequence[Finding]) -> Finding:
-    """One stretch, with the times of the strongest finding, and the changes from the first to the last."""
-    first, sizes = max(members, key=_weight), _largest(members)
-    for axis, size in sizes.items():
+    """One event, with the times of the strongest finding, and the changes from the first to the last."""
+    whole, first = _event(members), max(members, key=_weight)
+    sizes = dict(whole.per_axis)
+    for axis, size in whole.per_axis.items():
         each = [f.amplitudes[axis] for f in members if axis in f.amplitudes]
         if size.unit == "1" and len(each) > 1:
             # Ratios that were found in turn.
             ratio = float(np.prod([e.value for e in each]))
             std = ratio * float(np.linalg.norm([e.std / e.value for e in each]))
             sizes[axis] = _changed(size, ratio, std, max(map(side_of_limit, each), key=bool))
-    alike = [f for f in members if _overlap(first, f) > _ALIKE]
-    whole = _event(members, _means(alike), sizes)
     changes = [c for f in whole.members if f.axes == whole.strongest.axes for c in f.coefficients]
     before, after = {c.label: c for c in reversed(changes)}, {c.label: c.after for c in changes}
-    whole_change = tuple(dataclasses.replace(before[label], after=value) for label, value in after.items())
-    return dataclasses.replace(whole, coefficients=whole_change)
+    return dataclasses.replace(
+        whole,
+        parameters=_means([f for f in members if _overlap(first, f) > _ALIKE]),
+        per_axis=sizes,
+        coefficients=tuple(dataclasses.replace(before[label], after=x) for label, x in after.items()),
+    )
 
 
 #: Rules for findings that are reported once for several axes.
