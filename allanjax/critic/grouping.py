@@ -3,88 +3,64 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from allanjax.critic.merging import OUTLIERS, order_of
 from allanjax.critic.parameters import Detail
 from allanjax.critic.step import Step
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.model import Model
 
 
 def grouped(steps: Sequence[Step]) -> list[Step]:
     """Steps in which the harmonics of a fundamental are one finding, and all outliers are one."""
-    left, grouped = list(steps), []
-    while left:
-        first, others = left[0], []
-        if first.candidate.cause == "sinusoid":
-            family = [s for s in left if s is first or _harmonic(first, s)]
-            first = min(family, key=lambda s: s.candidate.parameters["frequency"].value)
-            others = [s for s in left if s is not first and _harmonic(first, s)]
-            grouped.append(_with_harmonics(first, others) if others else first)
-        elif first.candidate.cause == "outliers":
-            others = [s for s in left[1:] if s.candidate.cause == "outliers"]
-            grouped.append(_with_outliers(first, others) if others else first)
-        else:
-            grouped.append(first)
-        left = [s for s in left if s is not first and s not in others]
-    return grouped
+    groups: dict[Step, list[Step]] = {}
+    for step in steps:
+        groups.setdefault(_first(step, steps), []).append(step)
+    return [_together(first, group) if len(group) > 1 else first for first, group in groups.items()]
 
 
-def _harmonic(one: Step, other: Step) -> bool:
-    """Whether two steps are lines, the higher frequency being a small multiple of the lower one."""
-    if one is other or {one.candidate.cause, other.candidate.cause} != {"sinusoid"}:
-        return False
-    both = (s.candidate.parameters["frequency"] for s in (one, other))
-    low, high = sorted(both, key=lambda frequency: frequency.value)
-    order = np.rint(high.value / low.value)
-    error = 4.0 * np.hypot(high.std, order * low.std)
-    return bool(2 <= order <= 20 and abs(high.value - order * low.value) < error)
+def _first(step: Step, steps: Sequence[Step]) -> Step:
+    """Step to which another one belongs: its fundamental, the first outliers, or itself."""
+    alike = [s for s in steps if s.candidate.cause == step.candidate.cause]
+    if step.candidate.cause == "sinusoid":
+        lower = [s for s in alike if order_of(_frequency(step), _frequency(s))]
+        return _first(min(lower, key=lambda s: _frequency(s).value), steps) if lower else step
+    return alike[0] if step.candidate.cause == OUTLIERS else step
 
 
-def _with_harmonics(step: Step, others: Sequence[Step]) -> Step:
-    """Fundamental and harmonics as one finding."""
-    found = [s.candidate.parameters for s in others]
-    view, fundamental = step.before, step.candidate.parameters["frequency"].value
-    orders = (np.rint(one["frequency"].value / fundamental) for one in found)
-    details: dict[str, Detail] = {
-        "harmonics": tuple(view.estimate("harmonic", order, 0.0, "1") for order in orders),
-        "harmonic_amplitudes": tuple(one["amplitude"] for one in found),
-    }
-    return _together(step, others, step.candidate.estimates, details)
+def _frequency(step: Step) -> Estimate:
+    return step.candidate.parameters["frequency"]
 
 
-def _with_outliers(step: Step, others: Sequence[Step]) -> Step:
-    """Outliers that were found one after the other as one finding."""
-    each = [s.candidate.details for s in (step, *others)]
-    found = [
-        (time, size)
-        for own in each
-        for time, size in zip(own["times"], own["sizes"], strict=True)
-        if isinstance(time, Estimate) and isinstance(size, Estimate)
-    ]
-    times, sizes = zip(*sorted(found, key=lambda pair: pair[0].value), strict=True)
-    count, *rest = step.candidate.estimates
-    count = step.before.estimate("count", len(times), count.std, "1")
-    return _together(step, others, [count, *rest], {"times": times, "sizes": sizes})
-
-
-def _together(
-    step: Step, others: Sequence[Step], estimates: Sequence[Estimate], details: Mapping[str, Detail]
-) -> Step:
-    """Several steps as one, with these parameters and details."""
-
-    def add_to_model(model: Model) -> Model:
-        for s in (step, *others):
-            model = s.candidate.add_to_model(model)
-        return model
-
+def _together(first: Step, group: Sequence[Step]) -> Step:
+    """A group of steps as one, with what the first of them has and lists of what the others add."""
+    others = [s for s in group if s is not first]
+    every, estimates, details = (first, *others), first.candidate.estimates, _lists(first, others)
+    if "times" in details:
+        count, *rest = estimates
+        estimates = [first.before.estimate("count", len(details["times"]), count.std, "1"), *rest]
     candidate = dataclasses.replace(
-        step.candidate,
+        first.candidate,
         estimates=estimates,
         details=details,
-        gain=step.candidate.gain + sum(s.candidate.gain for s in others),
-        add_to_model=add_to_model,
+        gain=sum(s.candidate.gain for s in every),
+        add_to_model=lambda model: functools.reduce(lambda m, s: s.candidate.add_to_model(m), every, model),
     )
-    return dataclasses.replace(step, candidate=candidate, gain=step.gain + sum(s.gain for s in others))
+    return dataclasses.replace(first, candidate=candidate, gain=sum(s.gain for s in every))
+
+
+def _lists(first: Step, others: Sequence[Step]) -> Mapping[str, Detail]:
+    """Harmonics of a line with their amplitudes, or times and sizes of all outliers."""
+    if first.candidate.cause == "sinusoid":
+        orders = (round(_frequency(s).value / _frequency(first).value) for s in others)
+        return {
+            "harmonics": tuple(first.before.estimate("harmonic", order, 0.0, "1") for order in orders),
+            "harmonic_amplitudes": tuple(s.candidate.parameters["amplitude"] for s in others),
+        }
+    each = [s.candidate.details for s in (first, *others)]
+    lists = {name: [e for own in each for e in own[name] if isinstance(e, Estimate)] for name in each[0]}
+    order = np.argsort([e.value for e in lists["times"]], kind="stable")
+    return {name: tuple(own[k] for k in order) for name, own in lists.items()}
