@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float
 from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
-from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Finding
 from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.critic.policy import judged
+from allanjax.critic.stage import Stage
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"
@@ -109,7 +109,7 @@ class _Member(NamedTuple):
     white: Float[np.ndarray, " n-1"] | None
 
     @classmethod
-    def of(cls, record: StageResiduals) -> _Member:
+    def of(cls, record: Stage) -> _Member:
         """An axis at a stage; if nearly all noise is white, white noise and all noise are the same."""
         white = record.share(WHITE)
         if white is not None and np.mean(white) > NEARLY_ALL:
@@ -121,7 +121,7 @@ class _Member(NamedTuple):
 Links: TypeAlias = dict[tuple[int, int], tuple[_Link, float]]
 
 
-def common_mode(records: Sequence[StageResiduals], alpha: float) -> list[Finding]:
+def common_mode(records: Sequence[Stage], alpha: float) -> list[Finding]:
     """Groups of axes whose whitened cosine coefficients are correlated.
 
     `alpha` is the probability of a false finding.
