@@ -15,10 +15,10 @@ from allanjax.critic.noise import centred
 from allanjax.critic.profiles import (
     ANGLE,
     Profile,
-    Resolution,
     autocorrelation,
     cross_correlation,
     drift_sizes,
+    of_samples,
     profiles_of,
 )
 from allanjax.critic.stage import Stage, narrow_bins
@@ -42,8 +42,8 @@ class Comparison(NamedTuple):
         pairs: for each finding a statistic before and after it, at the place of the largest improvement.
         drifts: for each finding the drift that it changes most; None if the record is too short.
         last: profiles after the last finding by statistic, those whose places have an extent.
-        free: what descriptions that name nothing gain over the model by domain, at the first and the last
-            stage.
+        free: what descriptions that name nothing gain over the model by domain, before the first finding and
+            after the last one.
     """
 
     before: tuple[Discrepancy, ...]
@@ -51,7 +51,7 @@ class Comparison(NamedTuple):
     pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
     drifts: list[DriftChange | None]
     last: Mapping[str, Profile]
-    free: tuple[Mapping[str, Free], Mapping[str, Free]]
+    free: tuple[Mapping[str, Free], ...]
 
     def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
         """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
@@ -88,20 +88,20 @@ def compared(
             drifts.append(_drift_change(stages[k - 1], stage))
             stages[k - 1].forget(*["whitened_coefficients"] * (k == 1))
         if k in (0, len(stages) - 1):
-            free.append(descriptions(stage))
-            if not (k and raw[1] is raw[0]):
-                resolution = Resolution.of(raw[min(k, 1)])
-            ends.append([p.worst() for p in (*profiles, autocorrelation(stage))])
-            ends[-1] += [resolution.on_lattice(stage), resolution.repetitions(stage)]
+            if len(stages) > 1:
+                free.append(descriptions(stage))
+            worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
+            ends.append([*worst, *of_samples(stage, raw[min(k, 1)])])
     stages[-1].forget("whitened_coefficients")
     before, after = (
-        [*found, cross_correlation(stage, axes).worst()] if axes else found
+        sorted(
+            [*found, cross_correlation(stage, axes).worst()] if axes else found,
+            key=lambda d: _ORDER.index(d.statistic),
+        )
         for found, stage, axes in zip((ends[0], ends[-1]), (stages[0], stages[-1]), others, strict=True)
     )
-    for found in (before, after):
-        found.sort(key=lambda d: _ORDER.index(d.statistic))
     last = {p.statistic: p for p in profiles if p.extent}
-    return Comparison(tuple(before), tuple(after), pairs, drifts, last, (free[0], free[-1]))
+    return Comparison(tuple(before), tuple(after), pairs, drifts, last, tuple(free))
 
 
 def _improved(
@@ -128,16 +128,16 @@ def _drift_change(before: Stage, after: Stage) -> DriftChange | None:
     """
     n, rate, axis = before.n, before.rate, before.axis
     sizes = drift_sizes(n, rate)
-    sizes = sizes[sizes <= _SHARE * n]
-    if not len(sizes):
+    short = sizes <= _SHARE * n
+    if not short.any():
         return None
-    weights = allan_weights(n, tuple(sizes.tolist()))
+    weights = allan_weights(n, tuple(sizes.tolist()))[short]
     old, _, measured, _ = before.sums
     new = after.sums[0]
     if not before.same_record(after):
         path = before.residual - after.residual
         new = new + np.add.reduceat(path * path, narrow_bins(n)[:-1] - 1)
-    T, unit = sizes / rate, ANGLE[axis.sensor]
+    T, unit = sizes[short] / rate, ANGLE[axis.sensor]
     drifts = np.sqrt(2.0 * np.stack([measured, old, new]) @ weights.T) * T / unit_scale(unit, axis.sensor)
     k = int(np.argmax(abs(np.log(np.maximum(drifts[2], 1e-300) / np.maximum(drifts[1], 1e-300)))))
     record, was, now = map(float, drifts[:, k])

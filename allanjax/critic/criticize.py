@@ -61,13 +61,12 @@ def criticize(
     failed: dict[str, DeadAxis] = {}
     searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
-    tell("comparing the measurement with simulations")
     stages = [_stages(s) for s in searches]
 
     # Axes are compared with others at the first and the last stage.
     first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
     with ThreadPoolExecutor(_WORKERS) as pool:
-        list(pool.map(_whitened, {*first, *last}))
+        list(pool.map(_whitened, [*first, *last]))
     shared = tuple(common_mode(last, AcceptanceRule.of(per_axis).level(NAME)))
 
     def judged(k: int) -> AxisCritique:
@@ -76,25 +75,20 @@ def criticize(
         raw = s.start.recorded(s.start.raw)
         others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
+        tell(f"{axis.name}: comparing the measurement with simulations")
         made = compared(stages[k], seen, (others[0], others[1]), recording.auxiliary)
-        before, after = made.before, made.after
-        tell(f"{axis.name}: testing findings on held-out data")
-        findings = [
-            _finding(k, step, (*pairs, *_of_samples(step, before, after)), drift, made)
-            for k, (step, pairs, drift) in enumerate(zip(s.steps, made.pairs, made.drifts, strict=True))
-        ]
         # Other channels have a cause in common, or imputed samples were drawn by a simple rule.
         ignored = ["channels"] * any(axis.name in f.axes for f in shared) + ["values"] * s.preprocessed
         reasons = [step.candidate.doubt for step in s.steps]
-        findings = reported(findings, reasons, stages[k][0], made, ignored)
+        findings = tuple(reported(_findings(s, made), reasons, stages[k][0], made, ignored))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
         # Copies, as other axes still need what these have computed.
         own_stages = tuple(map(dataclasses.replace, stages[k]))
-        told = tuple(findings), before, after, s.tests, own_stages, baseline, model, result.misfit, left_out
+        told = findings, made.before, made.after, s.tests, own_stages, baseline, model
         own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
-        return AxisCritique(axis, *told, own)
+        return AxisCritique(axis, *told, result.misfit, left_out, own)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
@@ -261,6 +255,15 @@ def _whitened(stage: Stage) -> None:
     """Compute the whitened coefficients, for other axes, and keep nothing else."""
     _ = stage.whitened_coefficients
     stage.forget("whitened_coefficients")
+
+
+def _findings(s: Search, made: Comparison) -> list[Finding]:
+    """Findings of an axis, with what is compared before and after each of them."""
+    steps = enumerate(zip(s.steps, made.pairs, made.drifts, strict=True))
+    return [
+        _finding(k, step, (*pairs, *_of_samples(step, made.before, made.after)), drift, made)
+        for k, (step, pairs, drift) in steps
+    ]
 
 
 def _of_samples(

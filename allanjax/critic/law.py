@@ -112,12 +112,14 @@ class Curve(NamedTuple):
 def summaries(stage: Stage) -> tuple[Curve, Curve]:
     """Allan deviation and power spectral density of a record, with those of its simulations."""
     n, rate = stage.n, stage.rate
-    sizes = cluster_sizes(n, rate, _PER_OCTAVE)
-    law = Law.of(stage, allan_weights(n, tuple(sizes.tolist())))
-    allan = (law.measured, *(law.quantile(p) for p in (0.025, 0.5, 0.975)))
-    edges = octave_bins(n)
+    sizes, edges = cluster_sizes(n, rate, _PER_OCTAVE), octave_bins(n)
     inside = np.digitize(narrow_bins(n)[:-1], edges) == np.arange(1, len(edges))[:, None]
-    law = Law.of(stage, inside * (2.0 / rate / np.diff(edges))[:, None])
-    density = (law.measured, *(law.quantile(p) for p in (0.025, 0.5, 0.975)))
-    middle = (edges[:-1] + edges[1:] - 1) * rate / (4.0 * n)
-    return Curve(sizes / rate, *map(np.sqrt, allan)), Curve(middle, *density)
+    curves = []
+    for place, weights in (
+        (sizes / rate, allan_weights(n, tuple(sizes.tolist()))),
+        ((edges[:-1] + edges[1:] - 1) * rate / (4.0 * n), inside * (2.0 / rate / np.diff(edges))[:, None]),
+    ):
+        law = Law.of(stage, weights)
+        curves.append(Curve(place, law.measured, *(law.quantile(p) for p in (0.025, 0.5, 0.975))))
+    allan, density = curves
+    return Curve(allan.place, *map(np.sqrt, allan[1:])), density

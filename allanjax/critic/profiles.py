@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, Real
@@ -25,6 +24,7 @@ from allanjax.critic.finding import Discrepancy
 from allanjax.critic.law import Law, allan_weights
 from allanjax.critic.stage import Stage, narrow_bins, octave_bins
 from allanjax.inspection.plausible import lattice
+from allanjax.record.completion import in_time
 from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported; smaller ones are beyond floating point.
@@ -98,6 +98,12 @@ def _independent(count: int) -> Callable[[float], float]:
     return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
+def _largest(root: Float[np.ndarray, "places k"]) -> Callable[[float], float]:
+    """p-value of the largest of standard normal magnitudes whose correlations are root·root'."""
+    draws = root @ np.random.default_rng(0).standard_normal((root.shape[1], _DRAWS))
+    return functools.partial(extrapolated, abs(draws).max(axis=0))
+
+
 def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
     """Standard normal variates as improbable as these χ² ones."""
     below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
@@ -139,11 +145,9 @@ def _of_law(statistic: str, stage: Stage, sizes: Int[np.ndarray, " m"], factor: 
     variance = np.diag(law.fitted)
     z = _chi2_score(2.0 / variance * law.measured / law.mean, 2.0 / variance)
     values, vectors = np.linalg.eigh(law.fitted / np.sqrt(np.outer(variance, variance)))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = abs(root @ np.random.default_rng(0).standard_normal((len(z), _DRAWS))).max(axis=0)
     measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))
     numbers = _listed(sizes / stage.rate, measured, simulated)
-    return Profile(statistic, "s", unit, z, functools.partial(extrapolated, draws), numbers)
+    return Profile(statistic, "s", unit, z, _largest(vectors * np.sqrt(np.maximum(values, 0.0))), numbers)
 
 
 # --- Frequencies --------------------------------------------------------------------------------------------
@@ -259,8 +263,9 @@ def windows(stage: Stage) -> list[Profile]:
     n, e = stage.n, stage.whitened
     finest = 2 ** int(np.log2(np.clip(n / _SHORTEST, 2, _WINDOWS)))
     edges = np.rint(np.linspace(0.0, n, finest + 1)).astype(int)
-    total, square = (_merged(np.add.reduceat(x, edges[:-1])) for x in (e, e**2))
-    length = _merged(np.diff(edges).astype(float))
+    within = _within(finest)
+    total, square = (within @ np.add.reduceat(x, edges[:-1]) for x in (e, e**2))
+    length = within @ np.diff(edges)
     # Windows of each length follow one another through the record.
     start, duration = (np.cumsum(length) - length) % n / stage.rate, length / stage.rate
     found = []
@@ -269,27 +274,25 @@ def windows(stage: Stage) -> list[Profile]:
         ("window_mean", "σ", total / np.sqrt(length * (1.0 - length / n)), total / length, 0.0),
         ("window_variance", "1", _chi2_score(square, length), square / length, 1.0),
     ):
-        law = functools.partial(extrapolated, _window_null(finest, statistic == "window_mean"))
+        law = _window_law(finest, statistic == "window_mean")
         numbers = _listed(start + 0.5 * duration, value, np.full(len(z), expected))
         found.append(Profile(statistic, "s", unit, z, law, numbers, extent=(start, start + duration)))
     return found
 
 
-def _merged(x: Float[np.ndarray, "windows ..."]) -> Float[np.ndarray, "all ..."]:
-    """Sums over the finest windows, over pairs of them, …, over halves."""
-    steps = 2 ** np.arange(len(x).bit_length() - 1)
-    return np.concatenate([x.reshape(-1, step, *x.shape[1:]).sum(axis=1) for step in steps])
+def _within(finest: int) -> Float[np.ndarray, "windows finest"]:
+    """Which of the finest windows are in each: in one, in two, in four, … in half of them."""
+    steps = (2**k for k in range(finest.bit_length() - 1))
+    return np.concatenate([np.repeat(np.eye(finest // step), step, axis=1) for step in steps])
 
 
 @functools.lru_cache(maxsize=8)
-def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]:
-    """Draws of the largest magnitude among the normal scores of all windows."""
-    z = np.random.default_rng(0).standard_normal((finest, _DRAWS))
+def _window_law(finest: int, without_mean: bool) -> Callable[[float], float]:
+    """p-value of the largest magnitude among the normal scores of all windows."""
+    root = _within(finest)
     if without_mean:
-        z -= z.mean(axis=0)
-    share = _merged(np.full(finest, 1.0 / finest))[:, None]
-    spread = np.sqrt(finest * share * ((1.0 - share) if without_mean else 1.0))
-    return abs(_merged(z) / spread).max(axis=0)
+        root -= root.mean(axis=1, keepdims=True)
+    return _largest(root / np.linalg.norm(root, axis=1, keepdims=True))
 
 
 # --- Other channels -----------------------------------------------------------------------------------------
@@ -327,50 +330,28 @@ def _matched(stage: Stage, filters: Mapping[str, Float[np.ndarray, " n-1"]]) -> 
 # --- The samples themselves ---------------------------------------------------------------------------------
 
 
-class Resolution(NamedTuple):
-    """What the samples as recorded tell of their resolution.
+def of_samples(
+    stage: Stage, raw: Float[np.ndarray, " recorded"], seed: int = 0
+) -> tuple[Discrepancy, Discrepancy]:
+    """Discrepancies of the samples as recorded: of a lattice that they are on, and of their repetitions.
 
-    Attributes:
-        length: number of samples.
-        mean: their mean [SI].
-        lattice: step of which all are multiples; None if there is none.
-        gap: that step, or else the smallest difference of two values; 0 if all are equal.
-        repeated: number of samples equal to the one before.
+    The first is the share of the samples on a lattice; one finer than the noise only reflects the number
+    format of the file. The second is the share of samples equal to the one before; simulations have the
+    recording's resolution.
     """
-
-    length: int
-    mean: float
-    lattice: float | None
-    gap: float
-    repeated: int
-
-    @classmethod
-    def of(cls, raw: Float[np.ndarray, " recorded"]) -> Resolution:
-        """Resolution of these samples."""
-        step = lattice(raw)
-        gap = step or float(np.min(np.diff(np.unique(raw)), initial=np.inf))
-        repeated = int(np.count_nonzero(raw[1:] == raw[:-1]))
-        return cls(len(raw), float(np.mean(raw)), step, gap if np.isfinite(gap) else 0.0, repeated)
-
-    def on_lattice(self, stage: Stage) -> Discrepancy:
-        """Share of the samples on a lattice; one finer than the noise only reflects the number format."""
-        q = self.lattice
-        fine = q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
-        return Discrepancy("lattice", 0.0, "", 0.0 if fine else 1.0, 0.0, "1", 1.0 if fine else TINY)
-
-    def repetitions(self, stage: Stage, seed: int = 0) -> Discrepancy:
-        """Share of samples equal to the one before, also in simulations with the recording's resolution."""
-        count, simulated = self.repeated, 0
-        if self.gap > 0.0:
-            x = stage.simulate(seed)[: self.length]
-            x += self.mean
-            x /= self.gap
-            np.rint(x, out=x)
-            simulated = int(np.count_nonzero(x[1:] == x[:-1]))
-        # Two counts with the same expectation: an event is in either of them by chance.
-        p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
-        n = self.length - 1
-        return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
+    root, step = np.sqrt(stage.variance), lattice(raw)
+    coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(root**-2.0))
+    on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", TINY if coarse else 1.0)
+    count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
+    if np.ptp(raw) > 0.0:
+        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * root)[: len(raw)]
+        x += np.mean(raw)
+        x /= step or np.min(np.diff(np.unique(raw)))
+        np.rint(x, out=x)
+        simulated = int(np.count_nonzero(x[1:] == x[:-1]))
+    # Two counts with the same expectation: an event is in either of them by chance.
+    p, n = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY), len(raw) - 1
+    return on_lattice, Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
 
 
 # --- All of them --------------------------------------------------------------------------------------------

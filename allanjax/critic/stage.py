@@ -103,12 +103,6 @@ class Stage(ByValue):
         )
         return own / np.maximum(total, 1e-300)
 
-    def simulate(self, seed: int) -> Float[np.ndarray, " n"]:
-        """Simulated record of the model [SI], without mean and ramp."""
-        draw = np.random.default_rng(seed).standard_normal(self.n - 1)
-        draw *= np.sqrt(self.variance)
-        return in_time(draw)
-
     def same_record(self, other: Stage) -> bool:
         """Whether only the noise differs from that of another stage of the axis."""
         return self.x is other.x and self.ramp == other.ramp

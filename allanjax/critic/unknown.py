@@ -88,7 +88,7 @@ class _Doubted(NamedTuple):
 
 
 def _doubted(
-    findings: Sequence[Finding], reasons: Sequence[str], free: tuple[Mapping[str, Free], Mapping[str, Free]]
+    findings: Sequence[Finding], reasons: Sequence[str], free: Sequence[Mapping[str, Free]]
 ) -> list[_Doubted]:
     """Findings that are only a description.
 

@@ -133,7 +133,7 @@ def critique_figures(
     return named
 
 
-class _Stage(NamedTuple):
+class _Shown(NamedTuple):
     """A record, when it was made, and the colour and marker of its curves."""
 
     record: Stage
@@ -156,18 +156,18 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
     finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, f"{job.axis}: no finding", [_Stage(record(job.axis, 0))])[0]
+        return _panels(critique, f"{job.axis}: no finding", [_Shown(record(job.axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
         records = [_record(critique, name, -1) for name in finding.axes]
-        figure, effect = _panels(critique, "", [_Stage(records[0])], finding)
+        figure, effect = _panels(critique, "", [_Shown(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in axis.findings)
     before, after = (record(job.axis, stage % len(axis.stages)) for stage in own.stages)
-    stages = [_Stage(before)]
+    stages = [_Shown(before)]
     if before is not after:
-        stages = [_Stage(before, " before", _BEFORE), _Stage(after, " after", _AFTER, "s")]
+        stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
     figure, effect = _panels(critique, "", stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
@@ -178,7 +178,7 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
 
 
 def _panels(
-    critique: Critique, title: str, stages: Sequence[_Stage], finding: Finding | None = None
+    critique: Critique, title: str, stages: Sequence[_Shown], finding: Finding | None = None
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
@@ -204,7 +204,7 @@ def _panels(
     return figure, panels[-1][0]
 
 
-def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
+def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Shown], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (draw.unit_of(axis), density_unit(axis))
     names = ((draw.CLUSTER_TIME, "Allan deviation"), (draw.FREQUENCY, "one-sided PSD"))

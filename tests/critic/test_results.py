@@ -67,19 +67,17 @@ def test_drift_is_that_of_the_record_and_of_its_simulations():
         assert m <= N / 8
 
 
-@pytest.mark.parametrize("name", ["two_effects", "steps", "telegraph", "temperature", "hum", "louder"])
+@pytest.mark.parametrize("name", ["two_effects", "telegraph", "temperature", "hum", "louder", "warm_up"])
 def test_simulations_after_a_finding_drift_as_the_true_sensor_does(name):
     """Noise of the true terms, and the true course of the effect beside it."""
     found = ct.critique(name)
     for h in ct.hidden_in(name):
-        if len(found[h.axis].findings) > 1:
-            continue
         (finding,) = found[h.axis].findings
         drift = finding.drift
         m = round(drift.horizon * found.rate)
         square = weights(m) @ h.levels + (0.0 if h.path is None else squares(h.path, m))
         true = np.sqrt(2.0 * square) * drift.horizon / SI[drift.unit]
-        assert drift.after == pytest.approx(true, rel=0.15), (h.axis, finding.cause)
+        assert drift.after == pytest.approx(true, rel=0.1), (h.axis, finding.cause)
 
 
 def test_the_effect_is_the_largest_of_the_relative_changes():
