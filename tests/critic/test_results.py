@@ -115,6 +115,16 @@ def test_stages_are_the_record_less_one_finding_after_the_other():
             np.testing.assert_array_equal(path, 0.0)
 
 
+def test_a_critique_keeps_no_arrays_that_can_be_recomputed():
+    """Stages are many and as long as the record; a figure makes what it needs anew."""
+    found = aj.critique(recording("two_effects").select("accel_z"))
+    found.plot()
+    (axis,) = found.results
+    assert len(axis.stages) == 2
+    for stage in axis.stages:
+        assert set(vars(stage)) == {field.name for field in dataclasses.fields(stage)}
+
+
 def test_the_sum_of_gains_is_that_of_the_critique():
     for found in (ct.critique("more"), critique("common"), critique("lines")):
         own = [f for axis in found.results for f in axis.findings] + list(found.shared_findings)
