@@ -30,6 +30,8 @@ _ORDER = (
     *("largest_residual", "lattice", "repeated_values", "window_mean", "window_variance"),
     *("cross_correlation", "auxiliary_correlation"),
 )
+# What other axes need of the first stage and of the last.
+_SHARED = ("whitened_coefficients",)
 # The drift that a finding changes is over this share of the record at most: longer ones scatter too much.
 _SHARE = 1.0 / 8.0
 
@@ -86,13 +88,13 @@ def compared(
         if k:
             pairs.append(_improved(former, profiles))
             drifts.append(_drift_change(stages[k - 1], stage))
-            stages[k - 1].forget(*["whitened_coefficients"] * (k == 1))
+            stages[k - 1].forget(*(_SHARED if k == 1 else ()))
         if k in (0, len(stages) - 1):
             if len(stages) > 1:
                 free.append(descriptions(stage))
             worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
             ends.append([*worst, *of_samples(stage, raw[min(k, 1)])])
-    stages[-1].forget("whitened_coefficients")
+    stages[-1].forget(*_SHARED)
     before, after = (
         sorted(
             [*found, cross_correlation(stage, axes).worst()] if axes else found,

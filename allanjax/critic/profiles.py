@@ -312,8 +312,7 @@ def auxiliary_correlation(stage: Stage, channels: Mapping[str, Float[np.ndarray,
     An output is an rms in the axis's unit. A slow channel has few independent samples; their number follows
     from the noise at its frequencies.
     """
-    root = np.sqrt(stage.variance)
-    score, length = _matched(stage, {name: h / root for name, h in channels.items()})
+    score, length = _matched(stage, {name: h / stage.deviation for name, h in channels.items()})
     rms = np.array([np.linalg.norm(h) for h in channels.values()])
     error = rms / length / np.sqrt(stage.n) / stage.scale
     numbers = _listed(np.zeros(len(score)), abs(score) * error, float(norm.isf(0.25)) * error)
@@ -339,12 +338,12 @@ def of_samples(
     format of the file. The second is the share of samples equal to the one before; simulations have the
     recording's resolution.
     """
-    root, step = np.sqrt(stage.variance), lattice(raw)
-    coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(root**-2.0))
+    step = lattice(raw)
+    coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
     on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", TINY if coarse else 1.0)
     count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
     if np.ptp(raw) > 0.0:
-        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * root)[: len(raw)]
+        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
         x += np.mean(raw)
         x /= step or np.min(np.diff(np.unique(raw)))
         np.rint(x, out=x)

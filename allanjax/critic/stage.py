@@ -69,17 +69,22 @@ class Stage(ByValue):
         return v if self.factor is None else np.multiply(v, self.factor, out=v)
 
     @functools.cached_property
+    def deviation(self) -> Float[np.ndarray, " n-1"]:
+        """Standard deviations of the cosine coefficients of x [rate]."""
+        return np.sqrt(self.variance)
+
+    @functools.cached_property
     def whitened_coefficients(self) -> Float[np.ndarray, " n-1"]:
         """Whitened coefficients, independent and standard normal if the model is right."""
         c = centred(self.x)
         if self.ramp:
             c -= self.ramp * self.family.ramp
-        return np.divide(c, np.sqrt(self.variance), out=c)
+        return np.divide(c, self.deviation, out=c)
 
     @property
     def residual(self) -> Float[np.ndarray, " n-1"]:
         """Cosine coefficients of x without the model's ramp."""
-        return self.whitened_coefficients * np.sqrt(self.variance)
+        return self.whitened_coefficients * self.deviation
 
     @functools.cached_property
     def whitened(self) -> Float[np.ndarray, " n"]:
@@ -110,11 +115,11 @@ class Stage(ByValue):
     def reuse(self, other: Stage) -> None:
         """Take the transform of the samples from another stage of the axis, if it is the same."""
         if self.same_record(other) and "whitened_coefficients" not in vars(self):
-            vars(self)["whitened_coefficients"] = other.residual / np.sqrt(self.variance)
+            vars(self)["whitened_coefficients"] = other.residual / self.deviation
 
     def forget(self, *kept: str) -> None:
         """Drop the arrays that are as long as the record and can be recomputed, but for those `kept`."""
-        for name in {"variance", "whitened_coefficients", "whitened"} - {*kept}:
+        for name in {"variance", "deviation", "whitened_coefficients", "whitened"} - {*kept}:
             vars(self).pop(name, None)
 
     def __repr__(self) -> str:
