@@ -12,11 +12,11 @@ from jaxtyping import Float
 from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
-from allanjax.critic.comparison import StageResiduals
 from allanjax.critic.finding import Finding
 from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.critic.policy import judged
+from allanjax.critic.stage import Stage
 from allanjax.record.recording import Axis
 
 NAME = "common_mode"
@@ -80,7 +80,7 @@ class _Band:
         return gain
 
 
-def common_mode(records: Sequence[StageResiduals], alpha: float) -> list[Finding]:
+def common_mode(records: Sequence[Stage], alpha: float) -> list[Finding]:
     """Groups of axes whose whitened cosine coefficients are correlated.
 
     `alpha` is the probability of a false finding.
@@ -101,7 +101,7 @@ def common_mode(records: Sequence[StageResiduals], alpha: float) -> list[Finding
     return found
 
 
-def _bands(records: Sequence[StageResiduals]) -> list[_Band]:
+def _bands(records: Sequence[Stage]) -> list[_Band]:
     """All noise and the white noise, each in all parts of the spectrum in which axes may share it."""
     z = np.stack([record.whitened_coefficients for record in records])
     white = [record.share(WHITE) for record in records]
@@ -130,7 +130,7 @@ def _groups(strength: Mapping[Pair, float]) -> Iterator[list[Pair]]:
 
 
 def _finding(
-    records: Sequence[StageResiduals], bands: Sequence[_Band], linked: Mapping[Pair, _Band], p_value: float
+    records: Sequence[Stage], bands: Sequence[_Band], linked: Mapping[Pair, _Band], p_value: float
 ) -> Finding:
     """Finding of the noise that a group of axes shares, of the kind that explains most in all pairs."""
     tops = {band.z.shape[1] for band in linked.values()}

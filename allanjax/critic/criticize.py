@@ -16,16 +16,16 @@ from allanjax.base.memory import return_freed
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.acceptance import AcceptanceRule
 from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
+from allanjax.critic.coefficients import coefficient_changes
 from allanjax.critic.common_mode import NAME, common_mode
-from allanjax.critic.comparison import StageResiduals
+from allanjax.critic.comparison import Comparison, compared
 from allanjax.critic.effect import Effect
 from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
-from allanjax.critic.gain import coefficient_changes, drift_changes
 from allanjax.critic.places import elsewhere, places_in
 from allanjax.critic.policy import judged
-from allanjax.critic.profiles import Comparison, compared
-from allanjax.critic.result import AxisCritique, Critique, Snapshot
+from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.search import Search, concluded, going_on, search
+from allanjax.critic.stage import Stage
 from allanjax.critic.step import Step
 from allanjax.critic.unknown import CERTAIN, reported
 from allanjax.critic.view import View
@@ -61,17 +61,12 @@ def criticize(
     failed: dict[str, DeadAxis] = {}
     searches, fit = _searches(recording, seen, given, effects, per_axis, tell, failed)
     recording = _left(recording, failed)
-    tell("comparing the measurement with simulations")
     stages = [_stages(s) for s in searches]
 
     # Axes are compared with others at the first and the last stage.
-    records = [
-        [StageResiduals(s.start.axis, s.start.scale, stage) for stage in of_axis]
-        for s, of_axis in zip(searches, stages, strict=True)
-    ]
-    first, last = ([of_axis[stage] for of_axis in records] for stage in (0, -1))
+    first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
     with ThreadPoolExecutor(_WORKERS) as pool:
-        list(pool.map(StageResiduals.keep_whitened, [*first, *last]))
+        list(pool.map(_whitened, [*first, *last]))
     shared = tuple(common_mode(last, AcceptanceRule.of(per_axis).level(NAME)))
 
     def judged(k: int) -> AxisCritique:
@@ -80,25 +75,20 @@ def criticize(
         raw = s.start.recorded(s.start.raw)
         others = [{w.axis.name: w for w in ends if w is not ends[k]} for ends in (first, last)]
         seen = raw, s.end.recorded(s.end.samples) if s.preprocessed else raw
-        made = compared(records[k], seen, (others[0], others[1]), recording.auxiliary)
-        before, after = made.before, made.after
-        tell(f"{axis.name}: testing findings on held-out data")
-        findings = [
-            _finding(k, step, (*pairs, *_of_samples(step, before, after)), drift, made)
-            for k, (step, pairs, drift) in enumerate(
-                zip(s.steps, made.pairs, drift_changes(s.steps), strict=True)
-            )
-        ]
+        tell(f"{axis.name}: comparing the measurement with simulations")
+        made = compared(stages[k], seen, (others[0], others[1]), recording.auxiliary)
         # Other channels have a cause in common, or imputed samples were drawn by a simple rule.
         ignored = ["channels"] * any(axis.name in f.axes for f in shared) + ["values"] * s.preprocessed
         reasons = [step.candidate.doubt for step in s.steps]
-        findings = reported(findings, reasons, records[k][0], made, ignored)
+        findings = tuple(reported(_findings(s, made), reasons, stages[k][0], made, ignored))
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
-        told = tuple(findings), before, after, s.tests, stages[k], baseline, model, result.misfit, left_out
+        # Copies, as other axes still need what these have computed.
+        own_stages = tuple(map(dataclasses.replace, stages[k]))
+        told = findings, made.before, made.after, s.tests, own_stages, baseline, model
         own = None if s.start.samples is s.start.raw else s.start.raw - s.start.samples
-        return AxisCritique(axis, *told, own)
+        return AxisCritique(axis, *told, result.misfit, left_out, own)
 
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
@@ -251,19 +241,33 @@ def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None
     return fit_inspected(recording, seen, None, "whittle", plain=True, as_is=True)
 
 
-def _stages(s: Search) -> tuple[Snapshot, ...]:
+def _stages(s: Search) -> tuple[Stage, ...]:
     """The axis before the first finding and after each finding."""
     # The last stage is without all lines, as some harmonics, which are one finding, may have come late.
     views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
-    return tuple(_snapshot(view) for view in views)
+    return tuple(map(_stage, views))
 
 
-def _snapshot(view: View) -> Snapshot:
-    noise = view.noise
-    slope = view.slope
+def _stage(view: View) -> Stage:
+    noise, slope = view.noise, view.slope
     view.forget()
-    own = noise.power, noise.shape, noise.index, slope
-    return Snapshot(view.samples, view.rate, *own, view.factor, view.imputed)
+    own = noise.power, noise.shape, noise.index, slope if np.isfinite(slope) else 0.0
+    return Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed)
+
+
+def _whitened(stage: Stage) -> None:
+    """Compute the whitened coefficients, for other axes, and keep nothing else."""
+    _ = stage.whitened_coefficients
+    stage.forget("whitened_coefficients")
+
+
+def _findings(s: Search, made: Comparison) -> list[Finding]:
+    """Findings of an axis, with what is compared before and after each of them."""
+    steps = enumerate(zip(s.steps, made.pairs, made.drifts, strict=True))
+    return [
+        _finding(k, step, (*pairs, *_of_samples(step, made.before, made.after)), drift, made)
+        for k, (step, pairs, drift) in steps
+    ]
 
 
 def _of_samples(

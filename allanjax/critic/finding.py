@@ -93,9 +93,18 @@ class CoefficientChange(ByValue):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DriftChange(ByValue):
-    """RMS drift over a `horizon` [s]: measured on held-out data, and predicted before and after a finding.
+    """RMS drift over a `horizon` [s]: of the record, and of simulations before and after a finding.
 
-    The drift is the integrated rate, less the integral of the mean rate over an equally long time before.
+    The drift is the integrated rate, less the integral of the mean rate over an equally long time before. It
+    shows what the finding changes and is no test of it, as the model was fitted to the same record; the gain
+    is on held-out data. What the finding subtracts from the record is added to the simulations after it.
+
+    Attributes:
+        horizon: the time at which the finding changes the drift of simulations most, up to an eighth of the
+            record [s].
+        measured: drift of the record less the earlier findings and the ramp of the model before this one.
+        before, after: drift of simulations.
+        unit: unit of these three.
     """
 
     horizon: float
@@ -139,7 +148,7 @@ class Finding(ByValue):
         rivals: other causes against which its odds are below 1000.
         span, domain: start and end, in s ("time") or Hz ("frequency").
         coefficients: changes of the basic coefficients.
-        drift: change of the predicted drift.
+        drift: change of the drift of simulations.
         discrepancies: pairs of a statistic before and after this finding, where it improved most.
         rest: discrepancy that is significant at its own place after all findings, which it explains in part.
         details: words and lists of numbers by name: a channel, the times of outliers, harmonics.

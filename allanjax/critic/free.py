@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
-from allanjax.critic.comparison import StageResiduals
+from allanjax.critic.stage import Stage
 
 # Ordinates of one half in the narrowest window of a free level, number of intervals of a free distribution.
 _NARROWEST, _INTERVALS = 16, 24
@@ -19,25 +19,35 @@ _NARROWEST, _INTERVALS = 16, 24
 _OUTSIDE = 0.05
 
 
-class FreeLevel(NamedTuple):
-    """What a free level gains on data that it was not estimated from [nats], in windows of equal length."""
+class Free(NamedTuple):
+    """What a description that names nothing gains over a model [nats], in windows of a width [s or Hz]."""
 
     gain: Float[np.ndarray, " windows"]
-    length: float
+    width: float
 
     def place(self) -> tuple[float, float]:
-        """Part of the spectrum or of the record with most of the gain, in places of the squares."""
+        """Part of the record or of the spectrum with most of the gain."""
         share = np.cumsum(np.maximum(self.gain, 0.0))
         first, last = np.searchsorted(share, share[-1] * np.array([_OUTSIDE, 1.0 - _OUTSIDE]))
-        return first * self.length, (last + 1) * self.length
+        return float(first * self.width), float((last + 1) * self.width)
 
     def within(self, start: float, end: float) -> float:
-        """Gain of the windows that overlap a part of the spectrum or of the record, numbered from 0."""
-        first, last = int(start / self.length), int(np.ceil(end / self.length))
+        """Gain of the windows that overlap a part of the record or of the spectrum."""
+        first, last = int(max(start, 0.0) / self.width), int(np.ceil(end / self.width))
         return float(np.sum(self.gain[first : max(last, first + 1)]))
 
 
-def free_level(squares: Float[np.ndarray, " n"]) -> FreeLevel:
+def descriptions(stage: Stage) -> dict[str, Free]:
+    """Descriptions of an axis at one stage, by the domain that they describe: one window for the values."""
+    e, rate = stage.whitened, stage.rate
+    return {
+        "spectrum": free_level(stage.whitened_coefficients**2, rate / (2.0 * stage.n)),
+        "level": free_level(e**2 / np.mean(e**2), 1.0 / rate),
+        "values": Free(np.array([free_distribution(e)]), stage.n / rate),
+    }
+
+
+def free_level(squares: Float[np.ndarray, " n"], spacing: float) -> Free:
     """Gain of a free level of squares of mean 1: every other pair under the best level of the rest.
 
     The level is constant in windows of 2^k times the narrowest one. The best partition follows from the
@@ -51,31 +61,23 @@ def free_level(squares: Float[np.ndarray, " n"]) -> FreeLevel:
     for one, other in (halves, halves[::-1]):
         level = _levels(one, float(_NARROWEST))
         gain += 0.5 * (other - other / level - _NARROWEST * np.log(level))
-    return FreeLevel(gain, float(length))
+    return Free(gain, length * spacing)
 
 
 def _levels(sums: Float[np.ndarray, " windows"], count: float) -> Float[np.ndarray, " windows"]:
     """Best level of each window, given the sums over its `count` squares."""
-    depth = int(np.ceil(np.log2(max(len(sums), 1))))
-    sizes = np.where(np.arange(2**depth) < len(sums), count, 0.0)
-    pyramid = [(np.pad(sums, (0, len(sizes) - len(sums))), sizes)]
-    for _ in range(depth):
-        pyramid.append((pyramid[-1][0].reshape(-1, 2).sum(axis=1), pyramid[-1][1].reshape(-1, 2).sum(axis=1)))
-    price = np.log(2.0 * len(sizes)) + 1.0
-    best, whole = np.zeros(2 * len(sizes)), []
-    for total, size in pyramid:
+    finest = 1 << (len(sums) - 1).bit_length()
+    total, size = (np.pad(x, (0, finest - len(sums))) for x in (sums, np.full(len(sums), count)))
+    price = np.log(2.0 * finest) + 1.0
+    level, best = np.ones(finest), np.zeros(finest)
+    while True:
         ratio = np.maximum(total, 1e-12) / np.maximum(size, 1e-12)
         own = np.where(size > 0.0, 0.5 * (total - size - size * np.log(ratio)) - price, 0.0)
-        apart = best.reshape(-1, 2).sum(axis=1)
-        whole.append((own >= apart, own > 0.0, ratio))
-        best = np.maximum(np.maximum(own, 0.0), apart)
-    level, settled = np.ones(1), np.zeros(1, bool)
-    for k, (is_whole, differs, ratio) in enumerate(reversed(whole)):
-        if k:
-            level, settled = np.repeat(level, 2), np.repeat(settled, 2)
-        level = np.where(is_whole & differs & ~settled, ratio, level)
-        settled |= is_whole
-    return np.asarray(level[: len(sums)])
+        whole, width = own > best, finest // len(total)
+        level = np.where(np.repeat(whole, width), np.repeat(ratio, width), level)
+        if len(total) == 1:
+            return level[: len(sums)]
+        best, total, size = (x.reshape(-1, 2).sum(axis=1) for x in (np.maximum(own, best), total, size))
 
 
 def free_distribution(values: Float[np.ndarray, " n"]) -> float:
@@ -86,42 +88,7 @@ def free_distribution(values: Float[np.ndarray, " n"]) -> float:
     """
     share = ndtr((values - values.mean()) / values.std())
     place = np.minimum((share * _INTERVALS).astype(int), _INTERVALS - 1)
-    some = np.arange(len(values)) // 2 % 2 == 0
-    one, other = (np.bincount(place[half], minlength=_INTERVALS) + 0.5 for half in (some, ~some))
+    pairs = place[: len(place) // 4 * 4].reshape(-1, 2, 2)
+    one, other = (np.bincount(pairs[:, k].ravel(), minlength=_INTERVALS) + 0.5 for k in (0, 1))
     logs = (np.log(x * _INTERVALS / x.sum()) for x in (other, one))
     return float(sum((x - 0.5) @ log for x, log in zip((one, other), logs, strict=True)))
-
-
-class Free(NamedTuple):
-    """What descriptions that name nothing gain over a model: of the spectrum, the level and the values."""
-
-    spectrum: FreeLevel
-    level: FreeLevel
-    values: float
-
-    @classmethod
-    def of(cls, record: StageResiduals) -> Free:
-        """Descriptions of an axis at one stage."""
-        e = record.whitened
-        return cls(
-            free_level(record.whitened_coefficients**2),
-            free_level(e**2 / np.mean(e**2)),
-            free_distribution(e),
-        )
-
-    def place(self, domain: str, record: StageResiduals) -> tuple[float, float]:
-        """Part of the record [s] or of the spectrum [Hz] with most of what is gained in a domain."""
-        if domain == "level":
-            start, end = self.level.place()
-            return start / record.rate, end / record.rate
-        spacing = record.rate / (2.0 * record.n)
-        start, end = self.spectrum.place()
-        return start * spacing, end * spacing
-
-    def within(self, domain: str, span: tuple[float, float], record: StageResiduals) -> float:
-        """Gain in a domain [nats]: of all values, or in a part of the record [s] or of the spectrum [Hz]."""
-        if domain == "values":
-            return self.values
-        per_unit = record.rate if domain == "level" else 2.0 * record.n / record.rate
-        start, end = (per_unit * x for x in span)
-        return (self.level if domain == "level" else self.spectrum).within(max(start, 0.0), end)

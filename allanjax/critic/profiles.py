@@ -10,28 +10,21 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from jaxtyping import Float, Real
+from jaxtyping import Float, Int, Real
 from scipy.fft import dct, rfft
-from scipy.stats import binom, chi2, kurtosistest, norm, skew, skewtest
+from scipy.stats import binom, chi2, norm
 
 from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
-from allanjax.critic.comparison import (
-    AllanLaw,
-    StageResiduals,
-    allan_law,
-    degrees_of_freedom,
-    octave_bins,
-)
 from allanjax.critic.effects.rounding import HARMLESS
 from allanjax.critic.finding import Discrepancy
-from allanjax.critic.free import Free
-from allanjax.critic.noise import centred
+from allanjax.critic.law import Law, allan_weights
+from allanjax.critic.stage import Stage, narrow_bins, octave_bins
 from allanjax.inspection.plausible import lattice
+from allanjax.record.completion import in_time
 from allanjax.record.units import unit_scale
 
 #: Smallest p-value that is reported; smaller ones are beyond floating point.
@@ -105,6 +98,12 @@ def _independent(count: int) -> Callable[[float], float]:
     return lambda score: any_of(float(2.0 * norm.sf(score)), count)
 
 
+def _largest(root: Float[np.ndarray, "places k"]) -> Callable[[float], float]:
+    """p-value of the largest of standard normal magnitudes whose correlations are root·root'."""
+    draws = root @ np.random.default_rng(0).standard_normal((root.shape[1], _DRAWS))
+    return functools.partial(extrapolated, abs(draws).max(axis=0))
+
+
 def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
     """Standard normal variates as improbable as these χ² ones."""
     below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
@@ -117,61 +116,63 @@ def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
 # --- Slow noise: cluster times ------------------------------------------------------------------------------
 
 
-def cluster_times(record: StageResiduals) -> list[Profile]:
-    """Profiles of the Allan deviation at octaves, and of the drift of the integrated rate.
+def allan_deviation(stage: Stage) -> Profile:
+    """Profile of the Allan deviation at octaves."""
+    sizes = cluster_sizes(stage.n, stage.rate)
+    return _of_law("allan_deviation", stage, sizes, np.full(len(sizes), 1.0 / stage.scale), stage.axis.unit)
+
+
+def drift(stage: Stage) -> Profile:
+    """Profile of the drift of the integrated rate at round times.
 
     The drift over T, less that at the mean rate over an equally long time before, is √2·T times the Allan
-    deviation at T; it is given at round times.
+    deviation at T.
     """
-    octaves = cluster_sizes(record.n, record.rate)
-    horizons = 2.0 ** np.arange(np.floor(np.log2(max(record.n / record.rate / 4.0, 1.0))) + 1)
-    stretches = np.unique(np.clip(np.rint(horizons * record.rate), 1, record.n // 2)).astype(int)
-    law, k = allan_law(record, np.concatenate([octaves, stretches])), len(octaves)
-    allan, drift = law.at(slice(k)), law.at(slice(k, None))
-    angle = ANGLE[record.axis.sensor]
-    factors = np.sqrt(2.0) * drift.time / unit_scale(angle, record.axis.sensor)
-    scale = np.full(k, 1.0 / record.scale)
-    return [
-        _of_law("allan_deviation", allan, scale, record.axis.unit),
-        _of_law("drift", drift, factors, angle),
-    ]
+    sizes, unit = drift_sizes(stage.n, stage.rate), ANGLE[stage.axis.sensor]
+    factor = np.sqrt(2.0) * sizes / stage.rate / unit_scale(unit, stage.axis.sensor)
+    return _of_law("drift", stage, sizes, factor, unit)
 
 
-def _of_law(statistic: str, law: AllanLaw, factor: Places, unit: str) -> Profile:
-    """Profile of a statistic that is the Allan deviation times a factor."""
-    dof = degrees_of_freedom(law.fitted)
-    z = _chi2_score(dof * law.measured / law.mean, dof)
-    spread = np.sqrt(np.diag(law.fitted))
-    values, vectors = np.linalg.eigh(law.fitted / np.outer(spread, spread))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    draws = abs(root @ np.random.default_rng(0).standard_normal((len(z), _DRAWS))).max(axis=0)
+def drift_sizes(n: int, rate: float) -> Int[np.ndarray, " m"]:
+    """Times at which drifts are compared, in samples: 1, 2, 4, … s, up to a quarter of the record."""
+    times = 2.0 ** np.arange(np.floor(np.log2(max(n / rate / 4.0, 1.0))) + 1)
+    return np.unique(np.clip(np.rint(times * rate), 1, n // 2)).astype(int)
+
+
+def _of_law(statistic: str, stage: Stage, sizes: Int[np.ndarray, " m"], factor: Places, unit: str) -> Profile:
+    """Profile of a statistic that is the Allan deviation for clusters of these sizes, times a factor."""
+    law = Law.of(stage, allan_weights(stage.n, tuple(sizes.tolist())))
+    variance = np.diag(law.fitted)
+    z = _chi2_score(2.0 / variance * law.measured / law.mean, 2.0 / variance)
+    values, vectors = np.linalg.eigh(law.fitted / np.sqrt(np.outer(variance, variance)))
     measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))
-    p_value = functools.partial(extrapolated, draws)
-    return Profile(statistic, "s", unit, z, p_value, _listed(law.time, measured, simulated))
+    numbers = _listed(sizes / stage.rate, measured, simulated)
+    return Profile(statistic, "s", unit, z, _largest(vectors * np.sqrt(np.maximum(values, 0.0))), numbers)
 
 
 # --- Frequencies --------------------------------------------------------------------------------------------
 
 
-def psd(record: StageResiduals) -> Profile:
+def psd(stage: Stage) -> Profile:
     """Profile of the one-sided PSD in logarithmic bins."""
-    edges = octave_bins(record.n)
-    first, count = edges[:-1] - 1, np.diff(edges)
-    squares = np.add.reduceat(record.whitened_coefficients**2, first)
+    edges, spacing = octave_bins(stage.n), stage.rate / (2.0 * stage.n)
+    count = np.diff(edges)
+    first = np.searchsorted(narrow_bins(stage.n), edges[:-1])
+    variance, _, _, squares = np.add.reduceat(stage.sums, first, axis=1)
     z = _chi2_score(squares, count)
-    level = 2.0 / record.rate * np.add.reduceat(record.variance, first) / count / record.scale**2
-    middle = (edges[:-1] + edges[1:] - 1) * record.rate / (4.0 * record.n)
-    measured, simulated = (level * x / count for x in (squares, chi2.median(count)))
-    unit = f"({record.axis.unit})²/Hz"
-    between = (edges - 0.5) * record.rate / (2.0 * record.n)
-    numbers = _listed(middle, measured, simulated)
+    level = 2.0 / stage.rate * variance / count / stage.scale**2
+    numbers = _listed(
+        (edges[:-1] + edges[1:] - 1) * spacing / 2.0,
+        *(level * x / count for x in (squares, chi2.median(count))),
+    )
+    between, unit = (edges - 0.5) * spacing, f"({stage.axis.unit})²/Hz"
     return Profile("psd", "Hz", unit, z, _independent(len(z)), numbers, extent=(between[:-1], between[1:]))
 
 
-def line(record: StageResiduals) -> Profile:
+def line(stage: Stage) -> Profile:
     """Profile of the amplitude at the Fourier frequencies, where white noise is independent."""
-    n = record.n
-    spectrum = rfft(record.whitened, workers=-1)[1 : (n + 1) // 2]
+    n, spacing = stage.n, stage.rate / stage.n
+    spectrum = rfft(stage.whitened, workers=-1)[1 : (n + 1) // 2]
     power = spectrum.real**2
     power += spectrum.imag**2
     score = np.sqrt(np.multiply(power, 2.0 / n, out=power), out=power)
@@ -180,62 +181,76 @@ def line(record: StageResiduals) -> Profile:
     typical = np.sqrt(-2.0 * np.log(-np.expm1(np.log(0.5) / count)))
 
     def numbers(place: int) -> tuple[float, float, float]:
-        noise = float(np.sqrt(2.0 * record.variance[2 * place + 1] / n)) / record.scale
-        return (place + 1) * record.rate / n, noise * score[place], noise * typical
+        noise = float(np.sqrt(2.0 * stage.variance[2 * place + 1] / n)) / stage.scale
+        return (place + 1) * spacing, noise * score[place], noise * typical
 
     def law(score: float) -> float:
         return any_of(float(np.exp(-0.5 * score**2)), count)
 
-    middle, half = np.arange(1, count + 1) * record.rate / n, record.rate / n
+    lowest = np.arange(count) * spacing
     return Profile(
-        "psd_line", "Hz", record.axis.unit, score, law, numbers, extent=(middle - half, middle + half)
+        "psd_line", "Hz", stage.axis.unit, score, law, numbers, extent=(lowest, lowest + 2.0 * spacing)
     )
 
 
-def autocorrelation(record: StageResiduals) -> Profile:
+def autocorrelation(stage: Stage) -> Profile:
     """Profile of the autocorrelation of the whitened residuals.
 
     It is that of the record continued by its mirror image: (1/n) Σ z_j² cos(a_j k), of variance 1/n.
     """
-    n = record.n
-    squares = np.concatenate([[1.0], record.whitened_coefficients**2 - 1.0, [0.0]])
-    squares[0] = 0.0
+    n = stage.n
+    squares = np.concatenate([[0.0], stage.whitened_coefficients**2 - 1.0, [0.0]])
     lags = min(_LAGS, n // 10)
     r = dct(squares, type=1, workers=-1)[1 : lags + 1] / (2.0 * n)
-    lag = np.arange(1, lags + 1) / record.rate
-    numbers = _listed(lag, r, np.zeros(lags))
+    numbers = _listed(np.arange(1, lags + 1) / stage.rate, r, np.zeros(lags))
     return Profile("autocorrelation", "s", "1", r * np.sqrt(n), _independent(lags), numbers)
 
 
 # --- Values -------------------------------------------------------------------------------------------------
 
 
-def tails(record: StageResiduals) -> Profile:
-    """Profile of the excess kurtosis of the whitened residuals (Anscombe & Glynn 1983)."""
-    squares = record.whitened**2
-    excess = float(np.mean(squares**2) / np.mean(squares) ** 2 - 3.0)
-    return _of_shape("tails", excess, float(kurtosistest(record.whitened).pvalue))
+def shape(stage: Stage) -> list[Profile]:
+    """Profiles of skewness and excess kurtosis of the whitened residuals, which have no mean."""
+    e, n = stage.whitened, float(stage.n)
+    second, squares = float(e @ e) / n, e * e
+    skewness, kurtosis = float(e @ squares) / n / second**1.5, float(squares @ squares) / n / second**2
+    found = []
+    for statistic, value, score in (
+        ("skewness", skewness, _skewness_score(skewness, n)),
+        ("tails", kurtosis - 3.0, _kurtosis_score(kurtosis, n)),
+    ):
+        numbers = _listed(*np.array([[0.0], [value], [0.0]]))
+        found.append(Profile(statistic, "", "1", np.array([score]), _independent(1), numbers))
+    return found
 
 
-def skewness(record: StageResiduals) -> Profile:
-    """Profile of the skewness of the whitened residuals (D'Agostino 1970)."""
-    return _of_shape("skewness", float(skew(record.whitened)), float(skewtest(record.whitened).pvalue))
+def _skewness_score(skewness: float, n: float) -> float:
+    """Standard normal score of the skewness of n normal variates (D'Agostino 1970)."""
+    spread = np.sqrt(6.0 * (n - 2.0) / ((n + 1.0) * (n + 3.0)))
+    kurtosis = 3.0 * (n**2 + 27.0 * n - 70.0) * (n + 1.0) * (n + 3.0)
+    kurtosis /= (n - 2.0) * (n + 5.0) * (n + 7.0) * (n + 9.0)
+    w = np.sqrt(2.0 * (kurtosis - 1.0)) - 1.0
+    return float(np.arcsinh(skewness / spread * np.sqrt(0.5 * (w - 1.0))) / np.sqrt(0.5 * np.log(w)))
 
 
-def _of_shape(statistic: str, value: float, p_value: float) -> Profile:
-    """Profile of a property of the whole distribution that is 0 for a normal one."""
-    p = max(p_value, TINY)
-    score = np.array([float(norm.isf(0.5 * p))])
-    return Profile(statistic, "", "1", score, lambda _: p, lambda _: (0.0, value, 0.0))
+def _kurtosis_score(kurtosis: float, n: float) -> float:
+    """Standard normal score of the kurtosis of n normal variates (Anscombe & Glynn 1983)."""
+    ratio = (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0))
+    spread = np.sqrt(24.0 / ratio) / (n + 1.0)
+    x = (kurtosis - 3.0 * (n - 1.0) / (n + 1.0)) / spread
+    skewness = 6.0 * (n**2 - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0)) * np.sqrt(6.0 * ratio)
+    a = 6.0 + 8.0 / skewness * (2.0 / skewness + np.sqrt(1.0 + 4.0 / skewness**2))
+    root = np.cbrt((1.0 - 2.0 / a) / (1.0 + x * np.sqrt(2.0 / (a - 4.0))))
+    return float((1.0 - 2.0 / (9.0 * a) - root) / np.sqrt(2.0 / (9.0 * a)))
 
 
-def largest_residual(record: StageResiduals) -> Profile:
+def largest_residual(stage: Stage) -> Profile:
     """Profile of the magnitudes of the whitened residuals."""
-    n, e = record.n, record.whitened
+    n, e = stage.n, stage.whitened
     typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
 
     def numbers(place: int) -> tuple[float, float, float]:
-        return place / record.rate, abs(float(e[place])), typical
+        return place / stage.rate, abs(float(e[place])), typical
 
     return Profile("largest_residual", "s", "σ", e, _independent(n), numbers)
 
@@ -243,241 +258,106 @@ def largest_residual(record: StageResiduals) -> Profile:
 # --- Time ---------------------------------------------------------------------------------------------------
 
 
-def windows(record: StageResiduals) -> list[Profile]:
+def windows(stage: Stage) -> list[Profile]:
     """Profiles of the mean and the mean square of the whitened residuals in 2, 4, … 64 windows."""
-    n, e = record.n, record.whitened
+    n, e = stage.n, stage.whitened
     finest = 2 ** int(np.log2(np.clip(n / _SHORTEST, 2, _WINDOWS)))
     edges = np.rint(np.linspace(0.0, n, finest + 1)).astype(int)
-    sums, squares = (np.add.reduceat(x, edges[:-1]) for x in (e, e**2))
-    length = _merged(np.diff(edges).astype(float))
-    start = np.concatenate([edges[:-1:step] for step in _steps(finest)]).astype(float)
-    total, square = _merged(sums), _merged(squares)
-    # All residuals together have no mean.
-    means = total / np.sqrt(length * (1.0 - length / n))
-    variances = _chi2_score(square, length)
+    within = _within(finest)
+    total, square = (within @ np.add.reduceat(x, edges[:-1]) for x in (e, e**2))
+    length = within @ np.diff(edges)
+    # Windows of each length follow one another through the record.
+    start, duration = (np.cumsum(length) - length) % n / stage.rate, length / stage.rate
     found = []
-    for statistic, z, value, expected in (
-        ("window_mean", means, total / length, 0.0),
-        ("window_variance", variances, square / length, 1.0),
+    for statistic, unit, z, value, expected in (
+        # All residuals together have no mean.
+        ("window_mean", "σ", total / np.sqrt(length * (1.0 - length / n)), total / length, 0.0),
+        ("window_variance", "1", _chi2_score(square, length), square / length, 1.0),
     ):
-        law = functools.partial(extrapolated, _window_null(finest, statistic == "window_mean"))
-        middle, simulated = (start + 0.5 * length) / record.rate, np.full(len(z), expected)
-        unit = "σ" if statistic == "window_mean" else "1"
-        ends = start / record.rate, (start + length) / record.rate
-        found.append(Profile(statistic, "s", unit, z, law, _listed(middle, value, simulated), extent=ends))
+        law = _window_law(finest, statistic == "window_mean")
+        numbers = _listed(start + 0.5 * duration, value, np.full(len(z), expected))
+        found.append(Profile(statistic, "s", unit, z, law, numbers, extent=(start, start + duration)))
     return found
 
 
-def _steps(finest: int) -> list[int]:
-    """Numbers of finest windows in a window: 1, 2, 4, … half of them."""
-    return [2**k for k in range(int(np.log2(finest)))]
-
-
-def _merged(x: Float[np.ndarray, "windows ..."]) -> Float[np.ndarray, "all ..."]:
-    """Sums over the finest windows, over pairs of them, …, over halves."""
-    return np.concatenate([x.reshape(-1, step, *x.shape[1:]).sum(axis=1) for step in _steps(len(x))])
+def _within(finest: int) -> Float[np.ndarray, "windows finest"]:
+    """Which of the finest windows are in each: in one, in two, in four, … in half of them."""
+    steps = (2**k for k in range(finest.bit_length() - 1))
+    return np.concatenate([np.repeat(np.eye(finest // step), step, axis=1) for step in steps])
 
 
 @functools.lru_cache(maxsize=8)
-def _window_null(finest: int, without_mean: bool) -> Float[np.ndarray, " draws"]:
-    """Draws of the largest magnitude among the normal scores of all windows."""
-    z = np.random.default_rng(0).standard_normal((finest, _DRAWS))
+def _window_law(finest: int, without_mean: bool) -> Callable[[float], float]:
+    """p-value of the largest magnitude among the normal scores of all windows."""
+    root = _within(finest)
     if without_mean:
-        z -= z.mean(axis=0)
-    share = _merged(np.full(finest, 1.0 / finest))[:, None]
-    spread = np.sqrt(finest * share * ((1.0 - share) if without_mean else 1.0))
-    return abs(_merged(z) / spread).max(axis=0)
+        root -= root.mean(axis=1, keepdims=True)
+    return _largest(root / np.linalg.norm(root, axis=1, keepdims=True))
 
 
 # --- Other channels -----------------------------------------------------------------------------------------
 
 
-def cross_correlation(record: StageResiduals, others: Mapping[str, StageResiduals]) -> Profile:
+def cross_correlation(stage: Stage, others: Mapping[str, Stage]) -> Profile:
     """Profile of the correlations with the whitened residuals of other axes."""
-    score = np.array(
-        [_matched(record.whitened_coefficients, other.whitened_coefficients)[0] for other in others.values()]
-    )
-    none, r, law = np.zeros(len(score)), score / np.sqrt(record.n), _independent(len(score))
-    return Profile("cross_correlation", "", "1", score, law, _listed(none, r, none), tuple(others))
+    score, _ = _matched(stage, {name: other.whitened_coefficients for name, other in others.items()})
+    none, law = np.zeros(len(score)), _independent(len(score))
+    numbers = _listed(none, score / np.sqrt(stage.n), none)
+    return Profile("cross_correlation", "", "1", score, law, numbers, tuple(others))
 
 
-def auxiliary_correlation(
-    record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]
-) -> Profile:
+def auxiliary_correlation(stage: Stage, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> Profile:
     """Profile of the outputs of filters matched to other channels, given as cosine coefficients.
 
     An output is an rms in the axis's unit. A slow channel has few independent samples; their number follows
     from the noise at its frequencies.
     """
-    root = np.sqrt(record.variance)
-    found = [
-        (*_matched(record.whitened_coefficients, h / root), float(np.linalg.norm(h)))
-        for h in channels.values()
-    ]
-    score = np.array([z for z, _, _ in found])
-    error = np.array([rms / length for _, length, rms in found]) / np.sqrt(record.n) / record.scale
+    score, length = _matched(stage, {name: h / stage.deviation for name, h in channels.items()})
+    rms = np.array([np.linalg.norm(h) for h in channels.values()])
+    error = rms / length / np.sqrt(stage.n) / stage.scale
     numbers = _listed(np.zeros(len(score)), abs(score) * error, float(norm.isf(0.25)) * error)
     law = _independent(len(score))
-    return Profile("auxiliary_correlation", "", record.axis.unit, score, law, numbers, tuple(channels))
+    return Profile("auxiliary_correlation", "", stage.axis.unit, score, law, numbers, tuple(channels))
 
 
-def _matched(z: Float[np.ndarray, " n-1"], h: Float[np.ndarray, " n-1"]) -> tuple[float, float]:
-    """Output of a matched filter, standard normal without the effect, and the filter's norm."""
-    length = float(np.linalg.norm(h))
-    return float(z @ h) / max(length, 1e-300), max(length, 1e-300)
+def _matched(stage: Stage, filters: Mapping[str, Float[np.ndarray, " n-1"]]) -> tuple[Places, Places]:
+    """Outputs of matched filters, standard normal without the effects, and the filters' norms."""
+    length = np.array([max(float(np.linalg.norm(h)), 1e-300) for h in filters.values()])
+    return np.array([stage.whitened_coefficients @ h for h in filters.values()]) / length, length
 
 
 # --- The samples themselves ---------------------------------------------------------------------------------
 
 
-class Resolution(NamedTuple):
-    """What the samples as recorded tell of their resolution.
+def of_samples(
+    stage: Stage, raw: Float[np.ndarray, " recorded"], seed: int = 0
+) -> tuple[Discrepancy, Discrepancy]:
+    """Discrepancies of the samples as recorded: of a lattice that they are on, and of their repetitions.
 
-    Attributes:
-        length: number of samples.
-        mean: their mean [SI].
-        lattice: step of which all are multiples; None if there is none.
-        gap: smallest difference of two values; 0 if all are equal.
-        repeated: number of samples equal to the one before.
+    The first is the share of the samples on a lattice; one finer than the noise only reflects the number
+    format of the file. The second is the share of samples equal to the one before; simulations have the
+    recording's resolution.
     """
-
-    length: int
-    mean: float
-    lattice: float | None
-    gap: float
-    repeated: int
-
-    @classmethod
-    def of(cls, raw: Float[np.ndarray, " recorded"]) -> Resolution:
-        """Resolution of these samples."""
-        gaps = np.diff(np.unique(raw))
-        repeated = int(np.count_nonzero(raw[1:] == raw[:-1]))
-        gap = float(gaps.min()) if len(gaps) else 0.0
-        return cls(len(raw), float(np.mean(raw)), lattice(raw), gap, repeated)
-
-
-def _lattice(record: StageResiduals, raw: Resolution) -> Discrepancy:
-    """Share of the samples on a lattice; one finer than the noise only reflects the number format of the
-    file."""
-    q = raw.lattice
-    if q is None or q < HARMLESS / np.sqrt(np.mean(1.0 / record.variance)):
-        return Discrepancy("lattice", 0.0, "", 0.0, 0.0, "1", 1.0)
-    return Discrepancy("lattice", 0.0, "", 1.0, 0.0, "1", TINY)
-
-
-def _repeated(record: StageResiduals, raw: Resolution, seed: int = 0) -> Discrepancy:
-    """Share of samples equal to the one before, also in simulations with the recording's resolution."""
-    count, simulated, q = raw.repeated, 0, raw.gap
-    if q > 0.0:
-        x = record.simulate(seed)[: raw.length]
-        x += raw.mean
-        x /= q
+    step = lattice(raw)
+    coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
+    on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", TINY if coarse else 1.0)
+    count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
+    if np.ptp(raw) > 0.0:
+        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
+        x += np.mean(raw)
+        x /= step or np.min(np.diff(np.unique(raw)))
         np.rint(x, out=x)
         simulated = int(np.count_nonzero(x[1:] == x[:-1]))
     # Two counts with the same expectation: an event is in either of them by chance.
-    p = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY)
-    n = raw.length - 1
-    return Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
+    p, n = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY), len(raw) - 1
+    return on_lattice, Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
 
 
 # --- All of them --------------------------------------------------------------------------------------------
 
-# Their order in a critique.
-_ORDER = (
-    *("allan_deviation", "drift", "psd", "psd_line", "autocorrelation", "skewness", "tails"),
-    *("largest_residual", "lattice", "repeated_values", "window_mean", "window_variance"),
-    *("cross_correlation", "auxiliary_correlation"),
-)
 
-
-class Comparison(NamedTuple):
-    """Discrepancies of an axis from its simulations before the first finding and after the last one.
-
-    Attributes:
-        before, after: in every statistic, also where p is near 1.
-        pairs: for each finding a statistic before and after it, at the place of the largest improvement.
-        last: profiles after the last finding whose places have an extent.
-        free: what descriptions that name nothing gain over the model, at the first and the last stage.
-    """
-
-    before: tuple[Discrepancy, ...]
-    after: tuple[Discrepancy, ...]
-    pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]]
-    last: tuple[Profile, ...]
-    free: tuple[Free, Free]
-
-    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
-        """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
-        unit = {"time": "s", "frequency": "Hz"}[domain]
-        return min((p.within(*span) for p in self.last if p.where_unit == unit), key=lambda d: d.p_value)
-
-
-def compared(
-    stages: Sequence[StageResiduals],
-    raw: tuple[Float[np.ndarray, " recorded"], Float[np.ndarray, " recorded"]],
-    others: tuple[Mapping[str, StageResiduals], Mapping[str, StageResiduals]],
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
-) -> Comparison:
-    """Comparison of an axis with simulations, at the stages before the first finding and after each.
-
-    Args:
-        stages: the axis at these stages.
-        raw: its samples as recorded [SI], without missing ones, before the first finding and after the last;
-            then with imputed ones if a finding explains their distribution, such as rounding.
-        others: other axes by name, at their first stage and at their last.
-        auxiliary: other channels by name.
-    """
-    channels, last = _varying(auxiliary), len(stages) - 1
-    ends: list[tuple[Discrepancy, ...]] = []
-    pairs: list[tuple[tuple[Discrepancy, Discrepancy], ...]] = []
-    former: list[Profile] = []
-    free: list[Free] = []
-    resolution = Resolution.of(raw[0])
-    for k, record in enumerate(stages):
-        if k:
-            record.reuse(stages[k - 1])
-        profiles = _profiles(record, channels)
-        if k:
-            pairs.append(_improved(former, profiles))
-            stages[k - 1].forget()
-        former = profiles
-        if k in (0, last):
-            free.append(Free.of(record))
-            if k and raw[1] is not raw[0]:
-                resolution = Resolution.of(raw[1])
-            found = [p.worst() for p in (*profiles, autocorrelation(record))]
-            found += [_lattice(record, resolution), _repeated(record, resolution)]
-            for end in {0: others[:1], last: others[1:]}[k] if last else others:
-                axes = [cross_correlation(record, end).worst()] if end else []
-                ends.append(tuple(sorted([*found, *axes], key=lambda d: _ORDER.index(d.statistic))))
-    stages[-1].forget()
-    return Comparison(ends[0], ends[1], pairs, tuple(p for p in former if p.extent), (free[0], free[-1]))
-
-
-def _profiles(record: StageResiduals, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> list[Profile]:
+def profiles_of(stage: Stage, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> list[Profile]:
     """Profiles of an axis at a stage, except those that take long compared with the transforms."""
-    found = [*cluster_times(record), psd(record), line(record), skewness(record), tails(record)]
-    found += [largest_residual(record), *windows(record)]
-    return [*found, auxiliary_correlation(record, channels)] if channels else found
-
-
-def _improved(
-    before: Sequence[Profile], after: Sequence[Profile]
-) -> tuple[tuple[Discrepancy, Discrepancy], ...]:
-    """Pairs of a statistic at two stages, at the place of the largest improvement."""
-    pairs = []
-    for old, new in zip(before, after, strict=True):
-        # A finding has a drift of its own, see `gain`.
-        if old.statistic == "drift":
-            continue
-        change = old.score**2
-        change -= new.score**2
-        place = int(np.argmax(change))
-        pairs.append((old.at(place), new.at(place)))
-    return tuple(pairs)
-
-
-def _varying(auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " n-1"]]:
-    """Cosine coefficients of the channels that are finite and not constant."""
-    channels = {name: np.asarray(h, float) for name, h in auxiliary.items()}
-    return {name: centred(h) for name, h in channels.items() if np.isfinite(h).all() and np.ptp(h) > 0.0}
+    found = [allan_deviation(stage), drift(stage), psd(stage), line(stage), *shape(stage)]
+    found += [largest_residual(stage), *windows(stage)]
+    return [*found, auxiliary_correlation(stage, channels)] if channels else found

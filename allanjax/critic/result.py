@@ -10,15 +10,15 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from jaxtyping import Bool, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
-from allanjax.critic.noise import RAMP, NoiseFamily, family_of
 from allanjax.critic.parameters import side_of_limit, values_of
+from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import ordered, warnings_of
@@ -31,55 +31,6 @@ from allanjax.record.recording import Axis, DeadAxis, Recording
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Snapshot(ByValue):
-    """One axis at one stage of the critique, for figures and simulations.
-
-    Attributes:
-        x: samples less the earlier findings [SI].
-        rate: sample rate [Hz].
-        powers: squared coefficients of the basic terms in the noise, by name (a ramp has none).
-        shape, index: correlation time [s] or exponent of the term that has one, else nan; its place in the
-            grid of shapes.
-        ramp: slope of a drift ramp [rate/s].
-        factor: ratio of the spectrum to that of these terms; None for 1.
-        drawn: whether each sample was filled in: drawn given the others.
-    """
-
-    x: Float[np.ndarray, " n"]
-    rate: float
-    powers: Mapping[str, float]
-    shape: float
-    index: int
-    ramp: float
-    factor: Float[np.ndarray, " n-1"] | None
-    drawn: Bool[np.ndarray, " n"]
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """Names of the basic terms in the noise."""
-        return (*self.powers, RAMP) if self.ramp else tuple(self.powers)
-
-    @property
-    def family(self) -> NoiseFamily:
-        """Noise family of records of this length and rate."""
-        return family_of(len(self.x), self.rate)
-
-    @property
-    def spectra(self) -> list[tuple[float, Float[np.ndarray, " n-1"]]]:
-        """Powers of the terms, with their expected squared coefficients at unit power."""
-        return [(p, self.family.unit(name, self.index)[1]) for name, p in self.powers.items()]
-
-    @property
-    def variance(self) -> Float[np.ndarray, " n-1"]:
-        """Expected squared cosine coefficients of x [rate²]; they are computed, as all stages' are large."""
-        v = self.family.expected(dict(self.powers), self.index)
-        return v if self.factor is None else np.multiply(v, self.factor, out=v)
-
-    def __repr__(self) -> str:
-        return f"<Snapshot: {len(self.x)} samples less findings; noise {' + '.join(self.terms)}>"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,7 +56,7 @@ class AxisCritique(ByValue):
     before: tuple[Discrepancy, ...]
     after: tuple[Discrepancy, ...]
     tests: Mapping[str, float]
-    stages: tuple[Snapshot, ...]
+    stages: tuple[Stage, ...]
     baseline: Model
     model: Model
     misfit: Misfit | None = None

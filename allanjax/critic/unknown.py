@@ -10,18 +10,18 @@ or frequency, how large and how significant it is, and what it resembles.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from allanjax.critic.comparison import StageResiduals
+from allanjax.critic.comparison import Comparison
 from allanjax.critic.finding import UNEXPLAINED, Discrepancy, Finding
 from allanjax.critic.free import Free
-from allanjax.critic.parameters import parameter_estimate
+from allanjax.critic.parameters import Detail, parameter_estimate
 from allanjax.critic.policy import judged
-from allanjax.critic.profiles import Comparison, Profile
+from allanjax.critic.profiles import Profile
+from allanjax.critic.stage import Stage
 
 #: Statistics by the domain in which they show a discrepancy, the one that places it best first.
 DOMAINS: Mapping[str, tuple[str, ...]] = {
@@ -56,7 +56,7 @@ _MORE = judged("variance_change", "more")
 def reported(
     findings: Sequence[Finding],
     reasons: Sequence[str],
-    record: StageResiduals,
+    stage: Stage,
     made: Comparison,
     ignored: Collection[str],
 ) -> list[Finding]:
@@ -65,13 +65,18 @@ def reported(
     Args:
         findings: those of an axis.
         reasons: why their effects doubt them, "" for none.
-        record: the axis before the first of them.
+        stage: the axis before the first of them.
         made: its comparison with simulations.
         ignored: domains in which what remains has another explanation.
     """
-    doubts = _doubted(findings, reasons, made.free, record)
+    doubts = _doubted(findings, reasons, made.free)
     named = [f for f in findings if not any(f is d.finding for d in doubts)]
-    return [*named, *_unexplained(record, made, doubts, _left(made, ignored))]
+    for domain in DOMAINS:
+        mine = sorted((d for d in doubts if d.domain == domain), key=lambda d: -(d.finding.gain or 0.0))
+        left = None if domain in ignored else _left(domain, made)
+        if mine or left:
+            named.append(_unexplained(stage, domain, made, mine, left))
+    return named
 
 
 class _Doubted(NamedTuple):
@@ -83,7 +88,7 @@ class _Doubted(NamedTuple):
 
 
 def _doubted(
-    findings: Sequence[Finding], reasons: Sequence[str], free: tuple[Free, Free], record: StageResiduals
+    findings: Sequence[Finding], reasons: Sequence[str], free: Sequence[Mapping[str, Free]]
 ) -> list[_Doubted]:
     """Findings that are only a description.
 
@@ -97,7 +102,7 @@ def _doubted(
             return "the level changes more often than twice"
         if domain == "bias":
             return ""
-        before, after = (each.within(domain, f.span, record) for each in free)
+        before, after = (each[domain].within(*f.span) for each in free)
         return "much of what is there remains" if after > max(_NATS, _LEFT * before) else ""
 
     domains = [_OF_CAUSES.get(f.cause, "bias") for f in findings]
@@ -111,7 +116,7 @@ def _doubted(
         others = [other for other in found if other.domain == d.domain]
         if d.reason or not others:
             continue
-        start, end = _place(others, d.domain, free[0], record) or (0.0, np.inf)
+        start, end = _place(others, free[0]) or (0.0, np.inf)
         inside = start <= 0.5 * sum(d.finding.span) <= end
         larger = sum(other.finding.gain or 0.0 for other in others) > (d.finding.gain or 0.0)
         if larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
@@ -119,17 +124,15 @@ def _doubted(
     return found
 
 
-def _place(
-    doubts: Sequence[_Doubted], domain: str, before: Free, record: StageResiduals
-) -> tuple[float, float] | None:
-    """Part of the record [s] or of the spectrum [Hz] that doubts of a domain are about.
+def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[float, float] | None:
+    """Part of the record [s] or of the spectrum [Hz] that doubts of one domain are about.
 
     None if the descriptions that name nothing do not tell.
     """
+    whole, domain = _whole(doubts), doubts[0].domain
     if domain not in ("spectrum", "level"):
-        return _whole(doubts)
-    gains = before.within(domain, _whole(doubts), record) > _NATS
-    return before.place(domain, record) if gains else None
+        return whole
+    return before[domain].place() if before[domain].within(*whole) > _NATS else None
 
 
 def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
@@ -140,26 +143,19 @@ def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
 
 # --- Findings without a cause -------------------------------------------------------------------------------
 
-
-class _Left(NamedTuple):
-    """A discrepancy that remains, and the part of the record [s] or of the spectrum [Hz] that it is in."""
-
-    discrepancy: Discrepancy
-    span: tuple[float, float] | None
+# A discrepancy that remains, and the part of the record [s] or of the spectrum [Hz] that it is in.
+_Left: TypeAlias = tuple[Discrepancy, tuple[float, float] | None]
 
 
-def _left(made: Comparison, ignored: Collection[str]) -> dict[str, _Left]:
-    """What remains beyond doubt after the last finding, by domain; some domains are `ignored`."""
-    found = {}
-    sure = {d.statistic: d for d in made.after if d.p_value < CERTAIN}
-    last = {profile.statistic: profile for profile in made.last}
-    for domain, statistics in DOMAINS.items():
-        mine = [_Left(sure[s], _span(sure[s], last.get(s))) for s in statistics if s in sure]
-        if mine and domain not in ignored:
-            # A part of the spectrum is placed best by statistics of it.
-            narrow = [each for each in mine if each.discrepancy.statistic in ("psd", "psd_line")]
-            found[domain] = min(narrow or mine, key=lambda each: each.discrepancy.p_value)
-    return found
+def _left(domain: str, made: Comparison) -> _Left | None:
+    """What remains beyond doubt after the last finding in a domain, if anything."""
+    sure = [d for d in made.after if d.statistic in DOMAINS[domain] and d.p_value < CERTAIN]
+    # A part of the spectrum is placed best by statistics of it.
+    narrow = [d for d in sure if d.statistic in ("psd", "psd_line")]
+    if not sure:
+        return None
+    worst = min(narrow or sure, key=lambda d: (d.p_value, DOMAINS[domain].index(d.statistic)))
+    return worst, _span(worst, made.last.get(worst.statistic))
 
 
 def _span(d: Discrepancy, profile: Profile | None) -> tuple[float, float] | None:
@@ -172,35 +168,25 @@ def _span(d: Discrepancy, profile: Profile | None) -> tuple[float, float] | None
     first = last = int(np.argmax(abs(profile.score)))
     if d.statistic == "psd":
         alike = profile.score * np.sign(profile.score[first]) > _BESIDE * abs(profile.score[first])
-        while first and alike[first - 1]:
-            first -= 1
-        while last + 1 < len(alike) and alike[last + 1]:
-            last += 1
+        others = np.flatnonzero(~alike)
+        first = int(np.max(others[others < first], initial=-1)) + 1
+        last = int(np.min(others[others > last], initial=len(alike))) - 1
     return float(start[first]), float(end[last])
 
 
 def _unexplained(
-    record: StageResiduals, made: Comparison, doubts: Sequence[_Doubted], left: Mapping[str, _Left]
-) -> list[Finding]:
-    """Findings without a cause, one for each domain where there are doubts or something is left."""
-    found = []
-    for domain, statistics in DOMAINS.items():
-        mine = [d for d in doubts if d.domain == domain]
-        if mine:
-            first = min((d for d in made.before if d.statistic in statistics), key=lambda d: d.p_value)
-            place = _place(mine, domain, made.free[0], record) or _span(first, None) or _whole(mine)
-            worst = left[domain].discrepancy if domain in left else first
-            found.append(_described(mine, _unnamed(record, domain, worst, place)))
-        elif domain in left:
-            found.append(_unnamed(record, domain, *left[domain]))
-    return found
-
-
-def _unnamed(
-    record: StageResiduals, domain: str, worst: Discrepancy, place: tuple[float, float] | None
+    stage: Stage, domain: str, made: Comparison, doubts: Sequence[_Doubted], left: _Left | None
 ) -> Finding:
-    """Finding of a discrepancy without a cause, at a place [s or Hz] if that is known."""
-    axis, in_time = record.axis, domain in ("level", "bias", "values")
+    """Finding without a cause: of what is `left` in a domain, and of doubts about it, the largest first.
+
+    The extended model describes it by the findings that are doubted.
+    """
+    axis, in_time = stage.axis, domain in ("level", "bias", "values")
+    first = min((d for d in made.before if d.statistic in DOMAINS[domain]), key=lambda d: d.p_value)
+    worst, place = left or (first, None)
+    members = [d.finding for d in doubts]
+    if doubts:
+        place = _place(doubts, made.free[0]) or _span(first, None) or _whole(doubts)
     numbers = {
         "where": (worst.where, worst.where_unit),
         "measured": (worst.measured, worst.unit),
@@ -209,37 +195,28 @@ def _unnamed(
     if place and domain != "values":
         names, unit = (("start", "end"), "s") if in_time else (("lowest", "highest"), "Hz")
         numbers |= {name: (x, unit) for name, x in zip(names, place, strict=True)}
+    # A statistic without places has none.
+    known = {k: parameter_estimate(axis, k, x, 0.0, unit) for k, (x, unit) in numbers.items() if unit}
+    details: dict[str, Detail] = {"domain": domain, "statistic": worst.statistic}
+    stages = -1, -1
+    if doubts:
+        # From the first of these findings on: they are hardly apart.
+        stages = min(f.stages[0] for f in members), max(f.stages[1] for f in members)
+        resembles = tuple(dict.fromkeys(f.cause for f in members))
+        details |= {"resembles": resembles, "reason": doubts[0].reason}
     return Finding(
         UNEXPLAINED,
         (axis.name,),
-        # A statistic without places has none.
-        {name: parameter_estimate(axis, name, x, 0.0, unit) for name, (x, unit) in numbers.items() if unit},
-        worst.p_value,
-        0.0,
-        0.0,
+        known | {f.size.label: f.size for f in members if len(members) == 1 and f.size is not None},
+        members[0].p_value if members else worst.p_value,
+        sum((f.evidence or 0.0 for f in members), 0.0),
+        sum((f.gain or 0.0 for f in members), 0.0),
         (),
-        place or (0.0, record.n / record.rate if in_time else 0.5 * record.rate),
+        place or (0.0, stage.n / stage.rate if in_time else 0.5 * stage.rate),
         "time" if in_time else "frequency",
         discrepancies=((worst, worst),),
-        details={"domain": domain, "statistic": worst.statistic},
-    )
-
-
-def _described(doubts: Sequence[_Doubted], unnamed: Finding) -> Finding:
-    """Finding without a cause that the extended model describes by other findings, which are not named."""
-    ordered = sorted(doubts, key=lambda d: -(d.finding.gain or 0.0))
-    members, main = [d.finding for d in ordered], ordered[0].finding
-    size = {e.label: e for e in [main.size] if e is not None and len(members) == 1}
-    resembles = tuple(dict.fromkeys(f.cause for f in members))
-    return dataclasses.replace(
-        unnamed,
-        parameters={**unnamed.parameters, **size},
-        p_value=main.p_value,
-        evidence=sum(f.evidence or 0.0 for f in members),
-        gain=sum(f.gain or 0.0 for f in members),
-        details={**unnamed.details, "resembles": resembles, "reason": ordered[0].reason},
-        coefficients=main.coefficients,
-        drift=main.drift,
-        # From the first of these findings on: they are hardly apart.
-        stages=(min(f.stages[0] for f in members), max(f.stages[1] for f in members)),
+        details=details,
+        coefficients=members[0].coefficients if members else (),
+        drift=members[0].drift if members else None,
+        stages=stages,
     )

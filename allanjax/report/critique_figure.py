@@ -19,11 +19,12 @@ from scipy.stats import norm
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
-from allanjax.critic.comparison import StageResiduals, octave_bins, summaries
 from allanjax.critic.finding import UNEXPLAINED, Finding
+from allanjax.critic.law import summaries
 from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import values_of
 from allanjax.critic.result import Critique
+from allanjax.critic.stage import Stage, octave_bins
 from allanjax.record.recording import Axis
 from allanjax.report import draw
 from allanjax.report.critique_story import (
@@ -132,10 +133,10 @@ def critique_figures(
     return named
 
 
-class _Stage(NamedTuple):
+class _Shown(NamedTuple):
     """A record, when it was made, and the colour and marker of its curves."""
 
-    record: StageResiduals
+    record: Stage
     when: str = ""
     colour: str = _AFTER
     marker: str = "o"
@@ -146,27 +147,27 @@ class _Stage(NamedTuple):
         return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
-def _record(critique: Critique, axis: str, stage: int) -> StageResiduals:
-    """Residuals of an axis at a stage."""
-    return StageResiduals(critique[axis].axis, 1.0, critique[axis].stages[stage])
+def _record(critique: Critique, axis: str, stage: int) -> Stage:
+    """An axis at a stage; a copy, as the critique shall not keep the arrays that figures need."""
+    return dataclasses.replace(critique[axis].stages[stage])
 
 
-def _draw(critique: Critique, job: _Job, record: Callable[[str, int], StageResiduals]) -> Figure:
+def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) -> Figure:
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
     finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, f"{job.axis}: no finding", [_Stage(record(job.axis, 0))])[0]
+        return _panels(critique, f"{job.axis}: no finding", [_Shown(record(job.axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
         records = [_record(critique, name, -1) for name in finding.axes]
-        figure, effect = _panels(critique, "", [_Stage(records[0])], finding)
+        figure, effect = _panels(critique, "", [_Shown(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in axis.findings)
     before, after = (record(job.axis, stage % len(axis.stages)) for stage in own.stages)
-    stages = [_Stage(before)]
+    stages = [_Shown(before)]
     if before is not after:
-        stages = [_Stage(before, " before", _BEFORE), _Stage(after, " after", _AFTER, "s")]
+        stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
     figure, effect = _panels(critique, "", stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
@@ -177,7 +178,7 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], StageResid
 
 
 def _panels(
-    critique: Critique, title: str, stages: Sequence[_Stage], finding: Finding | None = None
+    critique: Critique, title: str, stages: Sequence[_Shown], finding: Finding | None = None
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
@@ -203,7 +204,7 @@ def _panels(
     return figure, panels[-1][0]
 
 
-def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Stage], axis: Axis) -> None:
+def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Shown], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (draw.unit_of(axis), density_unit(axis))
     names = ((draw.CLUSTER_TIME, "Allan deviation"), (draw.FREQUENCY, "one-sided PSD"))
@@ -254,7 +255,7 @@ def _blocks(length: int, most: int) -> tuple[Int[np.ndarray, " blocks"], Int[np.
     return edges[:-1], np.diff(edges)
 
 
-def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_extremes(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw mean and extremes of blocks of the whitened residuals, and single outliers."""
     duration = record.n / record.rate
     shown = _around(finding.span, duration, 0.01 * duration)
@@ -274,7 +275,7 @@ def _draw_extremes(panel: Axes, record: StageResiduals, after: StageResiduals, f
     _finish(panel, draw.label_in("whitened residual", "σ"))
 
 
-def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_loudness(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw the root mean square of the whitened residuals in blocks, and the band of simulations."""
     edges, length = _blocks(record.n, _BLOCKS)
     time = (edges + 0.5 * length) / record.rate
@@ -287,7 +288,7 @@ def _draw_loudness(panel: Axes, record: StageResiduals, after: StageResiduals, f
     _finish(panel, draw.label_in("rms of\nwhitened residuals", "σ"))
 
 
-def _draw_distribution(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_distribution(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw the histogram of the whitened residuals over that of simulations."""
     e = record.whitened
     edges = np.linspace(-_WIDE, _WIDE, _CLASSES + 1)
@@ -303,10 +304,10 @@ def _draw_distribution(panel: Axes, record: StageResiduals, after: StageResidual
     _finish(panel, "samples\nper class", "whitened residual [σ]")
 
 
-def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_samples(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw single samples as recorded, where most of them equal the one before."""
     unit, scale = draw.unit_of(record.axis)
-    x = record.stage.x
+    x = record.x
     same = np.concatenate([[0], np.cumsum(x[1:] == x[:-1])])
     length = min(_SHOWN_SAMPLES, record.n)
     first = int(np.argmax(same[length - 1 :] - same[: record.n - length + 1]))
@@ -317,12 +318,12 @@ def _draw_samples(panel: Axes, record: StageResiduals, after: StageResiduals, fi
     _finish(panel, draw.label_in("samples − mean", unit))
 
 
-def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_path(panel: Axes, before: Stage, after: Stage, finding: Finding) -> None:
     """Draw means of blocks of samples, and the effect that was found."""
     unit, scale = draw.unit_of(before.axis)
     edges, length = _blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
-    x, effect = ((y - y.mean()) / scale for y in (before.stage.x, before.stage.x - after.stage.x))
+    x, effect = ((y - y.mean()) / scale for y in (before.x, before.x - after.x))
     name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
     panel.plot(time, np.add.reduceat(x, edges) / length, label=name, **draw.dots())
     some = draw.extremes(effect)
@@ -331,7 +332,7 @@ def _draw_path(panel: Axes, before: StageResiduals, after: StageResiduals, findi
     _finish(panel, draw.label_in(f"{quantity} − mean", unit))
 
 
-def _draw_spectrum(panel: Axes, record: StageResiduals, after: StageResiduals, finding: Finding) -> None:
+def _draw_spectrum(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw the whitened spectrum around the effect's frequencies."""
     nyquist = 0.5 * record.rate
     lowest, highest = _around(finding.span, nyquist)
@@ -359,7 +360,7 @@ _EFFECTS = {
 }
 
 
-def _draw_correlation(panel: Axes, records: list[StageResiduals]) -> None:
+def _draw_correlation(panel: Axes, records: list[Stage]) -> None:
     """Draw the correlation of the axes' whitened coefficients in bins, and the band of simulations."""
     n, rate = records[0].n, records[0].rate
     edges = octave_bins(n)[::_MERGED]

@@ -553,8 +553,8 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     if drift is not None and _notable(drift.before, drift.after):
         measured, before, after = (plain(x, 3) for x in (drift.measured, drift.before, drift.after))
         texts.append(
-            f"drift over {duration(drift.horizon)} predicted {before} → {after} {drift.unit}, "
-            f"measured {measured} {drift.unit}"
+            f"drift over {duration(drift.horizon)} in simulations {before} → {after} {drift.unit}, "
+            f"in the record {measured} {drift.unit}"
         )
     return texts
 
