@@ -246,7 +246,7 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"
     ),
     ("variance_change", "more"): Judgement(
-        0.1, "share of the gain beyond two changes from which the level varies in another way"
+        0.03, "share of the gain beyond two changes from which the level varies in another way"
     ),
     ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
     ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),

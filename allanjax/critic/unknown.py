@@ -118,7 +118,9 @@ def _doubted(
             continue
         start, end = _place(others, free[0]) or (0.0, np.inf)
         inside = start <= 0.5 * sum(d.finding.span) <= end
-        larger = sum(other.finding.gain or 0.0 for other in others) > (d.finding.gain or 0.0)
+        # A bias with two levels only leaves nothing else, while a step may be beside another change.
+        least = _LEFT if d.finding.cause == "telegraph" else 1.0
+        larger = sum(other.finding.gain or 0.0 for other in others) > least * (d.finding.gain or 0.0)
         if larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
             found.append(d._replace(reason=others[0].reason))
     return found
