@@ -297,15 +297,80 @@ def light_tails(s: Scene) -> Made:
     )
 
 
+def staircase(s: Scene) -> Made:
+    edges = np.sort(s.rng.uniform(0.05, 0.95, s.rng.integers(4, 9))) * s.duration
+    return (
+        s.noise + s.path(np.searchsorted(edges, s.t).astype(float)),
+        "time",
+        (0.0, s.duration),
+        ("bias_step",),
+    )
+
+
+def s_shape(s: Scene) -> Made:
+    middle, length = s.rng.uniform(0.35, 0.65) * s.duration, s.rng.uniform(0.03, 0.1) * s.duration
+    shape = np.tanh((s.t - middle) / length)
+    return s.noise + s.path(shape), "time", (middle - 2.0 * length, middle + 2.0 * length), ("bias_step",)
+
+
+def pulse_train(s: Scene) -> Made:
+    period, width = s.rng.uniform(40.0, 120.0), s.rng.uniform(2.0, 8.0)
+    return s.noise + s.path(1.0 * (s.t % period < width)), "time", (0.0, s.duration), ("sinusoid",)
+
+
+def doublet(s: Scene) -> Made:
+    middle, length = s.rng.uniform(0.2, 0.8) * s.duration, s.rng.uniform(0.01, 0.05) * s.duration
+    u = (s.t - middle) / length
+    return s.noise + s.path(u * np.exp(-(u**2))), "time", (middle - 2.0 * length, middle + 2.0 * length), ()
+
+
+def hopping_line(s: Scene) -> Made:
+    f, hop = np.sort(s.rng.uniform(4.0, 40.0, 4)), s.rng.uniform(30.0, 120.0)
+    which = s.rng.integers(0, 4, int(s.duration / hop) + 1)[(s.t / hop).astype(int)]
+    shape = np.sin(2.0 * np.pi * np.cumsum(f[which]) / s.rate)
+    return s.noise + s.path(shape), "frequency", (f[which].min(), f[which].max()), ("sinusoid", "resonance")
+
+
+def repeating_noise(s: Scene) -> Made:
+    period = int(s.rng.uniform(0.2, 2.0) * s.rate)
+    shape = np.resize(s.rng.standard_normal(period), s.n)
+    return s.noise + s.path(shape), "frequency", (s.rate / period, 0.5 * s.rate), ("sinusoid",)
+
+
+def tilt(s: Scene) -> Made:
+    # A chain of pairs of poles and zeros, an octave apart each: the spectrum rises or falls by a power.
+    white, a = s.white, min(s.multiple * np.sqrt(DETECTABLE_LLR / s.n), 0.2) * s.rng.choice([-1.0, 1.0])
+    for f in 0.4 * 2.0 ** -np.arange(1.0, 11.0):
+        pole, zero = (np.exp(-2.0 * np.pi * f * 2.0 ** (side * a)) for side in (-0.5, 0.5))
+        white = lfilter([1.0, -zero], [1.0, -pole], white)
+    return s.slow + white, "frequency", (0.0, 0.5 * s.rate), ("power_law", "low_pass", "markov")
+
+
+def bursts(s: Scene) -> Made:
+    log, length = np.zeros(s.n), int(s.rng.uniform(1.0, 4.0) * s.rate)
+    for start in s.rng.integers(0, s.n - length, 30):
+        log[start : start + length] = 1.0
+    return s.louder(log), "level", (0.0, s.duration), ()
+
+
+def ramping_level(s: Scene) -> Made:
+    return s.louder((s.t / s.duration * s.rng.uniform(1.5, 4.0)) % 1.0), "level", (0.0, s.duration), ()
+
+
+def dead_zone(s: Scene) -> Made:
+    return s.bent(lambda x, a: x - a * x * np.exp(-(x**2)), 0.16), "values", (0.0, s.duration), ()
+
+
 #: Kinds on which the critic's rules were made, and kinds kept for reports.
 MADE_ON = (
     *(ramped_step, chirp, sawtooth, sigma_delta, band_noise, notch, modulated_line, breathing, skewed),
     *(soft_clipping, bump, relaxations, tone_burst, echo, shelf, wandering_line, gated, growing),
-    *(heavy_tails, crossover),
+    *(heavy_tails, crossover, square_wave, broken_line, fading_line, ring_downs, plateau, settling_level),
+    *(wandering_level, switching_level, one_sided, light_tails),
 )
 KEPT = (
-    *(square_wave, broken_line, fading_line, ring_downs, plateau, settling_level, wandering_level),
-    *(switching_level, one_sided, light_tails),
+    *(staircase, s_shape, pulse_train, doublet, hopping_line, repeating_noise, tilt, bursts, ramping_level),
+    dead_zone,
 )
 KINDS: dict[str, Callable[[Scene], Made]] = {f.__name__: f for f in (*MADE_ON, *KEPT, nothing)}
 
