@@ -20,7 +20,8 @@ class Step:
     """One finding as the search made it.
 
     It has a candidate, its gain on held-out data [nats], rivals with the odds against them, and the view that
-    it was found in. `conditions` are the quantities that its fit was conditional on, see `critic.refit`.
+    it was found in. `conditions` are the noise and the other findings that its fit depends on, in units of
+    changes that matter.
     """
 
     candidate: Candidate

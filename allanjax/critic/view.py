@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -241,10 +242,8 @@ class View:
     ) -> View:
         """View of other samples, of which these are newly `imputed`."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
-        view = dataclasses.replace(self, samples=samples, imputed=imputed)
-        vars(view)["factor"], vars(view)["_mask"] = self.factor, self._mask
-        vars(view)["_like"] = self._like or self.model_evidence
-        return view
+        kept = {"factor": self.factor, "_mask": self._mask, "_like": self._like or self.model_evidence}
+        return self._changed(kept, samples=samples, imputed=imputed)
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """Approximately most probable noise without an effect that has these lowest coefficients."""
@@ -254,9 +253,7 @@ class View:
 
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
-        view = dataclasses.replace(self, structure=structure)
-        vars(view)["coefficients"] = self.coefficients
-        return view
+        return self._changed({"coefficients": self.coefficients}, structure=structure)
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View with these effects found, keeping everything computed for it.
@@ -271,17 +268,16 @@ class View:
         """View in which all subsets of terms compete, not only those that were likely before."""
         if self._like is None:
             return self
-        view = dataclasses.replace(self)
-        kept = ("factor", "coefficients", "_mask")
-        vars(view).update({name: vars(self)[name] for name in kept if name in vars(self)})
-        return view
+        return self._changed({name: vars(self).get(name) for name in ("factor", "coefficients", "_mask")})
 
     def without_caches(self) -> View:
         """View without cached values, except its noise."""
-        view = dataclasses.replace(self)
-        vars(view)["noise"] = dataclasses.replace(self.noise)
-        if "factor" in vars(self):
-            vars(view)["factor"] = self.factor
+        return self._changed({"noise": dataclasses.replace(self.noise), "factor": vars(self).get("factor")})
+
+    def _changed(self, kept: Mapping[str, Any], **changes: Any) -> View:
+        """View with changes, and with these cached values, except those that are None."""
+        view = dataclasses.replace(self, **changes)
+        vars(view).update({name: value for name, value in kept.items() if value is not None})
         return view
 
     def forget(self) -> None:
