@@ -188,7 +188,7 @@ def _searches(
         there = [
             effect.at(own)
             for effect in effects
-            if (own := [place for place in others if place.cause == effect.name])
+            if (own := [place for place in others if place.effect == effect.name])
         ]
         state = going_on(states[k], there, rule, tell) if there else states[k]
         further = None if given is None or given.chosen else further_terms(given.results[k].model)

@@ -15,6 +15,7 @@ from allanjax.critic.bank import any_of
 from allanjax.critic.factor import stop_band
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, limited
+from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
@@ -23,6 +24,7 @@ from allanjax.estimate.spectral.model import Component, response_of
 from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
+    FREQUENCIES,
     FURTHER,
     LEAST_QUALITY,
     LINE,
@@ -33,6 +35,7 @@ from allanjax.estimate.structure.structure import (
     markov,
     model_of,
     order_of,
+    resonance,
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
@@ -146,6 +149,35 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
     return (_without_ends(after), gain) if gain > 0.0 else None
+
+
+def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
+    """View with narrow resonances at some of these places, and their log odds [nats].
+
+    The frequency of each is known within its place, which costs less than an unknown frequency.
+    """
+    further = _further(view)
+    record = _record(view, further)
+    spectrum, now = refitted(record, _start(view, further))
+    total = 0.0
+    for place in places:
+        low, high = (2.0 * np.pi * f / record.rate for f in place[1:])
+        angle, width = 0.5 * (low + high), high - low
+        level = at_all(spectrum, now)[int(np.clip(angle / np.pi * record.n, 1, record.n - 1)) - 1]
+        k, inside = len(now.structure.components), now.structure.kind != NONE
+        power = 0.5 * float(level) * width / np.pi
+        new = now.structure.plus(resonance(angle, 2.0 * angle / width, power, inside))
+        finer = record.binned(new)
+        found, before = finer.fit(new), finer.fit(now.structure)
+        own, first = found.structure.components[k], found.structure.first[k]
+        if own.power <= 0.0:
+            continue
+        std = float(np.sqrt(found.covariance[first, first]))
+        share = max(width / angle * len(places), np.sqrt(2.0 * np.pi) * std)
+        gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / share))
+        if gain > 0.0 and low <= own.frequency <= high:
+            spectrum, now, total = finer, found, total + gain
+    return (view.with_structure(now.structure), total) if total > 0.0 else None
 
 
 def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:

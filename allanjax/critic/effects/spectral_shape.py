@@ -6,27 +6,35 @@ described after the search, from the final model.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from allanjax.critic.effect import FREQUENCIES, Effect
-from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain
+from allanjax.critic.places import Place
+from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain, structure_at
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.model import response_of
 
 
 class SpectralShape(Effect):
-    """A low-pass filter and resonances."""
+    """A low-pass filter and resonances, or narrow resonances at given places."""
 
     name = "spectral_shape"
     sensible: ClassVar = {"bandwidth": FREQUENCIES}
+
+    def __init__(self, places: Sequence[Place] = ()) -> None:
+        self._places = tuple(places)
+
+    def at(self, places: Sequence[Place]) -> SpectralShape:
+        return SpectralShape(places)
 
     def p_value(self, view: View) -> float:
         return conspicuous(view.squared_whitened).p_value
 
     def detect(self, view: View) -> Candidate | None:
-        found = candidate_structure(view)
+        found = structure_at(view, self._places) if self._places else candidate_structure(view)
         if found is None:
             return None
         after, gain = found
@@ -34,8 +42,8 @@ class SpectralShape(Effect):
         assert structure is not None
         response = response_of(structure, view.rate)
         corner = [] if response is None else [view.estimate("bandwidth", response.half_power, np.nan, "Hz")]
-        # For a filter, the odds are the only statistic.
-        p_value = None if response is not None else self.p_value(view)
+        # For a filter, and at a known place, the odds are the only statistic.
+        p_value = None if self._places or response is not None else self.p_value(view)
         return Candidate(
             self.name,
             corner,
@@ -45,4 +53,5 @@ class SpectralShape(Effect):
             lambda: held_out_gain(view, structure),
             domain="frequency",
             bound=float(np.exp(-gain)),
+            is_shared=bool(self._places),
         )
