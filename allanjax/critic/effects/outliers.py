@@ -6,7 +6,7 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
@@ -146,8 +146,8 @@ class _Mixture(NamedTuple):
 
 def _log_ratio(
     squares: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
-) -> Float[np.ndarray, "k *scales"]:
-    """Log-likelihood ratio of the mixture to noise: ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)], of squared scores."""
+) -> Float[np.ndarray, " k *scales"]:
+    """Log-likelihood ratio of the mixture to noise at squared z: ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)]."""
     s2 = np.square(scale)
     exponent = np.multiply.outer(squares, 0.5 * s2 / (1.0 + s2)) - 0.5 * np.log1p(s2)
     return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
