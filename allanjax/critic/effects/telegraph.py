@@ -55,7 +55,7 @@ class Telegraph(Effect):
             return None
         found = _two_levels(means, sigma)
         path = (found.upper > 0.5).astype(float)
-        jumps = np.count_nonzero(np.diff(path))
+        jumps = int(np.count_nonzero(np.diff(path)))
         if jumps < _LEAST_JUMPS:
             return None
         # Trials factor of the path: its likelihood at its best levels over that of all paths.
