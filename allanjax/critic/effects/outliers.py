@@ -58,12 +58,14 @@ class Outliers(Effect):
         if mixture.gain < _WORTH:
             return None
         found = _found(view, z, bulk, mixture.threshold)
-        if found is None or not found.scores.any():
+        if found is None or not found[0].any():
             return None
-        times, after = np.flatnonzero(found.scores), found.after
-        gain = mixture.gain - _log_trials_factor(view.n)
+        scores, after = found
+        times = np.flatnonzero(scores)
+        # Share and scale may be anywhere in their grids.
+        gain = mixture.gain - float(np.log(len(_SCALES)) + np.log(np.log(view.n)))
         # For all outliers, including those too small to be detected.
-        log_scale, spread, limit = _log_scale(found.scores[times], mixture.threshold)
+        log_scale, spread, limit = _log_scale(scores[times], mixture.threshold)
         log_scale += float(np.log(bulk / view.scale))
         sizes = view.samples[times] - after.samples[times]
         return Candidate(
@@ -92,19 +94,15 @@ class Outliers(Effect):
         return dataclasses.replace(found, after=impute_gaussian(view, missing))
 
 
-class _Found(NamedTuple):
-    """Scores of outliers, zero for all other samples, and a view in which the outliers are imputed."""
+def _found(
+    view: View, z: Float[np.ndarray, " n"], bulk: float, threshold: float
+) -> tuple[Float[np.ndarray, " n"], View] | None:
+    """Scores above a threshold, zero for all other samples, and a view in which these samples are imputed.
 
-    scores: Float[np.ndarray, " n"]
-    after: View
-
-
-def _found(view: View, z: Float[np.ndarray, " n"], bulk: float, threshold: float) -> _Found | None:
-    """Samples with a score above a threshold; None if a train of them is too long for outliers.
-
-    A large outlier hides others next to it, which are seen once it is imputed, in the noise without it.
+    A large outlier hides others next to it, which are seen once it is imputed, in the noise without it. None
+    if a train of scores is too long for outliers.
     """
-    found = _Found(np.zeros(view.n), view)
+    scores, after = np.zeros(view.n), view
     for _ in range(_ROUNDS):
         loud = np.flatnonzero(abs(z) > threshold)
         if len(loud) == 0:
@@ -113,20 +111,15 @@ def _found(view: View, z: Float[np.ndarray, " n"], bulk: float, threshold: float
         if max(group[-1] - group[0] for group in groups) > _LONGEST:
             return None
         peaks = [group[np.argmax(abs(z[group]))] for group in groups]
-        found.scores[peaks] = z[peaks]
-        found = found._replace(after=impute_gaussian(view, found.scores != 0.0))
-        z = _scores(found.after, bulk)
-    return found
+        scores[peaks] = z[peaks]
+        after = impute_gaussian(view, scores != 0.0)
+        z = _scores(after, bulk)
+    return scores, after
 
 
 def _p_value(z: Float[np.ndarray, " n"]) -> float:
     """Probability that one of as many normal scores is larger than the largest of these."""
     return any_of(2.0 * float(norm.sf(np.max(abs(z)))), len(z))
-
-
-def _log_trials_factor(n: int) -> float:
-    """Log trials factor of share and scale [nats], each of which may be anywhere in its grid."""
-    return float(np.log(len(_SCALES)) + np.log(np.log(n)))
 
 
 class _Mixture(NamedTuple):

@@ -169,13 +169,9 @@ def refined(c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: f
         return 0.5 * float(data @ D @ beta), beta, float(np.sqrt(2.0 / np.trace(gram)))
 
     grid = np.clip(start + np.arange(-2.0, 2.01, 0.25) * spacing, spacing, (n - 1.0) * spacing)
-    f = grid[np.argmax([fitted(g)[0] for g in grid])]
-    bounds = (f - 0.25 * spacing, f + 0.25 * spacing)
-    f = float(
-        minimize_scalar(
-            lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options={"xatol": 1e-9 * spacing}
-        ).x
-    )
+    f = max(grid.tolist(), key=lambda g: fitted(g)[0])
+    bounds, options = (f - 0.25 * spacing, f + 0.25 * spacing), {"xatol": 1e-9 * spacing}
+    f = float(minimize_scalar(lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options=options).x)
     z, beta, std = fitted(f)
     # Cramér–Rao, of frequency with phase and amplitude unknown (Rife & Boorstyn 1974).
     # √6·σ/(πAT√n), where A²n/2σ² is the squared signal-to-noise ratio 2z.

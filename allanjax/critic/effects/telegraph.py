@@ -150,17 +150,13 @@ def _two_levels(
         total, probability = _path(upper - lower, dwell)
         return total + float(lower.sum()), probability
 
-    def adjusted(levels: Float[np.ndarray, " 2"]) -> tuple[float, Float[np.ndarray, " 2"]]:
-        total, upper = path(levels, dwells[_DWELLS // 2])
-        share = np.stack([1.0 - upper, upper]) * weight
-        return total, share @ means / np.maximum(share.sum(axis=1), 1e-9)
-
     fits = []
     for width in _SMOOTH:
-        smooth = np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean()
-        levels = np.quantile(smooth, [0.2, 0.8])
+        levels = np.quantile(np.convolve(y, np.full(width, 1.0 / width), "valid"), [0.2, 0.8])
         for _ in range(_ROUNDS):
-            total, levels = adjusted(levels)
+            total, upper = path(levels, dwells[_DWELLS // 2])
+            share = np.stack([1.0 - upper, upper]) * weight
+            levels = share @ means / np.maximum(share.sum(axis=1), 1e-9)
         fits.append((total, levels))
     _, levels = max(fits, key=lambda fit: fit[0])
     totals, uppers = map(np.array, zip(*(path(levels, dwell) for dwell in dwells.tolist()), strict=True))

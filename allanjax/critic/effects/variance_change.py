@@ -28,10 +28,8 @@ _SHORTEST, _LASTING, _PRICE = (judged("variance_change", name) for name in ("sho
 _DRAWS = 1000
 # Smallest score that is examined more closely [nats].
 _WORTH = 6.0
-# Number of places within a block on either side of an end at which it may be located.
-_FINER = 32
-# Newton steps to the largest likelihood of a course of the level.
-_ROUNDS = 8
+# Number of places in the record at which an end may be located.
+_PLACES = 32 * _BLOCKS
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
 # Samples at each end of the record that are not used.
@@ -172,11 +170,13 @@ class VarianceChange(Effect):
         gain = float(every - np.log(len(kinds) * lasting / _LASTING)) - _PRICE
         if gain <= 0.0:
             return None
-        a, b = _located(kind)
+        start, end = _ends(kind)
+        a, b = start.place, end.place
         inside, outside = kind.levels(a, b)
         # If a record begins or ends with another level, the louder part is taken to be the change.
         if inside < outside and (a == 0 or b == view.n):
-            a, b = (b, view.n) if a == 0 else (0, a)
+            start, end = (end, _End(view.n)) if a == 0 else (_End(0), start)
+            a, b = start.place, end.place
             inside, outside = outside, inside
         ratio = inside / outside
         found = kind.excess(ratio)
@@ -186,12 +186,11 @@ class VarianceChange(Effect):
         variance = view.variance() * (1.0 + max(found, _LEAST) * kind.share)
         whitened = view.whitened.copy()
         whitened[a:b] = in_time(view.residual / np.sqrt(variance))[a:b]
-        start_std, end_std = _spreads(kind, a, b)
         return Candidate(
             self.name,
             [
-                view.time_estimate("start", a, start_std),
-                view.time_estimate("end", b, end_std),
+                view.time_estimate("start", *start),
+                view.time_estimate("end", *end),
                 _ratio(view, found, scatter),
             ],
             gain,
@@ -206,33 +205,21 @@ class VarianceChange(Effect):
 
 def _doubt(kind: _Kind) -> str:
     """Why a change of the level is hardly one from one value to another: it varies in another way."""
-    sums, size = np.diff(kind.total[kind.edges]), np.diff(kind.edges)
-    t = (np.arange(len(sums)) + 0.5) / len(sums)
-    angle = np.pi * np.arange(1, len(sums) // 2 + 1)[:, None] * t
-    # A trend, and waves of ½, 1, 1½ … periods of any phase.
-    trend = np.stack([t - 0.5, np.zeros(len(t))])
-    courses = np.concatenate([trend[None], np.stack([np.cos(angle), np.sin(angle)], axis=1)])
-    best = _course_gain(courses - courses.mean(axis=2, keepdims=True), sums, size)
-    own = _Intervals.between(len(kind.edges)).gains(kind.total[kind.edges], kind.edges).max()
-    clearly = kind.worth * (best - own) > judged("variance_change", "clearly")
-    return "the level varies in another way" if clearly else ""
-
-
-def _course_gain(
-    courses: Float[np.ndarray, "courses 2 k"], sums: Float[np.ndarray, " k"], size: Float[np.ndarray, " k"]
-) -> float:
-    """Largest gain in log-likelihood if the log level of squares follows a sum of two courses [nats]."""
-    weights, mean = np.zeros(courses.shape[:2]), sums.sum() / size.sum()
-    for _ in range(_ROUNDS):
-        level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
-        gradient = np.einsum("cpk,ck->cp", courses, 0.5 * (sums / level - size))
-        curvature = np.einsum("cpk,cqk,ck->cpq", courses, courses, 0.5 * sums / level)
-        curvature += 1e-9 * size.sum() * np.eye(2)
-        move = np.linalg.solve(curvature, gradient[..., None])[..., 0]
-        weights += np.clip(move, -1.0, 1.0)
-    level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
-    loss = 0.5 * np.sum(sums / level + size * np.log(level / mean), axis=1)
-    return float(np.max(0.5 * size.sum() - loss))
+    blocks, size = len(kind.edges) - 1, np.diff(kind.edges)
+    # Log levels of blocks of m degrees of freedom have the variance 2/m.
+    y = np.log(np.maximum(np.diff(kind.total[kind.edges]) / size, 1.0 + _LEAST))
+    y -= y.mean()
+    # Waves of ½, 1, 1½ … periods of any phase; the first one is nearly a trend as well.
+    angle = np.pi * np.outer(np.arange(1, blocks // 2 + 1), (np.arange(blocks) + 0.5) / blocks)
+    waves = np.stack([np.cos(angle), np.sin(angle)])
+    waves -= waves.mean(axis=-1, keepdims=True)
+    wave = np.sum((waves @ y) ** 2 / np.sum(waves**2, axis=-1), axis=0).max()
+    first, last, _ = _Intervals.between(blocks + 1)
+    weight = (last - first) * (blocks - last + first) / blocks
+    total, possible = np.append(0.0, np.cumsum(y)), weight > _SHORTEST * (1.0 - _SHORTEST) * blocks
+    change = ((total[last] - total[first])[possible] ** 2 / weight[possible]).max()
+    gain = 0.25 * kind.worth * size.mean() * (wave - change)
+    return "the level varies in another way" if gain > judged("variance_change", "clearly") else ""
 
 
 def _ratio(view: View, excess: float, scatter: float) -> Estimate:
@@ -262,39 +249,33 @@ def _p_value(kinds: Sequence[_Kind]) -> float:
     return any_of(p, times)
 
 
-def _located(kind: _Kind) -> tuple[int, int]:
-    """Interval with the largest score, with its ends relocated by up to one block."""
-    n, intervals, best = len(kind.squares), _Intervals.between(len(kind.edges)), int(np.argmax(kind.scores))
-    length = n / (len(kind.edges) - 1)
+class _End(NamedTuple):
+    """End of an interval and its standard deviation [samples]."""
 
-    def near(edge: int) -> Int[np.ndarray, " places"]:
-        if edge in (0, n):
-            return np.array([edge])
-        places = np.linspace(max(edge - length, 0.0), min(edge + length, n), 2 * _FINER + 1)
-        return np.unique(np.rint(places).astype(int))
-
-    first, last = near(kind.edges[intervals.first[best]]), near(kind.edges[intervals.last[best]])
-    inner = kind.total[last] - kind.total[first][:, None]
-    gains = _gain(inner, last - first[:, None], float(kind.total[-1]), n)
-    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    return int(first[i]), int(last[j])
+    place: int
+    std: float = 0.0
 
 
-def _spreads(kind: _Kind, a: int, b: int) -> tuple[float, float]:
-    """Standard deviation of each end of the interval, given the other [samples]."""
-    inside, outside = kind.levels(a, b)
-    step = inside / outside
-    # Within the number of samples in which a change of this size becomes visible.
-    block = kind.edges[1] / np.sqrt(12.0)
-    fine = min(4.0 / max((step - 1.0 - np.log(step)) * kind.worth, 1e-6), block)
-    first, last, _ = _Intervals.between(len(kind.edges))
-
-    def spread(own: Int[np.ndarray, " k"], x: int, other: Int[np.ndarray, " k"], y: int) -> float:
-        some = other == np.argmin(abs(kind.edges - y))
-        weight = np.exp(kind.scores[some] - kind.scores[some].max())
-        return float(np.hypot(fine, np.sqrt(weight @ (kind.edges[own[some]] - x) ** 2 / weight.sum())))
-
-    return spread(first, a, last, b), spread(last, b, first, a)
+def _ends(kind: _Kind) -> tuple[_End, _End]:
+    """Ends of the interval with the largest score, relocated by about a block; deviations are given the other
+    end."""
+    n, total, (first, last, _) = len(kind.squares), kind.total, _Intervals.between(len(kind.edges))
+    best = int(np.argmax(kind.scores))
+    ends = [_End(int(kind.edges[first[best]])), _End(int(kind.edges[last[best]]))]
+    places = np.unique(np.rint(np.linspace(0.0, n, _PLACES + 1)).astype(int))
+    # In turn, as each depends a little on the other; an end of the record stays.
+    for k in (0, 1, 0, 1):
+        own, other = ends[k].place, ends[1 - k].place
+        if own in (0, n):
+            continue
+        side = places[(places < other) if k == 0 else (places > other)]
+        gains = kind.worth * _gain(abs(total[side] - total[other]), abs(side - other), total[-1], n)
+        near = abs(side - own) <= kind.edges[1]
+        own = int(side[near][np.argmax(gains[near])])
+        weight = np.exp(gains - gains.max())
+        square = weight @ (side - own) ** 2 / weight.sum() + (n / _PLACES) ** 2 / 12.0
+        ends[k] = _End(own, float(np.sqrt(square)))
+    return ends[0], ends[1]
 
 
 @functools.lru_cache(maxsize=4)
