@@ -212,14 +212,19 @@ class Bank:
         return np.max(abs(outputs) / matched.lengths[:, None], axis=0)
 
 
-def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
-    """Random partition of n samples into `PARTS`, each of blocks from the whole record.
+def owners(n: int, block: int) -> Int[np.ndarray, " n"]:
+    """Number of the part that each of n samples belongs to, in a random partition into `PARTS`.
 
-    Each part is predicted from the others. With eight parts these are seven eighths of the data; with halves
-    an effect would have to be twice as strong to be detected.
+    Each part has blocks from the whole record and is predicted from the others. With eight parts these are
+    seven eighths of the data; with halves an effect would have to be twice as strong to be detected.
     """
     owner = np.random.default_rng(1).permutation(np.arange(-(-n // block)) % PARTS)
-    owner = np.repeat(owner, block)[:n]
+    return np.repeat(owner, block)[:n]
+
+
+def folds(n: int, block: int) -> list[Bool[np.ndarray, " n"]]:
+    """Samples of each part of the partition, see `owners`."""
+    owner = owners(n, block)
     return [owner == k for k in range(PARTS)]
 
 

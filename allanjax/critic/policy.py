@@ -240,7 +240,7 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ),
     ("variance_change", "clearly"): Judgement(
         3.0,
-        "nats by which a trend or a wave of the level must explain more than a change from level to level",
+        "nats by which a wave of the level must explain more than a change from level to level",
     ),
     ("variance_change", "lasting"): Judgement(
         0.5, "prior probability that a change lasts to an end of the record, as half of the hidden ones do"

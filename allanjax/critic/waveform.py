@@ -179,10 +179,7 @@ class Template(Effect):
             amplitude = view.amplitude_estimate("amplitude", a, std)
             if len(self.values) == 1:
                 return [amplitude]
-            spacing = np.gradient(self.values)
-            value, spread, limit = shape_parameter(self.values, likelihood, spacing)
-            # It is known no better than the spacing of its values.
-            spread = float(np.hypot(spread, np.interp(value, self.values, spacing) / np.sqrt(12.0)))
+            value, spread, limit = spaced_parameter(self.values, likelihood)
             return [amplitude, view.estimate(self.parameter, value, spread, self.unit, limit)]
 
         bank = self._bank(view.n, view.rate)
@@ -247,6 +244,15 @@ def shape_parameter(
     if ends[1] >= ends[0]:
         return float(between[np.searchsorted(share, _BEYOND)]), float("nan"), "above"
     return float(between[np.searchsorted(share, 1.0 - _BEYOND) + 1]), float("nan"), "below"
+
+
+def spaced_parameter(
+    values: Float[np.ndarray, " shapes"], likelihood: Float[np.ndarray, " shapes"]
+) -> tuple[float, float, Limit]:
+    """Like `shape_parameter`, for values of any spacing; it is known no better than this spacing."""
+    spacing = np.gradient(values)
+    value, spread, limit = shape_parameter(values, likelihood, spacing)
+    return value, float(np.hypot(spread, np.interp(value, values, spacing) / np.sqrt(12.0))), limit
 
 
 def mean_and_std(

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from allanjax.critic.bank import any_of, folds
+from allanjax.critic.bank import PARTS, any_of, owners
 from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import shape_parameter
-from allanjax.noise.estimate import Estimate
-from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
+from allanjax.record.completion import in_time
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
 _SHARES = np.geomspace(1e-7, 0.1, 40)
-# Scores below this could be noise as well.
+# Scores at the ends below this could be noise as well.
 _NOTICED = 3.0
-# Score above which samples count singly; below it they count in bins of this width.
-_LOUD, _FINE = 8.0, 0.02
+# Width and number of the bins of scores. The last one, from 10 on, has only outliers.
+_FINE, _BINS = 0.02, 501
 # Smallest gain in log-likelihood that is examined more closely [nats], before the trials factor.
 _WORTH = 8.0
 _ODDS, _APART, _LONGEST = (judged("outliers", name) for name in ("odds", "apart", "longest"))
@@ -45,7 +45,7 @@ class Outliers(Effect):
     refit = "at last"
 
     def p_value(self, view: View) -> float:
-        return _p_value(float(np.max(abs(_scores(view, view.loo_residuals[1])))), view.n)
+        return _p_value(_scores(view, view.loo_residuals[1]))
 
     def detect(self, view: View) -> Candidate | None:
         # A robust scale: that of the fit includes the outliers.
@@ -53,37 +53,35 @@ class Outliers(Effect):
         if bulk == 0.0:
             return None
         z = _scores(view, bulk)
-        gain, share, scale = _mixture(z)
-        if gain < _WORTH:
+        bins = _binned(z)
+        mixture = _mixture(*bins.sum(axis=-1))
+        if mixture.gain < _WORTH:
             return None
-        threshold = _threshold(share, scale)
-        found = _found(view, z, bulk, threshold)
-        if found is None or len(found[0]) == 0:
+        found = _found(view, z, bulk, mixture.threshold)
+        if found is None or not found[0].any():
             return None
-        times, scores = found
-        missing = np.zeros(view.n, bool)
-        missing[times] = True
-        after = impute_gaussian(view, missing)
-        gain -= _log_trials_factor(view.n)
+        scores, after = found
+        times = np.flatnonzero(scores)
+        # Share and scale may be anywhere in their grids.
+        gain = mixture.gain - float(np.log(len(_SCALES)) + np.log(np.log(view.n)))
         # For all outliers, including those too small to be detected.
-        log_scale, spread, limit = _log_scale(scores, threshold)
-        estimates = [
-            view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
-            view.log_estimate("scale", log_scale + np.log(bulk / view.scale), spread, limit, view.axis.unit),
-        ]
-        p_value = _p_value(float(np.max(abs(z))), view.n)
+        log_scale, spread, limit = _log_scale(scores[times], mixture.threshold)
+        log_scale += float(np.log(bulk / view.scale))
         sizes = view.samples[times] - after.samples[times]
         return Candidate(
             self.name,
-            estimates,
-            float(gain),
-            p_value,
+            [
+                view.estimate("count", len(times), np.sqrt(len(times) * 0.05), "1"),
+                view.log_estimate("scale", log_scale, spread, limit, view.axis.unit),
+            ],
+            gain,
+            _p_value(z),
             after,
-            lambda: _held_out(z),
+            lambda: _held_out(bins),
             (times[0] / view.rate, times[-1] / view.rate),
             details={
-                "times": _each(view.estimate("time", 0.0, 1.0 / view.rate, "s"), times / view.rate),
-                "sizes": _each(view.amplitude_estimate("size", 0.0, bulk), sizes / view.scale),
+                "times": tuple(view.estimate("time", k / view.rate, 1.0 / view.rate, "s") for k in times),
+                "sizes": tuple(view.amplitude_estimate("size", size, bulk) for size in sizes),
             },
             bound=float(np.exp(-max(gain, 0.0))),
         )
@@ -96,142 +94,130 @@ class Outliers(Effect):
         return dataclasses.replace(found, after=impute_gaussian(view, missing))
 
 
-def _each(first: Estimate, values: Float[np.ndarray, " k"]) -> tuple[Estimate, ...]:
-    """Estimates like one of zero, of other values with the same error."""
-    (low, high), (inner, outer) = first.interval, first.interval_68
-    return tuple(
-        dataclasses.replace(first, value=x, interval=(x + low, x + high), interval_68=(x + inner, x + outer))
-        for x in values.tolist()
-    )
-
-
 def _found(
     view: View, z: Float[np.ndarray, " n"], bulk: float, threshold: float
-) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]] | None:
-    """Samples above a threshold and their scores; None if a train of them is too long for outliers.
+) -> tuple[Float[np.ndarray, " n"], View] | None:
+    """Scores above a threshold, zero for all other samples, and a view in which these samples are imputed.
 
-    A large outlier hides others next to it, which are seen once it is replaced by its prediction from all
-    other samples, in the noise without it.
+    A large outlier hides others next to it, which are seen once it is imputed, in the noise without it. None
+    if a train of scores is too long for outliers.
     """
-    v, scores, seen = view.variance(), np.zeros(view.n), z
-    lags, pulls = lags_of(1.0 / v), view.loo_residuals[0] * float(np.mean(1.0 / v))
+    scores, after = np.zeros(view.n), view
     for _ in range(_ROUNDS):
-        loud = np.flatnonzero(abs(seen) > threshold)
+        loud = np.flatnonzero(abs(z) > threshold)
         if len(loud) == 0:
             break
-        peaks = _peaks(seen, loud)
-        if peaks is None:
+        groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
+        if max(group[-1] - group[0] for group in groups) > _LONGEST:
             return None
-        scores[peaks] = seen[peaks]
-        times = np.flatnonzero(scores)
-        parts = np.split(pulls[times], range(GAPS_AT_ONCE, len(times), GAPS_AT_ONCE))
-        excess = [inverse @ part for inverse, part in zip(inverses(times, lags), parts, strict=True)]
-        seen = _without(view, times, np.concatenate(excess), bulk)
-    times = np.flatnonzero(scores)
-    return times, scores[times]
+        peaks = [group[np.argmax(abs(z[group]))] for group in groups]
+        scores[peaks] = z[peaks]
+        after = impute_gaussian(view, scores != 0.0)
+        z = _scores(after, bulk)
+    return scores, after
 
 
-def _without(
-    view: View, times: Int[np.ndarray, " k"], excess: Float[np.ndarray, " k"], bulk: float
-) -> Float[np.ndarray, " n"]:
-    """Scores of a record without the excess of some samples over their prediction from all others."""
-    spikes = np.zeros(view.n)
-    spikes[times] = excess
-    c = dct(spikes, norm="ortho", workers=-1)[1:]
-    v = view.variance(view.noise_without(c))
-    seen = in_time((view.residual - c) / v) / (float(np.mean(1.0 / v)) * bulk)
-    seen[times] = 0.0
-    return _at_ends(np.where(view.imputed, 0.0, seen), v)
+def _p_value(z: Float[np.ndarray, " n"]) -> float:
+    """Probability that one of as many normal scores is larger than the largest of these."""
+    return any_of(2.0 * float(norm.sf(np.max(abs(z)))), len(z))
 
 
-def _p_value(largest: float, n: int) -> float:
-    """Probability that one of n normal scores is larger."""
-    return any_of(2.0 * float(norm.sf(largest)), n)
+class _Mixture(NamedTuple):
+    """Scores of which a share has a wider law: its gain over noise alone [nats], the share and the scale."""
 
+    gain: float
+    share: float
+    scale: float
 
-def _peaks(z: Float[np.ndarray, " n"], loud: np.ndarray) -> np.ndarray | None:
-    """Largest score of each group of neighbours; None if a group is longer than that of an outlier."""
-    groups = np.split(loud, np.flatnonzero(np.diff(loud) > _APART) + 1)
-    if max(g[-1] - g[0] for g in groups) > _LONGEST:
-        return None
-    return np.array([g[np.argmax(abs(z[g]))] for g in groups])
-
-
-def _log_trials_factor(n: int) -> float:
-    """Log trials factor of share and scale [nats], each of which may be anywhere in its grid."""
-    return float(np.log(len(_SCALES)) + np.log(np.log(n)))
+    @property
+    def threshold(self) -> float:
+        """Score above which a sample counts as drawn from the wider of the two laws."""
+        s2 = self.scale**2
+        least = _ODDS - np.log(self.share / (1.0 - self.share)) + 0.5 * np.log1p(s2)
+        return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
 
 
 def _log_ratio(
-    z: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
-) -> Float[np.ndarray, "k scales"]:
-    """Log-likelihood ratio of the mixture to noise at z: ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)]."""
-    s2 = np.asarray(scale) ** 2
-    exponent = 0.5 * z[:, None] ** 2 * s2 / (1.0 + s2) - 0.5 * np.log1p(s2)
+    squares: Float[np.ndarray, " k"], share: float, scale: Float[np.ndarray, " scales"] | float
+) -> Float[np.ndarray, " k *scales"]:
+    """Log-likelihood ratio of the mixture to noise at squared z: ln[(1 − ε) + ε·N(0, 1 + s²)/N(0, 1)]."""
+    s2 = np.square(scale)
+    exponent = np.multiply.outer(squares, 0.5 * s2 / (1.0 + s2)) - 0.5 * np.log1p(s2)
     return np.logaddexp(np.log1p(-share), np.log(share) + exponent)
 
 
-def _mixture(z: Float[np.ndarray, " n"]) -> tuple[float, float, float]:
-    """Log-likelihood ratio of the best mixture to noise alone [nats], its share and scale."""
-    size = abs(z)
-    if not np.any(size > _NOTICED):
-        return 0.0, 0.0, 1.0
-    # A coarse histogram suffices for the quiet ones; the few loud ones count singly.
-    parts = (60, 0.0, _NOTICED), (round((_LOUD - _NOTICED) / _FINE), _NOTICED, _LOUD)
-    found = [np.histogram(size, count, (low, high)) for count, low, high in parts]
-    counts = np.concatenate([count for count, _ in found])
-    centres = np.concatenate([0.5 * (edges[1:] + edges[:-1]) for _, edges in found])
-    few = size[size > _LOUD]
+def _binned(z: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 bins parts"]:
+    """Number of scores in each bin of their magnitudes and each held-out part, and sums of their squares.
 
-    def values(share: float, scale: Float[np.ndarray, " scales"]) -> Float[np.ndarray, " scales"]:
-        return _log_ratio(few, share, scale).sum(axis=0) + counts @ _log_ratio(centres, share, scale)
+    The log-likelihood ratio is nearly linear in the squares within a bin, and beyond the last edge.
+    """
+    cell = np.minimum(abs(z) / _FINE, _BINS - 1).astype(int) * PARTS + owners(len(z), _FOLD_BLOCK)
+    sums = [np.bincount(cell, weights, _BINS * PARTS) for weights in (None, z**2)]
+    return np.reshape(sums, (2, _BINS, PARTS))
 
-    best = (0.0, 0.0, 1.0)
-    for share in _SHARES[_SHARES * len(z) > 0.3]:
-        value = values(share, _SCALES)
-        k = int(np.argmax(value))
-        if value[k] > best[0]:
-            best = (float(value[k]), float(share), float(_SCALES[k]))
-    gain, share, scale = best
-    if gain == 0.0:
-        return 0.0, 0.0, 1.0
-    refined = minimize(
-        lambda u: -float(values(min(np.exp(u[0]), 0.5), np.exp(u[1:]))[0]),
-        np.log([share, scale]),
+
+def _occupied(
+    counts: Float[np.ndarray, " bins"], squares: Float[np.ndarray, " bins"]
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Number of scores in the bins that have some, and their mean squares."""
+    some = counts > 0.0
+    return counts[some], squares[some] / counts[some]
+
+
+def _mixture(counts: Float[np.ndarray, " bins"], squares: Float[np.ndarray, " bins"]) -> _Mixture:
+    """Best mixture; the share is zero if noise alone explains as much."""
+    n = counts.sum()
+    counts, squares = _occupied(counts, squares)
+    shares = _SHARES[_SHARES * n > 0.3]
+    values = np.stack([counts @ _log_ratio(squares, share, _SCALES) for share in shares])
+    i, j = np.unravel_index(int(np.argmax(values)), values.shape)
+    if values[i, j] <= 0.0:
+        return _Mixture(0.0, 0.0, 1.0)
+    best = minimize(
+        lambda u: -float(counts @ _log_ratio(squares, *np.exp(u))),
+        np.log([shares[i], _SCALES[j]]),
         method="Nelder-Mead",
+        bounds=[(None, np.log(0.5)), (None, None)],
         options={"xatol": 0.01, "fatol": 0.01},
     )
-    share, scale = np.exp(refined.x)
-    return -float(refined.fun), float(min(share, 0.5)), float(scale)
+    return _Mixture(-float(best.fun), *np.exp(best.x).tolist())
+
+
+def _held_out(bins: Float[np.ndarray, "2 bins parts"]) -> float:
+    """Gain in log-likelihood [nats] on parts of the samples with the mixture from the other parts.
+
+    If the others have none, outliers are taken to be rare and of any scale: a single one can be predicted.
+    """
+    gain = 0.0
+    for part in range(PARTS):
+        others = bins.sum(axis=-1) - bins[..., part]
+        counts, squares = _occupied(*bins[..., part])
+        _, share, scale = _mixture(*others)
+        if share > 0.0:
+            gain += float(counts @ _log_ratio(squares, share, scale))
+        else:
+            each = _log_ratio(squares, 0.5 / others[0].sum(), _SCALES)
+            gain += float(counts @ (np.logaddexp.reduce(each, axis=1) - np.log(len(_SCALES))))
+    return gain
 
 
 def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float, float, Limit]:
     """Log scale of outliers, whose law is truncated at a threshold, and its deviation; or a limit."""
-    log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(np.sqrt(np.mean(found**2)))
+    root = np.sqrt(np.mean(found**2))
+    log = np.linspace(np.log(0.1), np.log(10.0), _WEIGHED) + np.log(root)
     width = np.sqrt(1.0 + np.exp(2.0 * log))
-    each = norm.logpdf(found[:, None] / width) - np.log(width) - norm.logsf(threshold / width)
-    total = each.sum(axis=0)
+    total = len(found) * (norm.logpdf(root / width) - np.log(width) - norm.logsf(threshold / width))
     return shape_parameter(log, np.exp(total - total.max()))
 
 
-def _threshold(share: float, scale: float) -> float:
-    """Score above which a sample counts as drawn from the wider of the two laws."""
-    s2 = scale**2
-    least = _ODDS - np.log(share / (1.0 - share)) + 0.5 * np.log1p(s2)
-    return float(np.sqrt(2.0 * max(least, 0.0) * (1.0 + s2) / s2))
-
-
 def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
-    """Leave-one-out residuals over their scale, zero where samples were imputed."""
-    return _at_ends(np.where(view.imputed, 0.0, view.loo_residuals[0] / scale), view.variance())
+    """Leave-one-out residuals over their scale, zero where samples were imputed.
 
-
-def _at_ends(z: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n"]:
-    """Scores, of which those that stand out at the ends are compared with the scatter there.
-
-    Quantization noise at the ends differs from that of the mirrored record, so residuals scatter more.
+    Those that stand out at the ends are compared with the scatter there: quantization noise at the ends
+    differs from that of the mirrored record, so residuals scatter more.
     """
-    n = len(z)
+    n, v = view.n, view.variance()
+    z = np.where(view.imputed, 0.0, view.loo_residuals[0] / scale)
     for k in (*range(_END), *range(n - _END, n)):
         if abs(z[k]) > _NOTICED:
             sample = np.zeros(n)
@@ -241,19 +227,3 @@ def _at_ends(z: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> Float[
             response = np.abs(rfft(weight, 2 * n, workers=-1)[1:n]) ** 2
             z[k] /= max(1.0, np.sqrt(float(response @ v) / n * np.mean(1.0 / v)))
     return z
-
-
-def _held_out(z: Float[np.ndarray, " n"]) -> float:
-    """Gain in log-likelihood [nats] on parts of the samples with the mixture from the other parts.
-
-    If the others have none, outliers are taken to be rare and of any scale: a single one can be predicted.
-    """
-    gain = 0.0
-    for part in folds(len(z), _FOLD_BLOCK):
-        _, share, scale = _mixture(z[~part])
-        if share > 0.0:
-            gain += float(_log_ratio(z[part], share, scale).sum())
-        else:
-            each = _log_ratio(z[part], 0.5 / np.sum(~part), _SCALES)
-            gain += float(np.sum(np.logaddexp.reduce(each, axis=1) - np.log(len(_SCALES))))
-    return gain

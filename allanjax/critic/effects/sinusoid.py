@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.fft import next_fast_len, rfft
 from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.bank import folds
+from allanjax.critic.bank import PARTS, owners
 from allanjax.critic.effect import FREQUENCIES, Effect
 from allanjax.critic.places import Place
 from allanjax.critic.policy import judged
@@ -113,29 +113,27 @@ class Sinusoid(Effect):
 
 def _strongest(view: View, places: Sequence[Place]) -> Line | None:
     """Strongest line of the spectrum; None if there is none at the places."""
-    spectrum, spacing = _spectrum(view.whitened, view.rate)
-    k = _looked_at(spectrum, spacing, view, places)
-    if not len(k):
-        return None
-    highest = spectrum[k].max()
-    peak = (spectrum[k] >= spectrum[k - 1]) & (spectrum[k] >= spectrum[k + 1])
-    k = k[peak & (spectrum[k] > _SCALLOP * highest) | (spectrum[k] == highest)]
+    power, spacing = _spectrum(view.whitened, view.rate)
+    searched = _searched(power, spacing, view, places)
+    highest = searched.max()
+    k = np.flatnonzero(searched > _SCALLOP * highest)
+    k = k[(power[k] >= np.maximum(power[k - 1], power[k + 1])) | (power[k] == highest)]
     v = view.variance()
-    starts = spacing * k[np.argsort(-spectrum[k])[:_PEAKS]]
-    found = [refined(view.coefficients, v, float(start), view.rate) for start in starts]
-    return max(found, key=lambda line: line.gain)
+    starts = spacing * k[np.argsort(-power[k])[:_PEAKS]]
+    lines = [refined(view.coefficients, v, float(start), view.rate) for start in starts]
+    return max(lines, key=lambda line: line.gain, default=None)
 
 
-def _looked_at(
-    spectrum: Float[np.ndarray, " frequencies"], spacing: float, view: View, places: Sequence[Place]
-) -> Int[np.ndarray, " k"]:
-    """Indices of the frequencies to search: all of them, or only those near the given places."""
-    first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(spectrum) - 1
-    if not places:
-        return np.arange(first, last)
-    edges = np.array([(place.start, place.end) for place in places]) / spacing
-    each = [np.arange(max(int(np.ceil(low)), first), min(int(high) + 1, last)) for low, high in edges]
-    return np.unique(np.concatenate(each))
+def _searched(
+    power: Float[np.ndarray, " frequencies"], spacing: float, view: View, places: Sequence[Place]
+) -> Float[np.ndarray, " frequencies"]:
+    """Power at the frequencies to search, all of them or only those near the given places; 0 at others."""
+    first, last = int(np.ceil(_PERIODS / view.duration / spacing)), len(power) - 1
+    searched = np.zeros_like(power)
+    for low, high in [(place.start / spacing, place.end / spacing) for place in places] or [(first, last)]:
+        near = slice(max(int(np.ceil(low)), first), min(int(high) + 1, last))
+        searched[near] = power[near]
+    return searched
 
 
 def _line_p_value(z: float, view: View, places: Sequence[Place]) -> float:
@@ -171,13 +169,9 @@ def refined(c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: f
         return 0.5 * float(data @ D @ beta), beta, float(np.sqrt(2.0 / np.trace(gram)))
 
     grid = np.clip(start + np.arange(-2.0, 2.01, 0.25) * spacing, spacing, (n - 1.0) * spacing)
-    f = grid[np.argmax([fitted(g)[0] for g in grid])]
-    bounds = (f - 0.25 * spacing, f + 0.25 * spacing)
-    f = float(
-        minimize_scalar(
-            lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options={"xatol": 1e-9 * spacing}
-        ).x
-    )
+    f = max(grid.tolist(), key=lambda g: fitted(g)[0])
+    bounds, options = (f - 0.25 * spacing, f + 0.25 * spacing), {"xatol": 1e-9 * spacing}
+    f = float(minimize_scalar(lambda g: -fitted(g)[0], bounds=bounds, method="bounded", options=options).x)
     z, beta, std = fitted(f)
     # Cramér–Rao, of frequency with phase and amplitude unknown (Rife & Boorstyn 1974).
     # √6·σ/(πAT√n), where A²n/2σ² is the squared signal-to-noise ratio 2z.
@@ -194,18 +188,20 @@ def _spectrum(e: Float[np.ndarray, " n"], rate: float) -> tuple[Float[np.ndarray
 
 def _held_out(e: Float[np.ndarray, " n"], view: View, places: Sequence[Place]) -> float:
     """Gain in log-likelihood [nats] on parts of the record with the line from the other parts."""
-    rate = view.rate
-    gain, t = 0.0, 2.0 * np.pi * (np.arange(len(e)) + 0.5) / rate
-    for part in folds(len(e), max(len(e) // _FOLD_BLOCKS, 1)):
-        fold = ~part
-        spectrum, spacing = _spectrum(np.where(fold, e, 0.0), rate)
-        at = _looked_at(spectrum, spacing, view, places)
-        k = int(at[np.argmax(spectrum[at])])
+    n = len(e)
+    block = max(n // _FOLD_BLOCKS, 1)
+    rows = np.pad(e, (0, -n % block)).reshape(-1, block)
+    owner, start, gain = owners(len(rows), 1), block * np.arange(len(rows)), 0.0
+    size = np.minimum(n - start, block)
+    for part in range(PARTS):
+        own = owner == part
+        power, spacing = _spectrum(np.where(own[:, None], 0.0, rows).ravel()[:n], view.rate)
+        k = int(np.argmax(_searched(power, spacing, view, places)))
         # The peak between the frequencies of the grid, by a parabola.
-        left, mid, right = spectrum[k - 1 : k + 2]
-        f = (k + 0.5 * (left - right) / (left - 2.0 * mid + right)) * spacing
-        D = np.column_stack([np.cos(t * f), np.sin(t * f)])
-        beta = np.linalg.solve(D.T @ (D * fold[:, None]), (e * fold) @ D)
-        predicted = D[part] @ beta
-        gain += float(predicted @ e[part] - 0.5 * predicted @ predicted)
+        left, mid, right = power[k - 1 : k + 2]
+        w = 2.0 * np.pi * spacing / view.rate * (k + 0.5 * (left - right) / (left - 2.0 * mid + right))
+        sums = rows @ np.exp(-1j * w * np.arange(block)) * np.exp(-1j * w * start)
+        # Its complex amplitude a: the mean square of a line of many periods is |a|²/2.
+        a = 2.0 * sums[~own].sum() / size[~own].sum()
+        gain += float((np.conj(a) * sums[own].sum()).real - 0.25 * abs(a) ** 2 * size[own].sum())
     return gain

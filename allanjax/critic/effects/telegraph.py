@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar
+import functools
+import itertools
+import math
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import expit, logit
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, folds
@@ -32,6 +36,8 @@ _WHITE = (32, 4)
 # Shortest dwell time [blocks], and number of those compared, logarithmic up to twice the record: three jumps
 # are compatible with one as long as the record.
 _SHORTEST, _DWELLS = 4.0, 14
+# Log-likelihood ratio of a block from which on only one of the levels is possible.
+_SURE = 500.0
 
 
 class Telegraph(Effect):
@@ -47,13 +53,15 @@ class Telegraph(Effect):
         sigma = _noise(means)
         if sigma == 0.0:
             return None
-        found = two_levels(means, sigma)
+        found = _two_levels(means, sigma)
         path = (found.upper > 0.5).astype(float)
-        jumps = int(np.sum(np.diff(path) != 0.0))
+        jumps = int(np.count_nonzero(np.diff(path)))
         if jumps < _LEAST_JUMPS:
             return None
+        # Trials factor of the path: its likelihood at its best levels over that of all paths.
+        left = np.where(path > 0.5, means - means[path > 0.5].mean(), means - means[path < 0.5].mean())
         whole = np.repeat(path, size)
-        dwell = found.dwell * view.duration / len(size)
+        dwell = float(np.exp(found.log_dwell)) * view.duration / len(size)
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
             return [
@@ -69,21 +77,19 @@ class Telegraph(Effect):
             shape,
             lambda k: whole,
             parameters,
-            log_trials=found.log_trials_factor(means, path),
+            log_trials=-0.5 * float(np.sum((left / sigma) ** 2)) - found.log_likelihood,
             term=lambda k, a: terms.Telegraph(abs(a), dwell),
         )
         if candidate is None:
             return None
         # A missing basic term is preferred if it explains as much.
         gain = candidate.gain + view.log_evidence - view.log_evidence_all_terms
-        bound = float(np.exp(-max(gain, 0.0)))
-        held_out = lambda: _held_out(view, candidate.after, means, sigma)  # noqa: E731
         return dataclasses.replace(
             candidate,
             gain=gain,
             p_value=None,
-            bound=bound,
-            held_out=held_out,
+            bound=float(np.exp(-max(gain, 0.0))),
+            held_out=functools.partial(_held_out, view, candidate.after, means, sigma),
             doubt=_doubt(view, path),
         )
 
@@ -107,32 +113,19 @@ def _scatter(dwell: Float[np.ndarray, "*draws jumps"]) -> Float[np.ndarray, "*dr
     return np.mean([np.var(own, axis=-1) / np.mean(own, axis=-1) ** 2 for own in each], axis=0)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class TwoStateFit:
+class _TwoLevels(NamedTuple):
     """Two levels fitted to blocks, and the posterior of the path between them.
 
-    Attributes:
-        sigma: standard deviation of the blocks' noise.
-        upper: probability that a block is at the second level.
-        dwell: mean time between jumps [blocks], or a limit of it.
-        log_dwell_std: standard deviation of its logarithm.
-        log_likelihood: averaged over paths and dwell times, relative to blocks exactly at their level [nats].
+    `upper` is the probability that a block is at the second level. The mean time between jumps [blocks] is
+    known by its logarithm and the standard deviation of that, or by a limit. The log-likelihood is averaged
+    over paths and dwell times, relative to blocks exactly at their level [nats].
     """
 
-    sigma: float
     upper: Float[np.ndarray, " blocks"]
-    dwell: float
+    log_dwell: float
     log_dwell_std: float
-    log_likelihood: float
     limit: Limit
-
-    def log_trials_factor(
-        self, means: Float[np.ndarray, " blocks"], path: Float[np.ndarray, " blocks"]
-    ) -> float:
-        """Log trials factor of the path [nats]: its likelihood at its best levels over that of all paths."""
-        upper = path > 0.5
-        left = np.where(upper, means - means[upper].mean(), means - means[~upper].mean())
-        return -0.5 * float(np.sum((left / self.sigma) ** 2)) - self.log_likelihood
+    log_likelihood: float
 
 
 def _noise(means: Float[np.ndarray, " blocks"]) -> float:
@@ -141,9 +134,9 @@ def _noise(means: Float[np.ndarray, " blocks"]) -> float:
     return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
 
 
-def two_levels(
+def _two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
-) -> TwoStateFit:
+) -> _TwoLevels:
     """Most likely levels of blocks, adjusted iteratively to the probable path (Baum & Welch).
 
     Blocks that are not `known` are bridged.
@@ -152,64 +145,49 @@ def two_levels(
     y = means[weight > 0.0]
     dwells = np.geomspace(_SHORTEST, 2.0 * len(means), _DWELLS)
 
-    def likelihoods(values: Float[np.ndarray, "starts 2"]) -> Float[np.ndarray, "starts blocks 2"]:
-        return -0.5 * ((means[:, None] - values[:, None, :]) / sigma) ** 2 * weight[:, None]
+    def path(levels: Float[np.ndarray, " 2"], dwell: float) -> tuple[float, Float[np.ndarray, " blocks"]]:
+        lower, upper = -0.5 * ((means - levels[:, None]) / sigma) ** 2 * weight
+        total, probability = _path(upper - lower, dwell)
+        return total + float(lower.sum()), probability
 
-    smooth = [np.convolve(y - y.mean(), np.ones(width) / width, "valid") + y.mean() for width in _SMOOTH]
-    values = np.stack([np.quantile(x, [0.2, 0.8]) for x in smooth])
-    for _ in range(_ROUNDS):
-        total, upper = _chain(likelihoods(values), dwells[_DWELLS // 2 :][:1])
-        share = np.stack([1.0 - upper, upper], axis=1) * weight
-        values = share @ means / np.maximum(share.sum(axis=-1), 1e-9)
-    total, upper = _chain(likelihoods(values[[int(np.argmax(total))]]), dwells)
-    probable = np.exp(total - np.logaddexp.reduce(total))
-    log, spread, limit = shape_parameter(np.log(dwells), probable)
-    log_likelihood = float(np.logaddexp.reduce(total) - np.log(_DWELLS))
-    return TwoStateFit(sigma, probable @ upper, float(np.exp(log)), spread, log_likelihood, limit)
+    fits = []
+    for width in _SMOOTH:
+        levels = np.quantile(np.convolve(y, np.full(width, 1.0 / width), "valid"), [0.2, 0.8])
+        for _ in range(_ROUNDS):
+            total, upper = path(levels, dwells[_DWELLS // 2])
+            share = np.stack([1.0 - upper, upper]) * weight
+            levels = share @ means / np.maximum(share.sum(axis=1), 1e-9)
+        fits.append((total, levels))
+    _, levels = max(fits, key=lambda fit: fit[0])
+    totals, uppers = map(np.array, zip(*(path(levels, dwell) for dwell in dwells.tolist()), strict=True))
+    sum_of_all = np.logaddexp.reduce(totals)
+    probable = np.exp(totals - sum_of_all)
+    log_dwell = shape_parameter(np.log(dwells), probable)
+    return _TwoLevels(probable @ uppers, *log_dwell, float(sum_of_all - np.log(_DWELLS)))
 
 
-def _chain(
-    log_likelihood: Float[np.ndarray, "#chains blocks 2"], dwells: Float[np.ndarray, "#chains"]
-) -> tuple[Float[np.ndarray, " chains"], Float[np.ndarray, "chains blocks"]]:
-    """Forward-backward pass of two-state Markov chains with these mean dwell times [blocks].
+def _path(
+    log_ratio: Float[np.ndarray, " blocks"], dwell: float
+) -> tuple[float, Float[np.ndarray, " blocks"]]:
+    """Log-likelihood over all paths between two levels, and the probability of the second one in each block.
 
-    `log_likelihood` and `dwells` broadcast against each other.
-
-    Returns:
-        The log-likelihood over all paths, and the probability of the second state in each block.
+    `log_ratio` is that of the blocks' likelihoods at the two levels; the log-likelihood is relative to that
+    of the first level.
     """
-    largest = log_likelihood.max(axis=-1)
-    jump = -0.5 * np.expm1(-2.0 / dwells)[:, None]
-    step = np.stack([1.0 - jump, jump, jump, 1.0 - jump]).reshape(2, 2, -1, 1)
-    links = step * np.moveaxis(np.exp(log_likelihood - largest[..., None]), -1, 0)
-    forward, scale = _products(links)
-    # Backwards, a link's likelihood is on the other side of its transition.
-    backward, _ = _products(np.swapaxes(links, 0, 1)[..., ::-1])
-    ahead = 0.5 * forward.sum(axis=0)
-    behind = np.ones_like(ahead)
-    behind[..., :-1] = backward[..., ::-1].sum(axis=0)[..., 1:]
-    both = ahead * behind
-    total = np.log(ahead[..., -1].sum(axis=0)) + scale[:, -1] + largest.sum(axis=-1)
-    return total, both[1] / both.sum(axis=0)
+    kept, ratio = math.exp(-2.0 / dwell), np.exp(np.clip(log_ratio, -_SURE, _SURE))
+    jump = 0.5 - 0.5 * kept
 
+    def following(upper: float, own: float) -> float:
+        likely = upper * own
+        return jump + kept * likely / (likely + 1.0 - upper)
 
-def _products(
-    links: Float[np.ndarray, "2 2 chains blocks"],
-) -> tuple[Float[np.ndarray, "2 2 chains blocks"], Float[np.ndarray, "chains blocks"]]:
-    """Products of the first one, two, … matrices by doubling, scaled, and the logarithms of the scales."""
-    found = links.copy()
-    scale = np.zeros(links.shape[2:])
-    reach = 1
-    while reach < links.shape[-1]:
-        # Written out: NumPy multiplies stacks of small matrices one by one.
-        one, other = found[..., :-reach], found[..., reach:]
-        found[..., reach:] = one[:, :1] * other[:1] + one[:, 1:] * other[1:]
-        scale[:, reach:] = scale[:, :-reach] + scale[:, reach:]
-        size = found.max(axis=(0, 1))
-        found /= size
-        scale += np.log(size)
-        reach *= 2
-    return found, scale
+    def expected(ratios: Float[np.ndarray, " blocks"]) -> Float[np.ndarray, " blocks"]:
+        """Probability of the second level in each block, given only those before it."""
+        return np.array([*itertools.accumulate(ratios[:-1].tolist(), following, initial=0.5)])
+
+    ahead, behind = expected(ratio), expected(ratio[::-1])[::-1]
+    total = float(np.sum(np.logaddexp(np.log1p(-ahead), np.log(ahead) + log_ratio)))
+    return total, expit(logit(ahead) + logit(behind) + log_ratio)
 
 
 def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigma: float) -> float:
@@ -218,7 +196,7 @@ def _held_out(view: View, after: View, means: Float[np.ndarray, " blocks"], sigm
     root = np.sqrt(after.variance()[: len(c)] * len(means) / view.n)
 
     def path(known: Bool[np.ndarray, " blocks"] | None) -> Float[np.ndarray, " blocks"]:
-        return in_time(centred(two_levels(means, sigma, known).upper) / root)
+        return in_time(centred(_two_levels(means, sigma, known).upper) / root)
 
     e = in_time(c / root)
     for rest in folds(len(means), 2):

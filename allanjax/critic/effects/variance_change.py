@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 from scipy.stats import multivariate_normal, norm
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.bank import PARTS, any_of, extrapolated, folds
+from allanjax.critic.bank import PARTS, any_of, extrapolated, owners
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
 from allanjax.critic.policy import judged
@@ -27,10 +28,8 @@ _SHORTEST, _LASTING, _PRICE = (judged("variance_change", name) for name in ("sho
 _DRAWS = 1000
 # Smallest score that is examined more closely [nats].
 _WORTH = 6.0
-# Number of places within a block on either side of an end at which it may be located.
-_FINER = 32
-# Newton steps to the largest likelihood of a course of the level.
-_ROUNDS = 8
+# Number of places in the record at which an end may be located.
+_PLACES = 32 * _BLOCKS
 # Neighbouring samples that are held out together.
 _FOLD_BLOCK = 16
 # Samples at each end of the record that are not used.
@@ -39,6 +38,44 @@ _ENDS = 16
 _LEAST = -0.99
 # Normal variates beyond this are too rare for the bivariate law to be computed.
 _NORMAL = 5.0
+
+
+class _Intervals(NamedTuple):
+    """First and last edges of all intervals, and their log trials factors [nats].
+
+    Intervals within the record, of which there are more, have a larger factor than those that last to an end
+    of it: either kind is as likely a priori as its judgement says.
+    """
+
+    first: Int[np.ndarray, " k"]
+    last: Int[np.ndarray, " k"]
+    price: Float[np.ndarray, " k"]
+
+    @classmethod
+    @functools.lru_cache(maxsize=4)
+    def between(cls, edges: int) -> _Intervals:
+        """Intervals between any two of so many edges."""
+        first, last = np.triu_indices(edges, 1)
+        within = (first > 0) & (last < edges - 1)
+        odds = within.sum() / np.sum(~within) * _LASTING / (1.0 - _LASTING)
+        return cls(first, last, np.where(within, np.log(odds), 0.0))
+
+    def gains(
+        self, total: Float[np.ndarray, " edges"], edges: Float[np.ndarray, " edges"]
+    ) -> Float[np.ndarray, " k"]:
+        """Gain of each interval [nats], given the sums of squares up to the edges."""
+        inner, count = (x[self.last] - x[self.first] for x in (total, edges))
+        return _gain(inner, count, total[-1], edges[-1])
+
+
+def _gain(
+    inner: Float[np.ndarray, "*k"], count: Float[np.ndarray, "*k"], whole: float, n: float
+) -> Float[np.ndarray, "*k"]:
+    """Gain in log-likelihood [nats] if `count` of n squares, with the sum `inner`, have their own mean."""
+    rest, outer = n - count, whole - inner
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = n * np.log(whole / n) - count * np.log(inner / count) - rest * np.log(outer / rest)
+    return np.where((np.minimum(count, rest) > _SHORTEST * n) & np.isfinite(gain), 0.5 * gain, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,17 +93,18 @@ class _Kind:
     share: Float[np.ndarray, " n-1"] | float
     squares: Float[np.ndarray, " n"]
     worth: float
-    edges: Float[np.ndarray, " k"]
+    edges: Int[np.ndarray, " k"]
 
     @classmethod
-    def of(cls, view: View, name: str, share: Float[np.ndarray, " n-1"] | float) -> _Kind:
-        """Part of a view's noise with this share."""
-        u = (
-            view.whitened
-            if isinstance(share, float)
-            else in_time(np.sqrt(share) * view.residual / np.sqrt(view.variance()))
-        )
-        squares = u**2
+    def of(
+        cls,
+        view: View,
+        name: str,
+        share: Float[np.ndarray, " n-1"] | float,
+        filtered: Float[np.ndarray, " n"],
+    ) -> _Kind:
+        """Part of a view's noise with this share, given the `filtered` record."""
+        squares = filtered**2
         # Imputed samples have the right variance, but the ends of a filtered record do not, and quantization
         # noise at the ends differs from that of the mirrored record.
         known = np.flatnonzero(~view.imputed)
@@ -74,12 +112,24 @@ class _Kind:
         squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
         worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
         blocks = min(_BLOCKS, view.n // 16)
-        edges = np.rint(np.arange(blocks + 1) * view.n / blocks)
+        edges = np.rint(np.arange(blocks + 1) * view.n / blocks).astype(int)
         return cls(name, share, squares / squares.mean(), worth, edges)
 
-    def scores(self) -> Float[np.ndarray, "k k"]:
-        """Gain in log-likelihood from another variance between any two edges, less the log trials factor."""
-        return self.worth * interval_gains(self.squares, self.edges) - _log_trials_factor(len(self.edges))
+    @functools.cached_property
+    def total(self) -> Float[np.ndarray, " n+1"]:
+        """Sums of the squares up to each sample."""
+        return np.append(0.0, np.cumsum(self.squares))
+
+    @functools.cached_property
+    def scores(self) -> Float[np.ndarray, " k"]:
+        """Gain in log-likelihood from another variance in each interval, less the log trials factor."""
+        intervals = _Intervals.between(len(self.edges))
+        return self.worth * intervals.gains(self.total[self.edges], self.edges) - intervals.price
+
+    def levels(self, a: int, b: int) -> tuple[float, float]:
+        """Mean squares inside and outside an interval."""
+        n, inner = len(self.squares), float(self.total[b] - self.total[a])
+        return inner / (b - a), (float(self.total[-1]) - inner) / (n - b + a)
 
     def excess(self, ratio: float) -> float:
         """Relative growth of this part of the noise if the squares have grown by a ratio."""
@@ -88,12 +138,13 @@ class _Kind:
 
 def _kinds(view: View) -> list[_Kind]:
     """Parts of a view's noise that may change."""
-    kinds = [_Kind.of(view, "all", 1.0)]
+    kinds = [_Kind.of(view, "all", 1.0, view.whitened)]
     power = view.noise.power.get(WHITE)
     if power is not None:
         share = power * view.family.spectra[FIXED.index(WHITE)] / view.noise.variance
         if np.mean(share) < NEARLY_ALL:
-            kinds.append(_Kind.of(view, "white", share))
+            filtered = in_time(view.residual * np.sqrt(share / view.variance()))
+            kinds.append(_Kind.of(view, "white", share, filtered))
     return kinds
 
 
@@ -106,49 +157,45 @@ class VarianceChange(Effect):
     name = "variance_change"
 
     def p_value(self, view: View) -> float:
-        kinds = _kinds(view)
-        return _p_value(float(max(kind.scores().max() for kind in kinds)), kinds)
+        return _p_value(_kinds(view))
 
     def detect(self, view: View) -> Candidate | None:
         kinds = _kinds(view)
-        scores = [kind.scores() for kind in kinds]
-        best = int(np.argmax([score.max() for score in scores]))
-        kind, score = kinds[best], scores[best]
-        if score.max() < _WORTH:
+        kind = max(kinds, key=lambda kind: kind.scores.max())
+        if kind.scores.max() < _WORTH:
             return None
         # The mean over those that last to an end, of which each counts fully, and the others together.
-        count = len(kinds) * np.sum(_lasting(len(score))) / _LASTING
-        each = np.concatenate([s[_intervals(len(s))] for s in scores])
-        gain = float(np.logaddexp.reduce(each) - np.log(count)) - _PRICE
+        lasting = np.count_nonzero(_Intervals.between(len(kind.edges)).price == 0.0)
+        every = np.logaddexp.reduce(np.concatenate([kind.scores for kind in kinds]))
+        gain = float(every - np.log(len(kinds) * lasting / _LASTING)) - _PRICE
         if gain <= 0.0:
             return None
-        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
-        a, b = _located(kind.squares, kind.edges[i], kind.edges[j], view.n / (len(kind.edges) - 1))
-        inside = (np.arange(view.n) >= a) & (np.arange(view.n) < b)
-        louder = kind.squares[inside].mean() > kind.squares[~inside].mean()
+        start, end = _ends(kind)
+        a, b = start.place, end.place
+        inside, outside = kind.levels(a, b)
         # If a record begins or ends with another level, the louder part is taken to be the change.
-        if not louder and (a == 0 or b == view.n):
-            a, b = (b, view.n) if a == 0 else (0, a)
-            inside = ~inside
-        spreads = _spreads(kind, score, a, b)
-        m = kind.worth * np.array([inside.sum(), (~inside).sum()], float)
-        level = np.array([kind.squares[inside].mean(), kind.squares[~inside].mean()])
-        found = kind.excess(float(level[0] / level[1]))
-        excess = max(found, _LEAST)
+        if inside < outside and (a == 0 or b == view.n):
+            start, end = (end, _End(view.n)) if a == 0 else (_End(0), start)
+            a, b = start.place, end.place
+            inside, outside = outside, inside
+        ratio = inside / outside
+        found = kind.excess(ratio)
         # The ratio of the squares has the relative scatter √(2/m₁ + 2/m₂).
-        scatter = kind.excess(1.0 + float(level[0] / level[1] * np.sqrt(2.0 * np.sum(1.0 / m))))
-        quieter = in_time(view.residual / np.sqrt(view.variance() * (1.0 + excess * kind.share)))
-        after = view.with_samples(view.recoloured(np.where(inside, quieter, view.whitened)))
+        m = kind.worth * np.array([b - a, view.n - b + a])
+        scatter = kind.excess(1.0 + ratio * float(np.sqrt(np.sum(2.0 / m))))
+        variance = view.variance() * (1.0 + max(found, _LEAST) * kind.share)
+        whitened = view.whitened.copy()
+        whitened[a:b] = in_time(view.residual / np.sqrt(variance))[a:b]
         return Candidate(
             self.name,
             [
-                view.time_estimate("start", a, spreads[0]),
-                view.time_estimate("end", b, spreads[1]),
+                view.time_estimate("start", *start),
+                view.time_estimate("end", *end),
                 _ratio(view, found, scatter),
             ],
             gain,
-            _p_value(float(score.max()), kinds),
-            after,
+            _p_value(kinds),
+            view.with_samples(view.recoloured(whitened)),
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             details={"noise": kind.name},
@@ -158,33 +205,21 @@ class VarianceChange(Effect):
 
 def _doubt(kind: _Kind) -> str:
     """Why a change of the level is hardly one from one value to another: it varies in another way."""
-    sums = np.add.reduceat(kind.squares, kind.edges[:-1].astype(int))
-    size, t = np.diff(kind.edges), (np.arange(len(sums)) + 0.5) / len(sums)
-    angle = np.pi * np.arange(1, len(sums) // 2 + 1)[:, None] * t
-    # A trend, and waves of ½, 1, 1½ … periods of any phase.
-    trend = np.stack([t - 0.5, np.zeros(len(t))])
-    courses = np.concatenate([trend[None], np.stack([np.cos(angle), np.sin(angle)], axis=1)])
-    best = _course_gain(courses - courses.mean(axis=2, keepdims=True), sums, size)
-    own = interval_gains(kind.squares, kind.edges).max()
-    clearly = kind.worth * (best - own) > judged("variance_change", "clearly")
-    return "the level varies in another way" if clearly else ""
-
-
-def _course_gain(
-    courses: Float[np.ndarray, "courses 2 k"], sums: Float[np.ndarray, " k"], size: Float[np.ndarray, " k"]
-) -> float:
-    """Largest gain in log-likelihood if the log level of squares follows a sum of two courses [nats]."""
-    weights, mean = np.zeros(courses.shape[:2]), sums.sum() / size.sum()
-    for _ in range(_ROUNDS):
-        level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
-        gradient = np.einsum("cpk,ck->cp", courses, 0.5 * (sums / level - size))
-        curvature = np.einsum("cpk,cqk,ck->cpq", courses, courses, 0.5 * sums / level)
-        curvature += 1e-9 * size.sum() * np.eye(2)
-        move = np.linalg.solve(curvature, gradient[..., None])[..., 0]
-        weights += np.clip(move, -1.0, 1.0)
-    level = mean * np.exp(np.einsum("cpk,cp->ck", courses, weights))
-    loss = 0.5 * np.sum(sums / level + size * np.log(level / mean), axis=1)
-    return float(np.max(0.5 * size.sum() - loss))
+    blocks, size = len(kind.edges) - 1, np.diff(kind.edges)
+    # Log levels of blocks of m degrees of freedom have the variance 2/m.
+    y = np.log(np.maximum(np.diff(kind.total[kind.edges]) / size, 1.0 + _LEAST))
+    y -= y.mean()
+    # Waves of ½, 1, 1½ … periods of any phase; the first one is nearly a trend as well.
+    angle = np.pi * np.outer(np.arange(1, blocks // 2 + 1), (np.arange(blocks) + 0.5) / blocks)
+    waves = np.stack([np.cos(angle), np.sin(angle)])
+    waves -= waves.mean(axis=-1, keepdims=True)
+    wave = np.sum((waves @ y) ** 2 / np.sum(waves**2, axis=-1), axis=0).max()
+    first, last, _ = _Intervals.between(blocks + 1)
+    weight = (last - first) * (blocks - last + first) / blocks
+    total, possible = np.append(0.0, np.cumsum(y)), weight > _SHORTEST * (1.0 - _SHORTEST) * blocks
+    change = ((total[last] - total[first])[possible] ** 2 / weight[possible]).max()
+    gain = 0.25 * kind.worth * size.mean() * (wave - change)
+    return "the level varies in another way" if gain > judged("variance_change", "clearly") else ""
 
 
 def _ratio(view: View, excess: float, scatter: float) -> Estimate:
@@ -197,12 +232,12 @@ def _ratio(view: View, excess: float, scatter: float) -> Estimate:
     return view.estimate("ratio", ratio, scatter / (2.0 * ratio), "1")
 
 
-def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
-    """p-value of the largest score of all kinds.
+def _p_value(kinds: Sequence[_Kind]) -> float:
+    """p-value of the largest score of some kinds.
 
     Sums of the squares after the two filters, 1 and √share, are correlated by √worth.
     """
-    u = float(np.sqrt(2.0 * score))
+    u = float(np.sqrt(2.0 * max(kind.scores.max() for kind in kinds)))
     p = extrapolated(_null(len(kinds[0].edges) - 1), u)
     if len(kinds) == 1:
         return p
@@ -214,112 +249,61 @@ def _p_value(score: float, kinds: Sequence[_Kind]) -> float:
     return any_of(p, times)
 
 
-def _intervals(edges: int) -> Bool[np.ndarray, "k k"]:
-    """Whether two edges are in order, so that they form an interval."""
-    return np.triu(np.ones((edges, edges), bool), 1)
+class _End(NamedTuple):
+    """End of an interval and its standard deviation [samples]."""
+
+    place: int
+    std: float = 0.0
 
 
-def _lasting(edges: int) -> Bool[np.ndarray, "k k"]:
-    """Whether the interval between two edges lasts to an end of the record."""
-    lasting = _intervals(edges)
-    lasting[1:, :-1] = False
-    return lasting
-
-
-@functools.lru_cache(maxsize=4)
-def _log_trials_factor(edges: int) -> Float[np.ndarray, "k k"]:
-    """Log trials factor of each interval [nats], larger within the record, where there are more of them."""
-    lasting = _lasting(edges)
-    others = _intervals(edges) & ~lasting
-    return np.where(others, np.log(others.sum() / lasting.sum() * _LASTING / (1.0 - _LASTING)), 0.0)
-
-
-def interval_gains(
-    squares: Float[np.ndarray, " n"], edges: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, "k k"]:
-    """Gain in log-likelihood from another variance between any two edges [nats]."""
-    return _gains(np.concatenate([[0.0], np.cumsum(squares)])[edges.astype(int)], edges)
-
-
-def _gains(total: Float[np.ndarray, " k"], edges: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
-    """Gain in log-likelihood of each interval, given the sums of squares up to the edges [nats]."""
-    count = edges[None, :] - edges[:, None]
-    shortest, n = _SHORTEST * edges[-1], edges[-1]
-    i, j = np.nonzero((count > shortest) & (n - count > shortest))
-    count, inner = count[i, j], total[j] - total[i]
-    rest, outer = n - count, total[-1] - inner
-    with np.errstate(divide="ignore", invalid="ignore"):
-        each = n * np.log(total[-1] / n) - count * np.log(inner / count) - rest * np.log(outer / rest)
-    gains = np.zeros((len(edges), len(edges)))
-    gains[i, j] = np.where(np.isfinite(each), 0.5 * each, 0.0)
-    return gains
-
-
-def _located(squares: Float[np.ndarray, " n"], a: float, b: float, length: float) -> tuple[int, int]:
-    """Interval with its ends relocated by up to one block."""
-    n = len(squares)
-    near = [
-        np.unique(np.rint(np.linspace(max(e - length, 0), min(e + length, n), 2 * _FINER + 1)))
-        if 0 < e < n
-        else np.array([e])
-        for e in (a, b)
-    ]
-    edges = np.unique(np.concatenate([[0.0], *near, [float(n)]]))
-    gains = interval_gains(squares, edges)
-    rows, columns = np.isin(edges, near[0]), np.isin(edges, near[1])
-    gains = np.where(rows[:, None] & columns[None, :], gains, -np.inf)
-    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    return int(edges[i]), int(edges[j])
-
-
-def _spreads(kind: _Kind, gains: Float[np.ndarray, "k k"], a: int, b: int) -> tuple[float, float]:
-    """Standard deviation of each end of the interval, given the other [samples]."""
-    inside = np.zeros(len(kind.squares), bool)
-    inside[a:b] = True
-    step = kind.squares[inside].mean() / kind.squares[~inside].mean()
-    # Within the number of samples in which a change of this size becomes visible.
-    block = kind.edges[1] / np.sqrt(12.0)
-    fine = min(4.0 / max((step - 1.0 - np.log(step)) * kind.worth, 1e-6), block)
-    i, j = (int(np.argmin(abs(kind.edges - x))) for x in (a, b))
-    found = []
-    for along, x in ((gains[:, j], a), (gains[i], b)):
-        weight = np.exp(along - along.max())
-        found.append(float(np.hypot(fine, np.sqrt(weight @ (kind.edges - x) ** 2 / weight.sum()))))
-    return found[0], found[1]
+def _ends(kind: _Kind) -> tuple[_End, _End]:
+    """Ends of the interval with the largest score, relocated by about a block; deviations are given the other
+    end."""
+    n, total, (first, last, _) = len(kind.squares), kind.total, _Intervals.between(len(kind.edges))
+    best = int(np.argmax(kind.scores))
+    ends = [_End(int(kind.edges[first[best]])), _End(int(kind.edges[last[best]]))]
+    places = np.unique(np.rint(np.linspace(0.0, n, _PLACES + 1)).astype(int))
+    # In turn, as each depends a little on the other; an end of the record stays.
+    for k in (0, 1, 0, 1):
+        own, other = ends[k].place, ends[1 - k].place
+        if own in (0, n):
+            continue
+        side = places[(places < other) if k == 0 else (places > other)]
+        gains = kind.worth * _gain(abs(total[side] - total[other]), abs(side - other), total[-1], n)
+        near = abs(side - own) <= kind.edges[1]
+        own = int(side[near][np.argmax(gains[near])])
+        weight = np.exp(gains - gains.max())
+        square = weight @ (side - own) ** 2 / weight.sum() + (n / _PLACES) ** 2 / 12.0
+        ends[k] = _End(own, float(np.sqrt(square)))
+    return ends[0], ends[1]
 
 
 @functools.lru_cache(maxsize=4)
 def _null(blocks: int) -> Float[np.ndarray, " draws"]:
     """Draws of the root of twice the largest score, without a change, for blocks of many samples."""
-    rng = np.random.default_rng(0)
-    many = 400
+    rng, many, intervals = np.random.default_rng(0), 400, _Intervals.between(blocks + 1)
     edges = np.arange(blocks + 1.0) * many
-    found = []
-    for _ in range(_DRAWS):
-        total = np.concatenate([[0.0], np.cumsum(rng.chisquare(many, blocks))])
-        found.append(np.sqrt(2.0 * np.max(_gains(total, edges) - _log_trials_factor(len(edges)))))
-    return np.array(found)
+    draws = (np.append(0.0, np.cumsum(rng.chisquare(many, blocks))) for _ in range(_DRAWS))
+    return np.sqrt([2.0 * np.max(intervals.gains(total, edges) - intervals.price) for total in draws])
 
 
 def _held_out(kind: _Kind) -> float:
     """Gain in log-likelihood [nats] on parts of the samples with the interval from the other parts."""
-    edges, place = kind.edges.astype(int), np.arange(len(kind.squares))
+    blocks = len(kind.edges) - 1
+    cell = np.repeat(np.arange(blocks), np.diff(kind.edges)) * PARTS + owners(len(kind.squares), _FOLD_BLOCK)
     # Sums and numbers of the squares in each block and part.
-    owner = np.argmax(folds(len(place), _FOLD_BLOCK), axis=0)
-    cell = np.repeat(np.arange(len(edges) - 1), np.diff(edges)) * PARTS + owner
-    shape = len(edges) - 1, PARTS
-    sums = np.bincount(cell, kind.squares, minlength=shape[0] * PARTS).reshape(shape)
-    counts = np.bincount(cell, minlength=shape[0] * PARTS).reshape(shape)
-    gain = 0.0
+    cells = np.stack([np.bincount(cell, weights, blocks * PARTS) for weights in (kind.squares, None)])
+    cells = cells.reshape(2, blocks, PARTS)
+    intervals, gain = _Intervals.between(blocks + 1), 0.0
     for part in range(PARTS):
-        others = np.arange(PARTS) != part
-        total, count = (np.append(0.0, np.cumsum(x[:, others].sum(axis=1))) for x in (sums, counts))
-        gains = kind.worth * _gains(total, count) - _log_trials_factor(len(edges))
-        i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
-        inside = (np.arange(shape[0]) >= i) & (np.arange(shape[0]) < j)
-        whole = total[-1] / count[-1]
+        own, others = cells[..., part], cells.sum(axis=-1) - cells[..., part]
+        total = np.pad(np.cumsum(others, axis=1), ((0, 0), (1, 0)))
+        best = int(np.argmax(kind.worth * intervals.gains(*total) - intervals.price))
+        place = np.arange(blocks)
+        inside = (place >= intervals.first[best]) & (place < intervals.last[best])
+        whole = total[0, -1] / total[1, -1]
         for stretch in (inside, ~inside):
-            level = sums[stretch][:, others].sum() / counts[stretch][:, others].sum()
-            rest, size = sums[stretch, part].sum(), counts[stretch, part].sum()
-            gain += 0.5 * float(rest / whole - rest / level + size * np.log(whole / level))
+            (squares, size), (known, count) = (x[:, stretch].sum(axis=1) for x in (own, others))
+            level = known / count
+            gain += 0.5 * float(squares / whole - squares / level + size * np.log(whole / level))
     return kind.worth * gain

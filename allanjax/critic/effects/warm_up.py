@@ -13,7 +13,7 @@ from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import additive, shape_parameter
+from allanjax.critic.waveform import additive, spaced_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -36,8 +36,7 @@ class WarmUp(Effect):
         times, bank = _bank(view.n, view.rate)
 
         def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
-            log_time, spread, limit = shape_parameter(np.log(times), likelihood)
-            spread = np.hypot(spread, np.log(times[1] / times[0]) / np.sqrt(12.0))
+            log_time, spread, limit = spaced_parameter(np.log(times), likelihood)
             amplitude = view.amplitude_estimate("amplitude", a, std)
             if limit:
                 # Slower or faster ones are mostly outside the record or between its samples.
