@@ -83,7 +83,7 @@ def _spectra(
     found, rate, frequency = np.zeros((3, len(some))), family.rate, family.frequency[some]
     for k, own in enumerate(structure.components):
         if own.kind == COLUMN and own.which < len(FIXED):
-            spectrum = own.power * family.spectra[own.which][some]
+            spectrum = own.power * family.unit(FIXED[own.which], 0)[some]
         else:
             spectrum = rate * density(term_of(structure, k, rate).sampled(rate), frequency, rate)
         found[0 if own.inside else 1] += spectrum

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from allanjax.critic.comparison import NarrowBins, allan_weights
 from allanjax.critic.finding import CoefficientChange, DriftChange
-from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
+from allanjax.critic.model_evidence import ModelEvidence
 from allanjax.critic.noise import FIXED, MARKOV, centred, family_of
 from allanjax.critic.profiles import ANGLE
 from allanjax.critic.step import Step
@@ -139,8 +139,7 @@ class _Halves:
         weights = allan_weights(half, tuple(self.m.tolist()))
         # Every other coefficient of the whole record has the frequency of one of a half.
         factor = None if view.factor is None else view.factor[1 : 2 * half - 1 : 2]
-        mask = SpectralMask.of(family, factor)
-        evidences = [mask.evidence(c) for c in self.coefficients]
+        evidences = [ModelEvidence.of(family, c, factor) for c in self.coefficients]
         both = _joint(evidences)
         found = []
         for c, evidence in zip(self.coefficients, evidences, strict=True):
@@ -148,7 +147,7 @@ class _Halves:
                 # A silent half predicts no drift.
                 found.append(np.zeros(len(self.m)))
                 continue
-            noise = dataclasses.replace(evidence, like=both).best(view.allowed)
+            noise = dataclasses.replace(evidence, like=both, known={}).best(view.allowed)
             v = noise.variance if factor is None else noise.variance * factor
             ramp = family.slope(c, v)[0] if noise.ramp else 0.0
             found.append(weights @ bins.sums(v) + 0.5 * (ramp * self.m / view.rate) ** 2)
@@ -156,10 +155,12 @@ class _Halves:
 
 
 def _joint(evidences: Sequence[ModelEvidence]) -> ModelEvidence:
-    """Evidence of the subsets of the noise terms, given several records of one length under one mask."""
+    """Evidence of the subsets of the noise terms, given several records of one length under one factor."""
     levels = SpectralStatistics(*(sum(x) for x in zip(*(e.levels for e in evidences), strict=True)))
-    first = evidences[0]
-    return ModelEvidence(first.family, levels, len(evidences) * first.size, len(evidences) * first.constant)
+    first, count = evidences[0], len(evidences)
+    return dataclasses.replace(
+        first, levels=levels, size=count * first.size, constant=count * first.constant, known={}
+    )
 
 
 def _halves(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " half"], Float[np.ndarray, " half"]]:

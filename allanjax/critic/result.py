@@ -70,7 +70,7 @@ class Snapshot(ByValue):
     @property
     def spectra(self) -> list[tuple[float, Float[np.ndarray, " n-1"]]]:
         """Powers of the terms, with their expected squared coefficients at unit power."""
-        return [(p, self.family.unit(name, self.index)[1]) for name, p in self.powers.items()]
+        return [(p, self.family.unit(name, self.index)) for name, p in self.powers.items()]
 
     @property
     def variance(self) -> Float[np.ndarray, " n-1"]:

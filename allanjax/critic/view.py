@@ -13,7 +13,7 @@ from scipy.fft import dct, idct
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.factor import spectrum_factor
-from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
+from allanjax.critic.model_evidence import ModelEvidence
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate
 from allanjax.estimate.structure.structure import Structure
@@ -101,14 +101,16 @@ class View:
     @functools.cached_property
     def model_evidence(self) -> ModelEvidence:
         """Evidence of every subset of the basic noise terms, given this view's samples."""
-        return self._mask.evidence(self.coefficients, self._like)
+        if self._like is not None:
+            return self._like.of_similar(self.coefficients)
+        return ModelEvidence.of(self.family, self.coefficients, self.factor)
 
     def model_evidence_of(
         self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
     ) -> ModelEvidence:
         """Evidence of every subset, given the coefficients in a fold and a further factor of the spectrum."""
         factor = self.factor if factor is None else self.combined(factor)
-        return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients, self.model_evidence)
+        return ModelEvidence.of(self.family, self.coefficients, factor, fold, self.model_evidence)
 
     @functools.cached_property
     def log_evidence(self) -> float:
@@ -124,10 +126,6 @@ class View:
     def _like(self) -> ModelEvidence | None:
         """Evidence of the subsets in the similar view that this one was made from, if any."""
         return None
-
-    @functools.cached_property
-    def _mask(self) -> SpectralMask:
-        return SpectralMask.of(self.family, self.factor)
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -242,15 +240,14 @@ class View:
         """View of other samples, of which these are newly `imputed`."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
         view = dataclasses.replace(self, samples=samples, imputed=imputed)
-        vars(view)["factor"], vars(view)["_mask"] = self.factor, self._mask
-        vars(view)["_like"] = self._like or self.model_evidence
+        vars(view)["factor"], vars(view)["_like"] = self.factor, self._like or self.model_evidence
         return view
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """Approximately most probable noise without an effect that has these lowest coefficients."""
         c = self.coefficients.copy()
         c[: len(lowest)] -= lowest
-        return self._mask.evidence(c, self._like or self.model_evidence).best(self.allowed)
+        return (self._like or self.model_evidence).of_similar(c).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
@@ -272,8 +269,7 @@ class View:
         if self._like is None:
             return self
         view = dataclasses.replace(self)
-        kept = ("factor", "coefficients", "_mask")
-        vars(view).update({name: vars(self)[name] for name in kept if name in vars(self)})
+        vars(view).update({k: x for k, x in vars(self).items() if k in ("factor", "coefficients")})
         return view
 
     def without_caches(self) -> View:
@@ -286,7 +282,7 @@ class View:
 
     def forget(self) -> None:
         """Drop cached arrays as long as the record, e.g. for a view that has to wait."""
-        for name in ("coefficients", "whitened", "loo_residuals", "_variance", "_mask"):
+        for name in ("coefficients", "whitened", "loo_residuals", "_variance"):
             vars(self).pop(name, None)
         for noise in {*vars(self).get("noises", ()), vars(self).get("noise")} - {None}:
             vars(noise).pop("variance", None)
