@@ -112,7 +112,9 @@ class NoiseFamily:
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients of a term [rate²], from its density."""
-        return self.rate * density(term, self.frequency, self.rate)
+        # In parts that a processor's cache holds.
+        parts = np.split(self.frequency, range(_BLOCK, self.n - 1, _BLOCK))
+        return self.rate * np.concatenate([np.asarray(term.sampled_psd(f, self.rate)) for f in parts])
 
     def unit(self, name: str, index: int) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients of a term of unit amplitude.
@@ -150,12 +152,6 @@ class NoiseFamily:
         for name, p in power.items():
             variance += np.multiply(p, self.unit(name, index)[:count], out=term)
         return variance
-
-
-def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
-    """Sampled PSD of a term, evaluated in parts that a processor's cache holds."""
-    parts = (frequency[first : first + _BLOCK] for first in range(0, len(frequency), _BLOCK))
-    return np.concatenate([np.asarray(term.sampled_psd(part, rate)) for part in parts])
 
 
 @functools.lru_cache(maxsize=2)

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from allanjax.critic.effect import FREQUENCIES, Effect
-from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain
+from allanjax.critic.shape import candidate_structure, chance_of_peak, held_out_gain
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.model import response_of
 
@@ -23,7 +23,7 @@ class SpectralShape(Effect):
     sensible: ClassVar = {"bandwidth": FREQUENCIES}
 
     def p_value(self, view: View) -> float:
-        return conspicuous(view.squared_whitened).p_value
+        return chance_of_peak(view.squared_whitened)
 
     def detect(self, view: View) -> Candidate | None:
         found = candidate_structure(view)
