@@ -30,9 +30,9 @@ LOG_PRIOR_RANGE = np.log1p(PRIOR_RANGE)
 _STEPS = 60
 # Points of the integral over one amplitude: within 10⁻⁷ nats.
 _QUADRATURE = 48
-# Sets fitted together, which bounds the memory; how far behind the best of them a fit is not finished, twice
-# as far as all Occam factors together reach; and what a step gains at the end of the others [nats].
-_BLOCK, _FAR, _TOLERANCE = 512, 60.0, 1e-5
+# Sets fitted together, which bounds the memory; how far behind the best of them a fit is not finished; and
+# what a step gains at the end of the others [nats].
+_BLOCK, _FAR, _TOLERANCE = 512, 200.0, 1e-5
 
 _PerSet: TypeAlias = Float[np.ndarray, " sets"]
 _Places: TypeAlias = Float[np.ndarray, "sets places"]
