@@ -18,8 +18,9 @@ from allanjax.spectrum.cosine import SpectralStatistics
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
 #: they may be [nats].
 SETS, _LESS = 4, 3.0
-# Largest number of subsets that are maximized: a quarter of all.
-_NEAR = 143
+# Largest number of subsets that are maximized: a quarter of all; and how far one may be behind the best one
+# [nats], twice as far as all Occam factors together reach.
+_NEAR, _FAR = 143, 60.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ class ModelEvidence:
 
     def _evaluated(self, shaped: str, sets: TermSets) -> TermSets:
         """Subsets with their evidence and powers, starting from their powers, if they have any."""
-        return evidence(sets, self.family.columns(shaped), self.levels, self.size)
+        return evidence(sets, self.family.columns(shaped), self.levels, self.size, _FAR)
 
     def _noise(self, k: int, powers: Float[np.ndarray, " terms"], log_evidence: float, shaped: str) -> Noise:
         """Noise with the terms and powers of subset k."""
