@@ -7,13 +7,13 @@ may dominate.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import uniform_filter1d
 
-from allanjax.critic.noise import NoiseFamily, density
+from allanjax.critic.noise import NoiseFamily
 from allanjax.estimate.spectral.components import COLUMN, MARKOV, NONE, Levels, passed
 from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure.structure import FIXED, OUTSIDE, Structure, term_of
+from allanjax.estimate.structure.structure import OUTSIDE, Structure, term_of
 
 # Response below which the record's ends are modelled, and number of coefficients in a local mean.
 _DEEP, _LOCAL = 0.01, 401
@@ -33,18 +33,26 @@ def spectrum_factor(
     It is evaluated at knots, between which it is linear. Where the record's ends exceed the filtered noise,
     it follows the record's own squared coefficients, so that these carry no information.
     """
-    knots, every = _knots(structure, family.n), np.arange(family.n - 1)
-    inside, after, noise = _spectra(structure, family, knots)
-    response = response_of(structure, family.rate)
-    if response is None:
-        return np.interp(every, knots, (inside + after) / noise)
-    power = np.asarray(response.power(family.frequency[knots], family.rate))
+    knots, every, rate = _knots(structure, family.n), np.arange(family.n - 1), family.rate
+    frequency, own = family.frequency[knots], [structure.components[k] for k in structure.there]
+    each = np.stack(
+        [
+            rate * np.asarray(term_of(structure, k, rate).sampled(rate).sampled_psd(frequency, rate))
+            for k in structure.there
+        ]
+    )
+    inside, after = (np.array([c.inside == side for c in own]) @ each for side in (True, False))
+    noise = np.array([c.kind == MARKOV or (c.kind == COLUMN and c.which != OUTSIDE) for c in own]) @ each
+    # There may be resonances only.
+    noise = np.maximum(noise, _LEAST * (inside + after))
+    response = response_of(structure, rate)
+    power = 1.0 if response is None else np.asarray(response.power(frequency, rate))
     factor = np.interp(every, knots, (inside * power + after) / noise)
-    if len(deep := np.flatnonzero(factor < _DEEP)):
+    if response is not None and len(deep := np.flatnonzero(factor < _DEEP)):
         ends = np.interp(deep, knots, inside / noise) * _of_ends(structure, family.n, deep)
-        own = squares / np.interp(every, knots, noise)
-        own = uniform_filter1d(own, _LOCAL, mode="nearest")[deep]
-        factor[deep] = np.where(ends > factor[deep], np.maximum(own, 1e-9), factor[deep] + ends)
+        own_level = squares / np.interp(every, knots, noise)
+        own_level = uniform_filter1d(own_level, _LOCAL, mode="nearest")[deep]
+        factor[deep] = np.where(ends > factor[deep], np.maximum(own_level, 1e-9), factor[deep] + ends)
     return factor
 
 
@@ -65,33 +73,14 @@ def _knots(structure: Structure, n: int) -> Int[np.ndarray, " knots"]:
     return np.unique(np.concatenate([[0, n - 2], places[(places >= 0) & (places <= n - 2)]]))
 
 
-def stop_band(
+def share_of_noise(
     structure: Structure, family: NoiseFamily, factor: Float[np.ndarray, " n-1"]
-) -> tuple[Bool[np.ndarray, " n-1"], Float[np.ndarray, " n-1"]] | None:
-    """Where the kinks at a record's ends matter, and the share of the spectrum without them; or None."""
-    deep, share = factor < _DEEP, np.ones(len(factor))
-    if structure.kind == NONE or not deep.any():
-        return None
-    share[deep] -= _of_ends(structure, family.n, np.flatnonzero(deep)) / factor[deep]
-    return deep, np.clip(share, 1e-9, 1.0)
-
-
-def _spectra(
-    structure: Structure, family: NoiseFamily, some: Int[np.ndarray, " knots"]
-) -> Float[np.ndarray, "3 knots"]:
-    """Spectra of all that passes through the response, of all after it, and of the basic terms, at places."""
-    found, rate, frequency = np.zeros((3, len(some))), family.rate, family.frequency[some]
-    for k, own in enumerate(structure.components):
-        if own.kind == COLUMN and own.which < len(FIXED):
-            spectrum = own.power * family.spectra[own.which][some]
-        else:
-            spectrum = rate * density(term_of(structure, k, rate).sampled(rate), frequency, rate)
-        found[0 if own.inside else 1] += spectrum
-        if own.kind == MARKOV or (own.kind == COLUMN and own.which != OUTSIDE):
-            found[2] += spectrum
-    # There may be resonances only.
-    np.maximum(found[2], _LEAST * (found[0] + found[1]), out=found[2])
-    return found
+) -> Float[np.ndarray, " n-1"]:
+    """Share of the spectrum that is not from the kinks at a record's ends, below 1 in a stop band only."""
+    share, deep = np.ones(len(factor)), np.flatnonzero(factor < _DEEP)
+    if structure.kind != NONE and len(deep):
+        share[deep] -= _of_ends(structure, family.n, deep) / factor[deep]
+    return np.clip(share, 1e-9, 1.0)
 
 
 def _of_ends(structure: Structure, n: int, rows: Int[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:

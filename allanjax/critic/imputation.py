@@ -24,19 +24,20 @@ def draw_between(
 ) -> tuple[Float[np.ndarray, " n"], float]:
     """Draw of samples between `lower` and `upper` (equal for exact samples), and their local deviation."""
     rng = np.random.default_rng(seed)
-    open_ = upper > lower
-    y = x.astype(float).copy()
+    open_, y = upper > lower, x.astype(float)
+    lower, upper = lower[open_], upper[open_]
     width = min(_WINDOW, len(x) // 8)
     centre, sigma = uniform_filter1d(y, width, mode="reflect"), float(np.std(np.diff(y)) / np.sqrt(2.0))
     for k in range(_SWEEPS):
-        a, b = ((limit[open_] - centre[open_]) / max(sigma, 1e-300) for limit in (lower, upper))
+        slow = centre[open_]
+        a, b = ((limit - slow) / max(sigma, 1e-300) for limit in (lower, upper))
         # In the tail of both limits, the smaller probability has the digits.
         flip = a > 0.0
         a, b = np.where(flip, -b, a), np.where(flip, -a, b)
         low, high = ndtr(a), ndtr(b)
         u = low + (high - low) * rng.random(len(a))
         z = ndtri(np.clip(u, _DEEP, 1.0 - _DEEP))
-        y[open_] = centre[open_] + sigma * np.where(flip, -z, z)
+        y[open_] = slow + sigma * np.where(flip, -z, z)
         centre = uniform_filter1d(y, width, mode="reflect")
         before, sigma = sigma, float(np.sqrt(np.mean((y - centre) ** 2) * width / (width - 1.0)))
         if k + 1 >= _LEAST and abs(sigma - before) < _CHANCE * sigma / np.sqrt(2.0 * len(y)):

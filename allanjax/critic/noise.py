@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from allanjax.estimate.design import correlation_times
-from allanjax.estimate.evidence import TermSets, evidence, term_sets
+from allanjax.estimate.evidence import term_sets
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column
+from allanjax.spectrum.cosine import Bins, cosine_transform, ramp_column
 
 #: Terms without a free shape, and names of terms that are treated separately.
 FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
@@ -62,8 +63,6 @@ class Noise:
 
     def lowest(self, count: int) -> Float[np.ndarray, " count"]:
         """Expected squares of the lowest coefficients, without computing the others."""
-        if "variance" in vars(self):
-            return self.variance[:count]
         return self.family.expected(self.power, self.index, count)
 
     @property
@@ -73,16 +72,16 @@ class Noise:
 
     def model(self) -> Model:
         """Model of the random terms with their values."""
-        terms: list[NoiseTerm] = []
-        for name, power in self.power.items():
-            value = float(np.sqrt(power))
-            if name == MARKOV:
-                terms.append(Markov(value, self.shape))
-            elif name == POWER_LAW:
-                terms.append(PowerLaw(value, self.shape))
-            else:
-                terms.append(basic_terms()[name].replace(coefficient=value))
-        return Model(tuple(terms))
+        return Model(tuple(term_of(name, np.sqrt(p), self.shape) for name, p in self.power.items()))
+
+
+def term_of(name: str, coefficient: float = 1.0, shape: float = float("nan")) -> NoiseTerm:
+    """Term of a name with a coefficient, and with a correlation time [s] or an exponent if it has one."""
+    if name == MARKOV:
+        return Markov(float(coefficient), float(shape))
+    if name == POWER_LAW:
+        return PowerLaw(float(coefficient), float(shape))
+    return basic_terms()[name].replace(coefficient=float(coefficient))
 
 
 class NoiseFamily:
@@ -97,22 +96,40 @@ class NoiseFamily:
         self.size = self.bins.size.astype(float)
         self.times = correlation_times(n / rate, rate)
         self.frequency = np.arange(1, n) * rate / (2.0 * n)
-        unit = [basic_terms()[name].replace(coefficient=1.0) for name in FIXED]
-        self.spectra = np.stack([self.spectrum(term) for term in unit])
-        unit += [Markov(1.0, float(time)) for time in self.times]
-        self.columns = columns_of(unit, self.bins).mean(axis=1)
-        self.jobs = term_sets(len(FIXED), GRID, True)
-        self.places = self.jobs.columns[:, -1] - len(FIXED)
+        self.sets = term_sets(len(FIXED), GRID, True)
+        self.places = self.sets.columns[:, -1] - len(FIXED)
         self.ramp = ramp_column(n, rate)
+
+    def shapes(self, name: str) -> Float[np.ndarray, " grid"]:
+        """Correlation times [s] of a Markov process, or exponents of a power law, that are compared."""
+        return EXPONENTS if name == POWER_LAW else self.times
+
+    @functools.lru_cache(maxsize=4)  # noqa: B019 - families are few and cached
+    def columns(self, shaped: str) -> Float[np.ndarray, "columns m"]:
+        """Levels in the bins of the terms without a free shape, and of one term with each of its shapes."""
+        terms = [*map(term_of, FIXED), *(term_of(shaped, 1.0, x) for x in self.shapes(shaped))]
+        return columns_of(terms, self.bins).mean(axis=1)
 
     def spectrum(self, term: NoiseTerm) -> Float[np.ndarray, " n-1"]:
         """Expected squared coefficients of a term [rate²], from its density."""
-        return self.rate * density(term, self.frequency, self.rate)
+        # In parts that a processor's cache holds.
+        parts = np.split(self.frequency, range(_BLOCK, self.n - 1, _BLOCK))
+        return self.rate * np.concatenate([np.asarray(term.sampled_psd(f, self.rate)) for f in parts])
 
-    @functools.cached_property
-    def power_laws(self) -> Float[np.ndarray, "grid m"]:
-        """Levels of power laws of unit amplitude."""
-        return columns_of([PowerLaw(1.0, float(x)) for x in EXPONENTS], self.bins).mean(axis=1)
+    def unit(self, name: str, index: int) -> Float[np.ndarray, " n-1"]:
+        """Expected squared coefficients of a term of unit amplitude.
+
+        Its shape is given by its place in the grid. They follow from the density, but are exact if a bin has
+        a single coefficient.
+        """
+        return self._unit(name, 0 if name in FIXED else index)
+
+    @functools.lru_cache(maxsize=14)  # noqa: B019 - families are few and cached; spectra are long
+    def _unit(self, name: str, index: int) -> Float[np.ndarray, " n-1"]:
+        term = term_of(name) if name in FIXED else term_of(name, 1.0, self.shapes(name)[index])
+        found, single = self.spectrum(term), self.bins.parts[0].low
+        found[:single] = columns_of([term], self.bins)[0, 0, :single]
+        return found
 
     def slope(
         self,
@@ -126,55 +143,15 @@ class NoiseFamily:
         gram = float(weight @ self.ramp)
         return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
 
-    def run(
-        self,
-        levels: SpectralStatistics,
-        size: Float[np.ndarray, " m"],
-        grid: Float[np.ndarray, "grid m"],
-        rows: Int[np.ndarray, " jobs"],
-        first: Float[np.ndarray, "jobs terms"] | None = None,
-    ) -> TermSets:
-        """Evidence and powers of some subsets, with powers to start from."""
-        columns = np.concatenate([self.columns[: len(FIXED)], grid])
-        return evidence(self.jobs.of(rows)._replace(power=first), columns, levels, size)
-
-    @functools.lru_cache(maxsize=6)  # noqa: B019 - families are few and cached; spectra are long
-    def shaped(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
-        """Levels and spectrum of a Markov process or a power law of unit amplitude, by place in its grid."""
-        if name == MARKOV:
-            return self.columns[len(FIXED) + index], self.spectrum(Markov(1.0, self.times[index]))
-        return self.power_laws[index], self.spectrum(PowerLaw(1.0, float(EXPONENTS[index])))
-
-    def unit(self, name: str, index: int) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " n-1"]]:
-        """Levels in the bins and spectrum of a term of unit amplitude."""
-        if name not in FIXED:
-            return self.shaped(name, index)
-        k = FIXED.index(name)
-        return self.columns[k], self.spectra[k]
-
     def expected(
-        self, power: dict[str, float], index: int, count: int | None = None
+        self, power: Mapping[str, float], index: int, count: int | None = None
     ) -> Float[np.ndarray, " count"]:
-        """Expected squared coefficients of a subset, all or the lowest.
-
-        They follow from the density, but are exact if a bin has a single coefficient.
-        """
+        """Expected squared coefficients of a subset, all or the lowest."""
         count = self.n - 1 if count is None else count
         variance, term = np.zeros(count), np.empty(count)
-        low = np.zeros(len(self.columns[0]))
         for name, p in power.items():
-            level, spectrum = self.unit(name, index)
-            variance += np.multiply(p, spectrum[:count], out=term)
-            low += p * level
-        single = min(int(np.sum(np.cumprod(self.size == 1.0))), count)
-        variance[:single] = low[:single]
+            variance += np.multiply(p, self.unit(name, index)[:count], out=term)
         return variance
-
-
-def density(term: NoiseTerm, frequency: Float[np.ndarray, " k"], rate: float) -> Float[np.ndarray, " k"]:
-    """Sampled PSD of a term, evaluated in parts that a processor's cache holds."""
-    parts = (frequency[first : first + _BLOCK] for first in range(0, len(frequency), _BLOCK))
-    return np.concatenate([np.asarray(term.sampled_psd(part, rate)) for part in parts])
 
 
 @functools.lru_cache(maxsize=2)

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import dct
+from scipy.optimize import approx_fprime
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import any_of
-from allanjax.critic.factor import stop_band
+from allanjax.critic.factor import share_of_noise
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, limited
 from allanjax.critic.places import Place
@@ -39,8 +39,10 @@ from allanjax.estimate.structure.structure import (
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+from allanjax.noise.response import Response
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.completion import in_time
+from allanjax.spectrum.cosine import cosine_transform
 from allanjax.spectrum.peaks import LOWEST, NARROWEST
 
 # Number of independent windows per width, and its growth per e-fold of a smaller p-value; number of the
@@ -48,38 +50,23 @@ from allanjax.spectrum.peaks import LOWEST, NARROWEST
 _INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
 
 
-class Window(NamedTuple):
-    """Window with the largest excess: its middle and width [coefficients], and the p-value of the search."""
-
-    middle: float
-    width: float
-    p_value: float
-
-
-def conspicuous(ratio: Float[np.ndarray, " n-1"]) -> Window:
-    """Most conspicuous window of squared whitened coefficients.
+def chance_of_peak(ratio: Float[np.ndarray, " n-1"]) -> float:
+    """p-value of the largest excess in any window of squared whitened coefficients.
 
     Windows a quarter of a width apart count as two to four independent ones for each width, the more the
     smaller the p-value (`_INDEPENDENT`).
     """
     total = np.concatenate([[0.0], np.cumsum(ratio)])
-    best = (-np.inf, 0.0, 0.0)
-    width, widths = NARROWEST, 0.0
-    least = 1.0
+    least, widths, width = 1.0, 0, NARROWEST
     while width <= (len(ratio) - LOWEST) // 4:
         step = max(width // 4, 1)
-        excess = total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step]
-        k = int(np.argmax(excess))
-        level = float(excess[k]) / width
-        windows = len(ratio) / width
-        gain = 0.5 * width * (level - 1.0 - np.log(level)) if level > 1.0 else 0.0
-        tail = min(max(float(gammaincc(width / 2.0, level * width / 2.0)), 1e-300), 1.0 - 1e-12)
+        excess = np.max(total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step])
+        tail = min(max(float(gammaincc(width / 2.0, excess / 2.0)), 1e-300), 1.0 - 1e-12)
         independent = min(_INDEPENDENT[0] - _INDEPENDENT[1] * np.log(tail), 4.0)
-        least, widths = min(least, any_of(tail, independent * windows)), widths + 1.0
-        best = max(best, (gain - np.log(windows), LOWEST + k * step + width / 2.0 + 1.0, float(width)))
-        width *= 2
+        least = min(least, any_of(tail, independent * len(ratio) / width))
+        width, widths = 2 * width, widths + 1
     # Every width is a separate search, except that the widest ones repeat narrower ones.
-    return Window(best[1], best[2], any_of(least, max(widths - _WIDE, 1.0)))
+    return any_of(least, max(widths - _WIDE, 1.0))
 
 
 #: Names of the findings.
@@ -97,39 +84,25 @@ _SHORT = 20.0
 _POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
 
 
-def _record(view: View, further: PowerLaw | None) -> Record:
-    """Spectrum of a view without the terms of its baseline other than basic ones."""
-    squares = view.residual**2
-    return Record(squares if view.base is None else squares / view.base, view.rate, further)
-
-
-def _further(view: View) -> PowerLaw | None:
-    """Power law of a view's noise, if it has one."""
-    power_law = POWER_LAW in view.noise.power
-    return PowerLaw(1.0, float(view.noise.shape)) if power_law else None
-
-
-def _start(view: View, further: PowerLaw | None, whole: bool = False) -> Structure:
-    """Structure of a view with all terms that it may have.
+def _problem(view: View, whole: bool = False) -> tuple[Record, Structure]:
+    """Spectrum of a view without its baseline's other terms, and a structure with all that it may have.
 
     A Markov process that may be filtered white noise is left out, unless the `whole` noise is wanted.
     """
-    columns = [FIXED.index(name) for name in FIXED if name in view.allowed]
-    columns += [] if further is None else [FURTHER]
-    start = dataclasses.replace(Structure.plain(columns), further=further)
-    noise = view.noise
+    noise, squares = view.noise, view.residual**2
+    further = PowerLaw(1.0, noise.shape) if POWER_LAW in noise.power else None
+    start = Structure.plain(k for k, name in enumerate(FIXED) if name in view.allowed)
+    start = dataclasses.replace(start, further=further)
+    time = noise.shape * view.rate
     # As filtered white noise it shows where the pass band ends.
-    filtered = not whole and "angle_random_walk" not in noise.power and noise.shape * view.rate < _SHORT
+    filtered = not whole and "angle_random_walk" not in noise.power and time < _SHORT
     for name, power in noise.power.items():
-        if name in FIXED:
-            start = start.with_column(FIXED.index(name), power)
-        elif name == POWER_LAW:
-            start = start.with_column(FURTHER, power)
+        if name != MARKOV:
+            start = start.with_column(FURTHER if name == POWER_LAW else FIXED.index(name), power)
         elif not filtered:
-            start = start.plus(markov(noise.shape * view.rate, 0.5 * power * noise.shape))
-    if view.structure is not None:
-        start = start.with_shape_of(view.structure)
-    return start
+            start = start.plus(markov(time, 0.5 * power * noise.shape))
+    start = start if view.structure is None else start.with_shape_of(view.structure)
+    return Record(squares if view.base is None else squares / view.base, view.rate, further), start
 
 
 def candidate_structure(view: View) -> tuple[View, float] | None:
@@ -139,9 +112,8 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     """
     if view.structure is not None and not _left(view):
         return None
-    further = _further(view)
-    start = _start(view, further)
-    spectrum, found = _searched(_record(view, further), start)
+    record, start = _problem(view)
+    spectrum, found = _searched(record, start)
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
@@ -156,9 +128,8 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
 
     The frequency of each is known within its place, which costs less than an unknown frequency.
     """
-    further = _further(view)
-    record = _record(view, further)
-    spectrum, now = refitted(record, _start(view, further))
+    record, start = _problem(view)
+    spectrum, now = refitted(record, start)
     total = 0.0
     for place in places:
         low, high = (2.0 * np.pi * f / record.rate for f in place[1:])
@@ -195,23 +166,22 @@ def _without_ends(view: View) -> View:
     """
     if view.structure is None or view.factor is None:
         return view
-    band = stop_band(view.structure, view.family, view.factor)
-    if band is None:
+    share = share_of_noise(view.structure, view.family, view.factor)
+    if not (deep := share < 1.0).any():
         return view
-    deep, share = band
     k = np.arange(view.n)
     # Gradually, as an edge would be an outlying sample.
     near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
     root = np.sqrt(view.variance())
     drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
     change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
-    more = in_time(np.where(deep, root * dct(change, norm="ortho", workers=-1)[1:], 0.0))
+    more = in_time(np.where(deep, root * cosine_transform(change), 0.0))
     return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
 
 
 def _left(view: View) -> bool:
     """Whether the spectrum has a rest that its structure does not explain."""
-    return conspicuous(view.squared_whitened).p_value < _LEFT
+    return chance_of_peak(view.squared_whitened) < _LEFT
 
 
 class Shape(NamedTuple):
@@ -223,38 +193,44 @@ class Shape(NamedTuple):
 
 def finished(view: View, first: Step) -> Shape | None:
     """Final fit of the structure first found in a step; None if there are only basic terms."""
-    further = _further(view)
-    record, start = _record(view, further), _start(view, further)
+    record, start = _problem(view)
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
-    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed and further is None)
+    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
     while groups := _groups(found.structure):
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
-        held_out = [loss - best for loss in losses]
-        if (least := min(held_out)) > 0.0:
+        if min(losses) > best:
             break
         # What predicts nothing is not reported.
-        found = spectrum.fit(less[held_out.index(least)])
+        found = spectrum.fit(less[losses.index(min(losses))])
     else:
         return None
-    structure = found.structure
     without = [spectrum.fit(each) for each in less]
-    gains = [found.evidence - less.evidence for less in without]
-    order = sorted(range(len(groups)), key=lambda k: -gains[k])
-    steps = []
+    order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
     for place, k in enumerate(order):
-        left = [component for j in order[place + 1 :] for component in groups[j]]
-        partial = spectrum.fit(_without(structure, left)).structure if left else structure
-        # Of the spectrum without the group, to which everything else is fitted.
-        left_over = conspicuous(record.squares / at_all(spectrum, without[k]))
-        own = _candidate(view, first, found, groups[k])
-        # For a filter, the odds are the only statistic.
-        p_value = None if own.cause == LOW_PASS else left_over.p_value
-        own = dataclasses.replace(
-            own, gain=gains[k], p_value=p_value, after=own.after.with_structure(partial)
+        if groups[k] == [_RESPONSE]:
+            # For a filter, the odds are the only statistic.
+            own, chance, after = _filter(view, found), None, first.candidate.after
+        else:
+            # Everything else is fitted to the spectrum without it.
+            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
+            own, after = _resonance(view, found, groups[k]), first.before
+        later = [component for j in order[place + 1 :] for component in groups[j]]
+        partial = spectrum.fit(_without(found.structure, later)) if later else found
+        candidate = Candidate(
+            own.cause,
+            own.estimates,
+            found.evidence - without[k].evidence,
+            chance,
+            after.with_structure(partial.structure),
+            lambda: np.nan,
+            own.support,
+            "frequency",
+            details=own.details,
+            doubt=own.doubt,
         )
-        steps.append(Step(own, held_out[k], (), first.before))
-    return Shape(steps, model_of(structure, view.rate))
+        steps.append(Step(candidate, losses[k] - best, (), first.before))
+    return Shape(steps, model_of(found.structure, view.rate))
 
 
 #: Represents the response among the components of a group.
@@ -296,11 +272,8 @@ def held_out_gain(view: View, structure: Structure) -> float:
 
     The noise without it has all terms that it may have.
     """
-    further = _further(view)
-    record = _record(view, further)
-    before, after = _held_out_losses(
-        record, record.binned(structure), [_start(view, further, True), structure]
-    )
+    record, start = _problem(view, whole=True)
+    before, after = _held_out_losses(record, record.binned(structure), [start, structure])
     return before - after
 
 
@@ -318,129 +291,107 @@ def _held_out_losses(record: Record, spectrum: Spectrum, structures: Sequence[St
     return losses.tolist()
 
 
-def _candidate(view: View, first: Step, found: Fitted, group: Sequence[int]) -> Candidate:
-    """Filter, or resonances at about one frequency, as a candidate that leaves the spectrum as it is."""
-    if group == [_RESPONSE]:
-        estimates, low = _of_response(view, found)
-        after, support = first.candidate.after, (low, view.rate / 2.0)
-        doubt = _doubt_of_filter(found.structure, view, low)
-        return Candidate(
-            LOW_PASS, estimates, 0.0, None, after, lambda: 0.0, support, "frequency", doubt=doubt
-        )
-    own = found.structure.components
-    # The strongest one and those close to it; the others are further lines of the same source.
-    near = [k for k in group if own[k].is_close_to(own[group[0]])]
-    others = sorted((k for k in group if k not in near), key=lambda k: own[k].frequency)
-    estimates, support = _of_resonances(view, found, near)
-    details: dict[str, Detail] = {}
-    if others:
-        each = [_of_resonances(view, found, [k])[0] for k in others]
-        details["further_frequencies"] = tuple(e[0] for e in each)
-        details["further_amplitudes"] = tuple(e[2] for e in each)
-    broad = estimates[1].value < judged(RESONANCE, "quality")
-    doubt = "it is too broad for a resonance" if broad else ""
-    return Candidate(
-        RESONANCE,
-        estimates,
-        0.0,
-        None,
-        first.before,
-        lambda: 0.0,
-        support,
-        "frequency",
-        details=details,
-        doubt=doubt,
-    )
+class _Description(NamedTuple):
+    """Filter or resonance, with the frequencies between which it matters [Hz], and why it may be none."""
+
+    cause: str
+    estimates: list[Estimate]
+    support: tuple[float, float]
+    doubt: str
+    details: dict[str, Detail]
 
 
-def _doubt_of_filter(structure: Structure, view: View, corner: float) -> str:
-    """Why a response with this corner [Hz] is hardly a low-pass filter."""
-    nyquist = 0.5 * view.rate
-    if corner >= nyquist:
-        return "its corner would lie above half the sample rate"
-    # Resonances may be what falls.
-    smooth = model_of(structure.without(*structure.oscillators), view.rate)
-    inside, highest = np.asarray(smooth.sampled_psd(np.array([_PASSED * corner, nyquist]), view.rate))
-    return (
-        "" if highest < judged(LOW_PASS, "falls") * inside else "the spectrum does not fall above its corner"
-    )
+def _filter(view: View, found: Fitted) -> _Description:
+    """Half-power frequency of the response, and its order."""
+    structure, rate = found.structure, view.rate
 
+    def log_corner(shape: Float[np.ndarray, " 2"]) -> float:
+        response = response_of(dataclasses.replace(structure, response=tuple(shape)), rate)
+        return float(np.log(_half_power(response, rate))) if response else np.nan
 
-def _of_response(view: View, found: Fitted) -> tuple[list[Estimate], float]:
-    """Half-power frequency of the response and its order, and where it begins to matter [Hz]."""
-    structure = found.structure
-    covariance = found.covariance[-2:, -2:]
-    value = _half_power(structure, view.rate)
-    slope = np.zeros(2)
-    for i in range(2):
-        moved = structure.parameters
-        moved[i - 2] += _STEP
-        there = _half_power(structure.with_parameters(moved), view.rate)
-        slope[i] = np.log(there / value) / _STEP
-    std = float(np.sqrt(slope @ covariance @ slope))
-    bounds = np.log([LOWEST_BANDWIDTH * view.rate, view.rate])
+    shape = np.array(structure.response)
+    log, slope = log_corner(shape), approx_fprime(shape, log_corner, _STEP)
+    std = float(np.sqrt(slope @ found.covariance[-2:, -2:] @ slope))
+    bounds = np.log([LOWEST_BANDWIDTH * rate, rate])
     # Filters steeper than the steepest one in the search look like it.
     steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
     estimates = [
-        view.log_estimate("bandwidth", *limited(float(np.log(value)), std, bounds), "Hz"),
+        view.log_estimate("bandwidth", *limited(log, std, bounds), "Hz"),
         view.estimate("order", order_of(structure), 0.0, "1", steepest),
     ]
-    return estimates, value
+    corner = float(np.exp(log))
+    doubt = _doubt_of_filter(structure, rate, corner)
+    return _Description(LOW_PASS, estimates, (corner, rate / 2.0), doubt, {})
 
 
-def _half_power(structure: Structure, rate: float) -> float:
-    """Frequency at which the response has fallen by half [Hz].
+def _half_power(response: Response, rate: float) -> float:
+    """Frequency at which the samples' power has fallen by half [Hz].
 
     If aliases keep it above that, it is the frequency of the analog filter with these poles.
     """
-    response = response_of(structure, rate)
-    assert response is not None
-    f = np.linspace(0.0, _REACHED * rate / 2.0, _POINTS)[1:]
-    log = np.log(np.asarray(response.power(f, rate)))
-    below = np.flatnonzero(log < np.log(0.5))
-    if len(below) and below[0] > 0:
-        k = int(below[0])
-        share = (log[k - 1] - np.log(0.5)) / (log[k - 1] - log[k])
-        return float(f[k - 1] + share * (f[k] - f[k - 1]))
-    return response.half_power
+    f = np.linspace(0.0, _REACHED * rate / 2.0, _POINTS)
+    power = np.asarray(response.power(f, rate))
+    k = int(np.argmax(power < 0.5))
+    return float(np.interp(0.5, power[[k, k - 1]], f[[k, k - 1]])) if k else response.half_power
 
 
-def _of_resonances(
+def _doubt_of_filter(structure: Structure, rate: float, corner: float) -> str:
+    """Why a response with this corner [Hz] is hardly a low-pass filter."""
+    if corner >= rate / 2.0:
+        return "its corner would lie above half the sample rate"
+    # Resonances may be what falls.
+    smooth = model_of(structure.without(*structure.oscillators), rate)
+    inside, highest = np.asarray(smooth.sampled_psd(np.array([_PASSED * corner, rate / 2.0]), rate))
+    falls = highest < judged(LOW_PASS, "falls") * inside
+    return "" if falls else "the spectrum does not fall above its corner"
+
+
+def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
+    """Resonances of one source: the strongest one with those close to it, and the others as details."""
+    own = found.structure.components
+    near = [k for k in group if own[k].is_close_to(own[group[0]])]
+    others = sorted(set(group) - set(near), key=lambda k: own[k].frequency)
+    estimates, support = _parameters(view, found, near)
+    details: dict[str, Detail] = {}
+    if others:
+        frequencies, _, amplitudes = zip(*(_parameters(view, found, [k])[0] for k in others), strict=True)
+        details = {"further_frequencies": frequencies, "further_amplitudes": amplitudes}
+    broad = estimates[1].value < judged(RESONANCE, "quality")
+    doubt = "it is too broad for a resonance" if broad else ""
+    return _Description(RESONANCE, estimates, support, doubt, details)
+
+
+def _parameters(
     view: View, found: Fitted, group: Sequence[int]
 ) -> tuple[list[Estimate], tuple[float, float]]:
-    """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts."""
-    structure, hertz = found.structure, view.rate / (2.0 * np.pi)
-    own, first = [structure.components[k] for k in group], np.array([structure.first[k] for k in group])
-    frequency, quality = np.array([(c.frequency * hertz, c.quality) for c in own]).T
-    power = fitted = np.array([c.power for c in own])
-    response = response_of(structure, view.rate)
+    """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts.
+
+    Also the frequencies between which it matters [Hz].
+    """
+    structure, rate = found.structure, view.rate
+    own, shape = [structure.components[k] for k in group], np.array([structure.first[k] for k in group])
+    frequency = np.array([c.frequency for c in own]) * rate / (2.0 * np.pi)
+    quality, fitted = np.array([(c.quality, c.power) for c in own]).T
+    power, response = fitted, response_of(structure, rate)
     if response is not None:
         # As recorded, after the response.
-        passed = np.asarray(response.power(frequency, view.rate))
-        power = np.where(structure.inside[group], power * passed, power)
-    share = power / power.sum()
+        power = np.where(structure.inside[group], power * response.power(frequency, rate), power)
+    share, amplitude = power / power.sum(), np.sqrt(power.sum())
     f0 = float(share @ frequency)
-    moved = float(np.sqrt(share @ (frequency - f0) ** 2))
-    std = np.sqrt(np.diag(found.covariance))
-    f_std = float(np.sqrt(share**2 @ std[first] ** 2)) if moved == 0.0 else moved / f0
-    relative = 0.5 * std[group] / fitted
-    amplitude = float(np.sqrt(power.sum()))
-    a_std = amplitude * float(np.sqrt(share**2 @ relative**2))
-    width = float(share @ (frequency / quality))
+    moved = np.sqrt(share @ (frequency - f0) ** 2)
     # The full width at half of the maximum of a normal law is 2.355 standard deviations.
-    Q = f0 / np.hypot(width, 2.355 * moved)
-    q_std = float(np.sqrt(share**2 @ (std[first + 1] * (1.0 - 0.5 / quality)) ** 2))
+    width = np.hypot(share @ (frequency / quality), 2.355 * moved)
+    std = np.sqrt(np.diag(found.covariance))
+    each = std[shape], std[shape + 1] * (1.0 - 0.5 / quality), 0.5 * std[group] / fitted
+    f_std, q_std, a_std = (float(np.linalg.norm(share * x)) for x in each)
     # A narrower one is a line, a wider one an edge; lower or higher ones are not observable.
-    spacing = view.rate / (2.0 * view.n)
-    band, shapes = np.log([LOWEST * spacing, view.rate / 2.0]), np.log([LEAST_QUALITY, f0 / (LINE * spacing)])
+    spacing = rate / (2.0 * view.n)
+    band, widths = np.log([LOWEST * spacing, rate / 2.0]), np.log([LEAST_QUALITY, f0 / (LINE * spacing)])
     estimates = [
-        view.log_estimate("frequency", *limited(float(np.log(f0)), f_std, band), "Hz"),
-        view.log_estimate("quality_factor", *limited(float(np.log(Q)), q_std, shapes), "1"),
-        view.amplitude_estimate("amplitude", amplitude, a_std),
+        view.log_estimate("frequency", *limited(np.log(f0), np.hypot(f_std, moved / f0), band), "Hz"),
+        view.log_estimate("quality_factor", *limited(np.log(f0 / width), q_std, widths), "1"),
+        view.amplitude_estimate("amplitude", amplitude, amplitude * a_std),
     ]
-    half = 0.5 * frequency / quality
-    support = (
-        max(float(min(frequency - 4.0 * half)), 0.0),
-        min(float(max(frequency + 4.0 * half)), view.rate / 2.0),
-    )
-    return estimates, support
+    reach = 2.0 * frequency / quality
+    low, high = np.clip([min(frequency - reach), max(frequency + reach)], 0.0, rate / 2.0).tolist()
+    return estimates, (low, high)

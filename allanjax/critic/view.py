@@ -14,7 +14,7 @@ from scipy.fft import dct, idct
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.factor import spectrum_factor
-from allanjax.critic.model_evidence import ModelEvidence, SpectralMask
+from allanjax.critic.model_evidence import ModelEvidence
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate
 from allanjax.estimate.structure.structure import Structure
@@ -102,14 +102,16 @@ class View:
     @functools.cached_property
     def model_evidence(self) -> ModelEvidence:
         """Evidence of every subset of the basic noise terms, given this view's samples."""
-        return self._mask.evidence(self.coefficients, self._like)
+        if self._like is not None:
+            return self._like.of_similar(self.coefficients)
+        return ModelEvidence.of(self.family, self.coefficients, self.factor)
 
     def model_evidence_of(
         self, fold: Bool[np.ndarray, " n-1"] | None, factor: Float[np.ndarray, " n-1"] | None = None
     ) -> ModelEvidence:
         """Evidence of every subset, given the coefficients in a fold and a further factor of the spectrum."""
         factor = self.factor if factor is None else self.combined(factor)
-        return SpectralMask.of(self.family, factor, fold).evidence(self.coefficients, self.model_evidence)
+        return ModelEvidence.of(self.family, self.coefficients, factor, fold, self.model_evidence)
 
     @functools.cached_property
     def log_evidence(self) -> float:
@@ -125,10 +127,6 @@ class View:
     def _like(self) -> ModelEvidence | None:
         """Evidence of the subsets in the similar view that this one was made from, if any."""
         return None
-
-    @functools.cached_property
-    def _mask(self) -> SpectralMask:
-        return SpectralMask.of(self.family, self.factor)
 
     @functools.cached_property
     def noise(self) -> Noise:
@@ -242,14 +240,14 @@ class View:
     ) -> View:
         """View of other samples, of which these are newly `imputed`."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
-        kept = {"factor": self.factor, "_mask": self._mask, "_like": self._like or self.model_evidence}
+        kept = {"factor": self.factor, "_like": self._like or self.model_evidence}
         return self._changed(kept, samples=samples, imputed=imputed)
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """Approximately most probable noise without an effect that has these lowest coefficients."""
         c = self.coefficients.copy()
         c[: len(lowest)] -= lowest
-        return self._mask.evidence(c, self._like or self.model_evidence).best(self.allowed)
+        return (self._like or self.model_evidence).of_similar(c).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
@@ -268,7 +266,7 @@ class View:
         """View in which all subsets of terms compete, not only those that were likely before."""
         if self._like is None:
             return self
-        return self._changed({name: vars(self).get(name) for name in ("factor", "coefficients", "_mask")})
+        return self._changed({name: vars(self).get(name) for name in ("factor", "coefficients")})
 
     def without_caches(self) -> View:
         """View without cached values, except its noise."""
@@ -282,7 +280,7 @@ class View:
 
     def forget(self) -> None:
         """Drop cached arrays as long as the record, e.g. for a view that has to wait."""
-        for name in ("coefficients", "whitened", "loo_residuals", "_variance", "_mask"):
+        for name in ("coefficients", "whitened", "loo_residuals", "_variance"):
             vars(self).pop(name, None)
         for noise in {*vars(self).get("noises", ()), vars(self).get("noise")} - {None}:
             vars(noise).pop("variance", None)

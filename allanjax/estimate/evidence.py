@@ -78,9 +78,11 @@ def evidence(
     columns: Float[np.ndarray, "columns m"],
     statistics: SpectralStatistics,
     size: Float[np.ndarray, " m"],
+    far: float = _FAR,
 ) -> TermSets:
     """Sets of terms with their evidence for an axis, starting from their powers, if they have any.
 
+    Of sets that are farther behind the best one than `far` [nats] the evidence is too low by some amount.
     `columns` are expected levels [rate²] of terms of unit amplitude. Where the model has an error of its own,
     the statistics and the size of the bins are multiplied by the share of their weight that bins keep.
     """
@@ -93,7 +95,7 @@ def evidence(
         some = sets.of(slice(begin, begin + _BLOCK))
         unit, ramps = columns[some.columns], Ramps(statistics.cross, statistics.gram, some.ramp)
         power, _ = power_fits(
-            level, shape, smooth, unit, some.power, some.used, _STEPS, ramps, _FAR, _TOLERANCE
+            level, shape, smooth, unit, some.power, some.used, _STEPS, ramps, far, _TOLERANCE
         )
         mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
         left, freedom, _ = ramps.removed(level, shape, mean)

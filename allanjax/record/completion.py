@@ -213,8 +213,9 @@ def bridged(x: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"]) -> Floa
     """Return samples with straight lines across gaps; unchanged if none or all are missing."""
     if not missing.any() or missing.all():
         return x
-    there = np.flatnonzero(~missing)
-    return np.interp(np.arange(len(x)), there, x[there])
+    full, there = x.astype(float), np.flatnonzero(~missing)
+    full[missing] = np.interp(np.flatnonzero(missing), there, x[there])
+    return full
 
 
 def notes_on(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequence[str]) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.model_evidence import SETS, odds
 from allanjax.critic.noise import MARKOV, POWER_LAW, RAMP, Noise
 from allanjax.critic.parameters import limited
-from allanjax.critic.spectral import SHAPE, FineLevels, relative_errors
+from allanjax.critic.spectral import SHAPE, likely_shape, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
@@ -118,8 +118,7 @@ def _correlation_time(view: View, noise: Noise) -> Estimate:
     """Correlation time by maximum likelihood, between the neighbouring values of the grid."""
     times = np.log(view.family.times)
     middle, step = np.log(noise.shape), times[1] - times[0]
-    bounds = (middle - step, middle + step)
-    u, _ = FineLevels(view).shape_of(lambda u: Markov(1.0, float(np.exp(u))), bounds)
+    u, _ = likely_shape(view, MARKOV, (middle - step, middle + step))
     std = relative_errors(view, noise)[SHAPE]
     # Beyond the grid a Markov process is the same as another term: white noise, or a random walk.
     return view.log_estimate("correlation_time", *limited(u, std, (times[0], times[-1])), "s")

@@ -13,17 +13,16 @@ from allanjax.critic.effects.basic_term import noise_with
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.parameters import limited
 from allanjax.critic.policy import judged
-from allanjax.critic.spectral import FineLevels, relative_errors
+from allanjax.critic.spectral import likely_shape, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.terms import PowerLaw as PowerLawTerm
 
 # Distance from the best exponent of the grid within which the maximum is sought.
 _REACH = 0.6
 # Exponents of basic terms.
 _BASIC = {"quantization noise": -2.0, "white noise": 0.0, "bias instability": 1.0, "a random walk": 2.0}
-# Range of the exponent, slightly less than that of the term; most rounds of the search for the maximum.
-_EXPONENTS, _ROUNDS = (-0.95, 2.95), 4
+# Range of the exponent, slightly less than that of the term.
+_EXPONENTS = (-0.95, 2.95)
 
 
 class PowerLaw(Effect):
@@ -49,8 +48,9 @@ class PowerLaw(Effect):
 
 
 def _parameters(view: View, allowed: Sequence[str], noise: Noise) -> list[Estimate]:
-    """Exponent and amplitude."""
-    exponent, std, limit = limited(*_exponent(view, noise), _EXPONENTS)
+    """Exponent by maximum likelihood, and amplitude."""
+    low, high = np.clip([noise.shape - _REACH, noise.shape + _REACH], *_EXPONENTS).tolist()
+    exponent, std, limit = limited(*likely_shape(view, POWER_LAW, (low, high)), _EXPONENTS)
     amplitude = float(np.sqrt(noise.power[POWER_LAW]))
     relative = relative_errors(view, noise)[POWER_LAW]
     return [
@@ -63,18 +63,3 @@ def _doubt(exponent: float) -> str:
     """Why a power law of this exponent is hardly one of its own."""
     near = [name for name, own in _BASIC.items() if abs(exponent - own) < judged("power_law", "distinct")]
     return f"its exponent is nearly that of {near[0]}" if near else ""
-
-
-def _exponent(view: View, noise: Noise) -> tuple[float, float]:
-    """Exponent by maximum likelihood, with all powers fitted for each value, and its standard deviation."""
-    levels = FineLevels(view)
-    low, high = _EXPONENTS
-    middle = noise.shape
-    # If the maximum is at the end of the range, the search goes farther.
-    for _ in range(_ROUNDS):
-        bounds = (max(middle - _REACH, low), min(middle + _REACH, high))
-        exponent, std = levels.shape_of(lambda u: PowerLawTerm(1.0, u), bounds)
-        if abs(exponent - middle) < 0.95 * _REACH or exponent in (low, high):
-            break
-        middle = exponent
-    return exponent, std

@@ -13,7 +13,7 @@ import numpy as np
 
 from allanjax.critic.effect import FREQUENCIES, Effect
 from allanjax.critic.places import Place
-from allanjax.critic.shape import candidate_structure, conspicuous, held_out_gain, structure_at
+from allanjax.critic.shape import candidate_structure, chance_of_peak, held_out_gain, structure_at
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.model import response_of
 
@@ -31,7 +31,7 @@ class SpectralShape(Effect):
         return SpectralShape(places)
 
     def p_value(self, view: View) -> float:
-        return conspicuous(view.squared_whitened).p_value
+        return chance_of_peak(view.squared_whitened)
 
     def detect(self, view: View) -> Candidate | None:
         found = structure_at(view, self._places) if self._places else candidate_structure(view)

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal, norm
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import PARTS, any_of, extrapolated, owners
 from allanjax.critic.effect import Effect
-from allanjax.critic.noise import FIXED, NEARLY_ALL, WHITE
+from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
@@ -141,7 +141,7 @@ def _kinds(view: View) -> list[_Kind]:
     kinds = [_Kind.of(view, "all", 1.0, view.whitened)]
     power = view.noise.power.get(WHITE)
     if power is not None:
-        share = power * view.family.spectra[FIXED.index(WHITE)] / view.noise.variance
+        share = power * view.family.unit(WHITE, 0) / view.noise.variance
         if np.mean(share) < NEARLY_ALL:
             filtered = in_time(view.residual * np.sqrt(share / view.variance()))
             kinds.append(_Kind.of(view, "white", share, filtered))
