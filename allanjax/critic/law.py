@@ -75,7 +75,7 @@ class Law(NamedTuple):
 
 def _shares(stage: Stage, places: Int[np.ndarray, " bins"]) -> Float[np.ndarray, "terms bins"]:
     """Share of each noise term in the expected squares at some places; no rows if the terms are unknown."""
-    rows = [p * stage.family.unit(name, stage.index)[1][places] for name, p in stage.powers.items()]
+    rows = [p * stage.family.unit(name, stage.index)[places] for name, p in stage.powers.items()]
     shares = np.reshape(rows, (len(rows), len(places)))
     return shares / np.maximum(shares.sum(axis=0), 1e-300)
 
