@@ -69,13 +69,17 @@ class _Intervals(NamedTuple):
 
 
 def _gain(
-    inner: Float[np.ndarray, "*k"], count: Float[np.ndarray, "*k"], whole: float, n: float
+    inner: Float[np.ndarray, "*k"],
+    count: Float[np.ndarray, "*k"],
+    whole: float,
+    n: float,
+    shortest: float = _SHORTEST,
 ) -> Float[np.ndarray, "*k"]:
     """Gain in log-likelihood [nats] if `count` of n squares, with the sum `inner`, have their own mean."""
     rest, outer = n - count, whole - inner
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = n * np.log(whole / n) - count * np.log(inner / count) - rest * np.log(outer / rest)
-    return np.where((np.minimum(count, rest) > _SHORTEST * n) & np.isfinite(gain), 0.5 * gain, 0.0)
+    return np.where((np.minimum(count, rest) > shortest * n) & np.isfinite(gain), 0.5 * gain, 0.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -257,25 +261,28 @@ class _End(NamedTuple):
 
 
 def _ends(kind: _Kind) -> tuple[_End, _End]:
-    """Ends of the interval with the largest score, relocated by about a block; deviations are given the other
-    end."""
-    n, total, (first, last, _) = len(kind.squares), kind.total, _Intervals.between(len(kind.edges))
-    best = int(np.argmax(kind.scores))
-    ends = [_End(int(kind.edges[first[best]])), _End(int(kind.edges[last[best]]))]
+    """Ends of the interval with the largest score, relocated by up to one block."""
+    n, total, best = len(kind.squares), kind.total, int(np.argmax(kind.scores))
     places = np.unique(np.rint(np.linspace(0.0, n, _PLACES + 1)).astype(int))
-    # In turn, as each depends a little on the other; an end of the record stays.
-    for k in (0, 1, 0, 1):
-        own, other = ends[k].place, ends[1 - k].place
+
+    def near(edge: int) -> Int[np.ndarray, " k"]:
+        """Places near an edge; an end of the record stays."""
+        return places[abs(places - edge) <= n / (len(kind.edges) - 1)] if 0 < edge < n else np.array([edge])
+
+    def spread(own: int, other: int) -> float:
+        """Standard deviation of an end given the other, for intervals of any length."""
         if own in (0, n):
-            continue
-        side = places[(places < other) if k == 0 else (places > other)]
-        gains = kind.worth * _gain(abs(total[side] - total[other]), abs(side - other), total[-1], n)
-        near = abs(side - own) <= kind.edges[1]
-        own = int(side[near][np.argmax(gains[near])])
+            return 0.0
+        side = places[(places - other) * (own - other) > 0]
+        gains = kind.worth * _gain(abs(total[side] - total[other]), abs(side - other), total[-1], n, 0.0)
         weight = np.exp(gains - gains.max())
-        square = weight @ (side - own) ** 2 / weight.sum() + (n / _PLACES) ** 2 / 12.0
-        ends[k] = _End(own, float(np.sqrt(square)))
-    return ends[0], ends[1]
+        return float(np.sqrt(weight @ (side - own) ** 2 / weight.sum() + (n / _PLACES) ** 2 / 12.0))
+
+    first, last = (near(int(kind.edges[x[best]])) for x in _Intervals.between(len(kind.edges))[:2])
+    gains = _gain(total[last] - total[first][:, None], last - first[:, None], total[-1], n)
+    i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    a, b = int(first[i]), int(last[j])
+    return _End(a, spread(a, b)), _End(b, spread(b, a))
 
 
 @functools.lru_cache(maxsize=4)
