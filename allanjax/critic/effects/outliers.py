@@ -18,7 +18,7 @@ from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import shape_parameter
-from allanjax.record.completion import in_time
+from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
 _SCALES = np.geomspace(3.0, 3e4, 25)
@@ -99,10 +99,11 @@ def _found(
 ) -> tuple[Float[np.ndarray, " n"], View] | None:
     """Scores above a threshold, zero for all other samples, and a view in which these samples are imputed.
 
-    A large outlier hides others next to it, which are seen once it is imputed, in the noise without it. None
-    if a train of scores is too long for outliers.
+    A large outlier hides others next to it, which are seen once its excess over its prediction from all other
+    samples is subtracted, in the noise without it. None if a train of scores is too long for outliers.
     """
-    scores, after = np.zeros(view.n), view
+    v, scores = view.variance(), np.zeros(view.n)
+    lags, pulls = lags_of(1.0 / v), view.loo_residuals[0] * float(np.mean(1.0 / v))
     for _ in range(_ROUNDS):
         loud = np.flatnonzero(abs(z) > threshold)
         if len(loud) == 0:
@@ -112,9 +113,14 @@ def _found(
             return None
         peaks = [group[np.argmax(abs(z[group]))] for group in groups]
         scores[peaks] = z[peaks]
-        after = impute_gaussian(view, scores != 0.0)
-        z = _scores(after, bulk)
-    return scores, after
+        times, excess = np.flatnonzero(scores), np.zeros(view.n)
+        parts = np.split(pulls[times], range(GAPS_AT_ONCE, len(times), GAPS_AT_ONCE))
+        each = (inverse @ part for inverse, part in zip(inverses(times, lags), parts, strict=True))
+        excess[times] = np.concatenate([*each])
+        c = dct(excess, norm="ortho", workers=-1)[1:]
+        z = _scores(view, bulk, c, view.variance(view.noise_without(c)))
+        z[times] = 0.0
+    return scores, impute_gaussian(view, scores != 0.0) if scores.any() else view
 
 
 def _p_value(z: Float[np.ndarray, " n"]) -> float:
@@ -210,14 +216,21 @@ def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float,
     return shape_parameter(log, np.exp(total - total.max()))
 
 
-def _scores(view: View, scale: float) -> Float[np.ndarray, " n"]:
+def _scores(
+    view: View,
+    scale: float,
+    less: Float[np.ndarray, " n-1"] | float = 0.0,
+    v: Float[np.ndarray, " n-1"] | None = None,
+) -> Float[np.ndarray, " n"]:
     """Leave-one-out residuals over their scale, zero where samples were imputed.
 
-    Those that stand out at the ends are compared with the scatter there: quantization noise at the ends
-    differs from that of the mirrored record, so residuals scatter more.
+    They are those of a record `less` some coefficients, in noise v. Those that stand out at the ends are
+    compared with the scatter there: quantization noise at the ends differs from that of the mirrored record,
+    so residuals scatter more.
     """
-    n, v = view.n, view.variance()
-    z = np.where(view.imputed, 0.0, view.loo_residuals[0] / scale)
+    n, v = view.n, view.variance() if v is None else v
+    left = in_time((view.residual - less) / v) / (float(np.mean(1.0 / v)) * scale)
+    z = np.where(view.imputed, 0.0, left)
     for k in (*range(_END), *range(n - _END, n)):
         if abs(z[k]) > _NOTICED:
             sample = np.zeros(n)
