@@ -18,9 +18,9 @@ from allanjax.spectrum.cosine import SpectralStatistics
 #: Largest number of subsets over which estimates are averaged, and how much less likely than the best one
 #: they may be [nats].
 SETS, _LESS = 4, 3.0
-# Largest number of subsets that are maximized: a quarter of all; and how far one may be behind the best one
-# [nats], twice as far as all Occam factors together reach.
-_NEAR, _FAR = 143, 60.0
+# Largest number of subsets that are maximized: a quarter of all, and those for a first guess; and how far one
+# may be behind the best one [nats], twice as far as all Occam factors together reach.
+_NEAR, _FEW, _FAR = 143, 48, 60.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,6 +36,7 @@ class ModelEvidence:
         levels: statistics of the coefficients in the bins.
         like: evidence for a similar record. If it is known, only the subsets that were best there are
             evaluated, and all without a free shape.
+        near: largest number of subsets that are evaluated to the end.
         known: what has been computed.
     """
 
@@ -46,6 +47,7 @@ class ModelEvidence:
     constant: float
     levels: SpectralStatistics
     like: ModelEvidence | None = None
+    near: int = _NEAR
     known: dict = dataclasses.field(default_factory=dict)
 
     @classmethod
@@ -66,8 +68,8 @@ class ModelEvidence:
         return cls(family, factor, fold, size, constant, levels)._given(c, like)
 
     def of_similar(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
-        """Evidence given the coefficients of a similar record."""
-        return self._given(c, self.like or self)
+        """Evidence of few subsets, given the coefficients of a similar record."""
+        return dataclasses.replace(self._given(c, self.like or self), near=_FEW)
 
     def _given(self, c: Float[np.ndarray, " n-1"], like: ModelEvidence | None) -> ModelEvidence:
         weighted, sums = _weighted(c, self.factor, self.fold), self.family.bins.sums
@@ -117,7 +119,7 @@ class ModelEvidence:
             possible, rough = np.all((may | ~has) & (has | ~must), axis=1), self._screened(shaped)
             always = self._plain & (self.like is not None)
             rank = np.where(possible, np.where(always, np.inf, rough.log_evidence), -np.inf)
-            near = np.argsort(-rank)[: min(_NEAR, np.sum(possible))]
+            near = np.argsort(-rank)[: min(self.near, np.sum(possible))]
             found = self._evaluated(shaped, rough.of(near))
             values, powers = np.full(len(rank), -np.inf), rough.power.copy()
             values[near], powers[near] = found.log_evidence, found.power
