@@ -197,6 +197,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
     ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in std"),
     ("repeated_samples", "share"): Judgement(0.03, "error of the predicted share of repeats by rounding"),
+    ("resonance", "periods"): Judgement(
+        30.0, "periods in the record below which a peak may be a single event; hidden resonances have more"
+    ),
     ("resonance", "quality"): Judgement(
         3.0, "quality factor below which a peak is too broad for a resonance; hidden ones have 5 and more"
     ),

@@ -356,8 +356,10 @@ def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
     if others:
         frequencies, _, amplitudes = zip(*(_parameters(view, found, [k])[0] for k in others), strict=True)
         details = {"further_frequencies": frequencies, "further_amplitudes": amplitudes}
-    broad = estimates[1].value < judged(RESONANCE, "quality")
-    doubt = "it is too broad for a resonance" if broad else ""
+    frequency, quality = (e.value for e in estimates[:2])
+    doubt = "it is too broad for a resonance" if quality < judged(RESONANCE, "quality") else ""
+    if frequency * view.duration < judged(RESONANCE, "periods"):
+        doubt = "it has too few periods in the record"
     return _Description(RESONANCE, estimates, support, doubt, details)
 
 
