@@ -178,9 +178,6 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("power_law", "distinct"): Judgement(
         0.15, "least distance of the exponent from those of basic terms; hidden ones are half off or more"
     ),
-    ("power_law", "instead"): Judgement(
-        1, "a power law replaces the Markov process, as in the hidden records; both cannot be detected"
-    ),
     ("refit", "level"): Judgement(
         0.2, "change of the log level of the noise up to which a finding is not refitted"
     ),
