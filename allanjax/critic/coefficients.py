@@ -8,7 +8,6 @@ from allanjax.critic.finding import CoefficientChange
 from allanjax.critic.noise import FIXED, MARKOV, WHITE
 from allanjax.critic.step import Step
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.structure.structure import FIXED as COLUMNS
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
@@ -43,8 +42,8 @@ def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
     """
     power: dict[str, float] = {}
     for own in map(structure.components.__getitem__, structure.there):
-        if own.kind == kinds.COLUMN and own.which < len(COLUMNS):
-            name, square = COLUMNS[own.which], own.power
+        if own.kind == kinds.COLUMN and own.which < len(FIXED):
+            name, square = FIXED[own.which], own.power
         elif own.kind == kinds.MARKOV:
             name, square = MARKOV, 2.0 * own.power * rate / own.time
         elif own.kind == kinds.OSCILLATOR and own.quality < kinds.WIDE:

@@ -33,7 +33,8 @@ class Law(NamedTuple):
     """Weighted sums of the squared coefficients of a record, and their distribution in simulations.
 
     Attributes:
-        measured, mean: those of the record, and the mean of the simulations'.
+        measured: sums over the record's coefficients.
+        mean: means of the sums in simulations.
         covariance: covariance of the simulated ones over their means, including errors of the levels.
         fitted: covariance of the measured ones over the means if the model is right, given that its levels
             were fitted to the same record.
@@ -110,7 +111,7 @@ class Curve(NamedTuple):
 
 
 def summaries(stage: Stage) -> tuple[Curve, Curve]:
-    """Allan deviation and power spectral density of a record, with those of its simulations."""
+    """Allan deviation and power spectral density of a record, each with the band of its simulations."""
     n, rate = stage.n, stage.rate
     sizes, edges = cluster_sizes(n, rate, _PER_OCTAVE), octave_bins(n)
     inside = np.digitize(narrow_bins(n)[:-1], edges) == np.arange(1, len(edges))[:, None]

@@ -45,7 +45,7 @@ def merged(
 ) -> tuple[Finding, ...]:
     """Findings of a recording of this length [s], the largest change first, unexplained ones last.
 
-    `findings` are those of the single axes, axis by axis; `of_several` those that several axes share.
+    `findings` contains the findings of single axes, axis by axis; `of_several`, the noise that axes share.
     """
     found = [*_families(_with_events(findings, duration), duration), *of_several]
     return tuple(sorted(found, key=lambda f: (f.cause == UNEXPLAINED, -f.impact.size, -_weight(f))))

@@ -56,8 +56,9 @@ class BiasStep(Effect):
             finer = Bank(step_coefficients(fine, view.n, min(FINEST, view.n - 1)))
             refined = self._one(view, finer, fine, float(np.log(len(places) * spacing / np.ptp(fine))), found)
             if refined is not None and refined.gain > found.gain:
-                return refined
-        return found
+                found = refined
+        slow = is_slow(view, found.after.noise, found.support[0] * view.rate)
+        return found.doubted("it begins slowly or decays" if slow else "")
 
     def p_value(self, view: View) -> float:
         return step_bank(view.n)[0].p_value(view, view.noise)
@@ -71,7 +72,7 @@ class BiasStep(Effect):
         coarse: Candidate | None = None,
     ) -> Candidate | None:
         """Best single step of a bank."""
-        found = additive(
+        return additive(
             view,
             self.name,
             bank,
@@ -82,8 +83,6 @@ class BiasStep(Effect):
             lambda k, a: terms.BiasStep(abs(a), float(places[k] / view.rate), sign=int(np.copysign(1.0, a))),
             coarse=coarse,
         )
-        slow = found and is_slow(view, found.after.noise, found.support[0] * view.rate)
-        return found and found.doubted("it begins slowly or decays" if slow else "")
 
     def _two(self, view: View, least: float) -> Candidate | None:
         """Two steps, if they gain more than the `least`, and each has a gain given the other."""
