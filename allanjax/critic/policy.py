@@ -173,6 +173,10 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         0.1, "relative difference within which bandwidths are equal: parts of filters have tolerances"
     ),
     ("outliers", "apart"): Judgement(8, "samples within which prediction errors may have one cause"),
+    ("outliers", "chance"): Judgement(
+        1e-5, "p-value of the gaps between outliers below which they are not independent; ten are compared"
+    ),
+    ("outliers", "groups"): Judgement(3, "groups of outliers up to which they may be knocks"),
     ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is not an outlier"),
     ("outliers", "odds"): Judgement(2.0, "log odds from which on a sample is an outlier: seven to one"),
     ("power_law", "distinct"): Judgement(
@@ -194,8 +198,12 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("repeated_samples", "count"): Judgement(3, "fewest repeats that are reported"),
     ("repeated_samples", "deviations"): Judgement(8.0, "excess over repeats by rounding, in std"),
     ("repeated_samples", "share"): Judgement(0.03, "error of the predicted share of repeats by rounding"),
+    ("resonance", "broad"): Judgement(
+        20.0, "quality factor below which many resonances are rather another shape of the spectrum"
+    ),
+    ("resonance", "most"): Judgement(3, "broad resonances of one axis: hidden sensors have at most two"),
     ("resonance", "periods"): Judgement(
-        30.0, "periods in the record below which a peak may be a single event; hidden resonances have more"
+        30.0, "fewest periods in the record: below, a peak may be the spectrum of a single event"
     ),
     ("resonance", "quality"): Judgement(
         3.0, "quality factor below which a peak is too broad for a resonance; hidden ones have 5 and more"

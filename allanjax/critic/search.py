@@ -220,5 +220,5 @@ def _undecided(candidate: Candidate, view: View) -> str:
     instead = [cause_title(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
     if candidate.chance > _CERTAIN or not instead:
         return ""
-    name, odds = cause_title(candidate.cause, sensor), np.exp(candidate.gain)
+    name, odds = cause_title(candidate.cause, sensor), np.exp(min(candidate.gain, 700.0))
     return f"{' and '.join(instead)} may actually be {name} (odds {plain(odds, 2)} : 1)"

@@ -152,11 +152,19 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
 
 
 def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure of a spectrum without resonances that are as narrow as lines."""
+    """Structure of a spectrum, of resonances only."""
     spectrum, found = searched(record, start)
-    if lines := narrow(found.structure, record.n):
-        found = spectrum.fit(found.structure.without(*lines))
-    return spectrum, found
+    return spectrum, _of_resonances(spectrum, found, record.n)
+
+
+def _of_resonances(spectrum: Spectrum, found: Fitted, n: int) -> Fitted:
+    """Structure without peaks as narrow as lines, and without those that may be the spectrum of one event."""
+    own = found.structure
+    # A resonance of ω per sample has ω·n/(2π) periods in the record.
+    least = 2.0 * np.pi * judged(RESONANCE, "periods") / n
+    single = [k for k in own.oscillators if own.components[k].frequency < least]
+    others = {*narrow(own, n), *single}
+    return spectrum.fit(own.without(*others)) if others else found
 
 
 def _without_ends(view: View) -> View:
@@ -196,6 +204,7 @@ def finished(view: View, first: Step) -> Shape | None:
     record, start = _problem(view)
     spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
+    found = _of_resonances(spectrum, found, record.n)
     while groups := _groups(found.structure):
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
@@ -356,10 +365,8 @@ def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
     if others:
         frequencies, _, amplitudes = zip(*(_parameters(view, found, [k])[0] for k in others), strict=True)
         details = {"further_frequencies": frequencies, "further_amplitudes": amplitudes}
-    frequency, quality = (e.value for e in estimates[:2])
-    doubt = "it is too broad for a resonance" if quality < judged(RESONANCE, "quality") else ""
-    if frequency * view.duration < judged(RESONANCE, "periods"):
-        doubt = "it has too few periods in the record"
+    broad = estimates[1].value < judged(RESONANCE, "quality")
+    doubt = "it is too broad for a resonance" if broad else ""
     return _Description(RESONANCE, estimates, support, doubt, details)
 
 

@@ -31,15 +31,19 @@ DOMAINS: Mapping[str, tuple[str, ...]] = {
     "bias": ("window_mean",),
     "channels": ("cross_correlation", "auxiliary_correlation"),
 }
-# Domains of the findings of known causes, as far as a free description competes with them.
-_OF_CAUSES = {
-    **dict.fromkeys(("low_pass", "resonance", "power_law"), "spectrum"),
-    "variance_change": "level",
-    "outliers": "values",
-    "slow_change": "bias",
+# Domains in which a free description competes with a cause, its own first; of all others it is the bias.
+_OF_CAUSES: Mapping[str, tuple[str, ...]] = {
+    "low_pass": ("spectrum",),
+    "resonance": ("spectrum",),
+    # A change of the bias has a spectrum, and a louder part of the record has large values.
+    "power_law": ("spectrum", "bias"),
+    "outliers": ("values", "level"),
+    "variance_change": ("level",),
 }
-# Causes of a bias that jumps.
-_JUMPS = ("bias_step", "telegraph")
+# Causes that tell all of what they are about: the law of the spectrum, of the values, or of the bias.
+_WHOLE = ("power_law", "outliers", "telegraph")
+# Causes of a bias that change it at some place.
+_PLACED = ("bias_step", "disturbance")
 # Score of neighbouring places that belong to a discrepancy, as a share of the largest.
 _BESIDE = 0.3
 # The Allan deviation at τ is that of the noise in this band, times 1/τ.
@@ -48,6 +52,7 @@ _BAND = (0.2, 0.9)
 CERTAIN = judged(UNEXPLAINED, "p_value")
 _LEFT, _NATS = judged(UNEXPLAINED, "left"), judged(UNEXPLAINED, "nats")
 _MORE = judged("variance_change", "more")
+_BROAD, _MOST_BROAD = judged("resonance", "broad"), judged("resonance", "most")
 
 
 # --- Findings that lose their name --------------------------------------------------------------------------
@@ -94,36 +99,74 @@ def _doubted(
 
     `free` are the descriptions that name nothing before the first finding and after the last one.
     """
-    changes = sorted((f.gain or 0.0 for f in findings if f.cause == "variance_change"), reverse=True)
-    often = sum(changes[2:]) > _MORE * sum(changes)
-
-    def reason_of(f: Finding, domain: str) -> str:
-        if f.cause == "variance_change" and often:
-            return "the level changes more often than twice"
-        if domain == "bias":
-            return ""
-        before, after = (each[domain].within(*f.span) for each in free)
-        return "much of what is there remains" if after > max(_NATS, _LEFT * before) else ""
-
-    domains = [_OF_CAUSES.get(f.cause, "bias") for f in findings]
-    each = [
-        _Doubted(f, domain, reason or reason_of(f, domain))
-        for f, domain, reason in zip(findings, domains, reasons, strict=True)
-    ]
+    each = []
+    for f, doubt in zip(findings, reasons, strict=True):
+        domain = _domains(f)[0]
+        left = domain != "bias" and _is_left(f, *(descriptions[domain] for descriptions in free))
+        reason = doubt or _of_several(f, findings) or ("much of what is there remains" if left else "")
+        each.append(_Doubted(f, domain, reason))
     found = [d for d in each if d.reason]
-    for d in each:
-        # What lies at the place of a larger description is a part of it, as are jumps beside other changes.
-        others = [other for other in found if other.domain == d.domain]
-        if d.reason or not others:
-            continue
-        start, end = _place(others, free[0]) or (0.0, np.inf)
-        inside = start <= 0.5 * sum(d.finding.span) <= end
-        # A bias with two levels only leaves nothing else, while a step may be beside another change.
-        least = _LEFT if d.finding.cause == "telegraph" else 1.0
-        larger = sum(other.finding.gain or 0.0 for other in others) > least * (d.finding.gain or 0.0)
-        if larger and (inside if d.domain != "bias" else d.finding.cause in _JUMPS):
-            found.append(d._replace(reason=others[0].reason))
+    while part := _part(each, found, free):
+        found.append(part)
     return found
+
+
+def _part(
+    each: Sequence[_Doubted], found: Sequence[_Doubted], free: Sequence[Mapping[str, Free]]
+) -> _Doubted | None:
+    """A further finding that is a part of what is doubted, if there is one."""
+    for finding in (d.finding for d in each):
+        for domain in () if any(finding is d.finding for d in found) else _domains(finding):
+            others = [d for d in found if d.domain == domain]
+            if others and _is_part(finding, others, free[0]):
+                return _Doubted(finding, domain, others[0].reason)
+    return None
+
+
+def _domains(f: Finding) -> tuple[str, ...]:
+    """Domains in which a free description competes with a finding."""
+    return _OF_CAUSES.get(f.cause, ("bias",))
+
+
+def _is_left(f: Finding, before: Free, after: Free) -> bool:
+    """Whether much of what a free description gained at the place of a finding remains."""
+    return after.within(*f.span) > max(_NATS, _LEFT * before.within(*f.span))
+
+
+def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
+    """Why several findings of one cause together are hardly that cause."""
+    alike = [other for other in findings if other.cause == f.cause]
+    if f.cause == "variance_change":
+        gains = sorted((other.gain or 0.0 for other in alike), reverse=True)
+        if sum(gains[2:]) > _MORE * sum(gains):
+            return "the level changes more often than twice"
+        if any(_continues(f, other) or _continues(other, f) for other in alike):
+            return "the level changes step by step"
+    if f.cause == "resonance":
+        broad = [other.parameters["quality_factor"].value < _BROAD for other in (f, *alike)]
+        if broad[0] and sum(broad[1:]) > _MOST_BROAD:
+            return "the spectrum has many broad peaks"
+    return ""
+
+
+def _continues(f: Finding, other: Finding) -> bool:
+    """Whether the level of the noise is higher, or lower, in a stretch that follows another such stretch."""
+    (start, end), (begin, stop) = f.span, other.span
+    louder = f.parameters["ratio"].value > 1.0, other.parameters["ratio"].value > 1.0
+    return louder[0] == louder[1] and end <= begin < end + _BESIDE * max(end - start, stop - begin)
+
+
+def _is_part(f: Finding, others: Sequence[_Doubted], before: Mapping[str, Free]) -> bool:
+    """Whether a finding is a part of a larger description of one domain, at its place."""
+    in_bias = others[0].domain == "bias"
+    if in_bias and f.cause not in (*_WHOLE, *_PLACED):
+        return False
+    start, end = _place(others, before) or (0.0, np.inf)
+    inside = start <= (f.span[0] if in_bias else 0.5 * sum(f.span)) <= end
+    # Nothing else is beside what tells all, or within a change of the bias.
+    least = _LEFT if f.cause in _WHOLE or (in_bias and inside) else 1.0
+    larger = sum(other.finding.gain or 0.0 for other in others) > least * (f.gain or 0.0)
+    return larger and (inside or f.cause in (*_WHOLE, "bias_step"))
 
 
 def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[float, float] | None:
@@ -138,8 +181,9 @@ def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[floa
 
 
 def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
-    """From the first start to the last end of these findings."""
-    starts, ends = zip(*(d.finding.span for d in doubts), strict=True)
+    """From the first start to the last end of these findings; a power law is beside a change of the bias."""
+    own = [d.finding for d in doubts if _domains(d.finding)[0] == d.domain]
+    starts, ends = zip(*(f.span for f in own), strict=True)
     return min(starts), max(ends)
 
 

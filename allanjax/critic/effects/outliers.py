@@ -6,10 +6,10 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.fft import dct, rfft
 from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.stats import binom, norm
 
 from allanjax.critic.bank import PARTS, any_of, owners
 from allanjax.critic.effect import Effect
@@ -29,7 +29,9 @@ _NOTICED = 3.0
 _FINE, _BINS = 0.02, 501
 # Smallest gain in log-likelihood that is examined more closely [nats], before the trials factor.
 _WORTH = 8.0
-_ODDS, _APART, _LONGEST = (judged("outliers", name) for name in ("odds", "apart", "longest"))
+_ODDS, _APART, _LONGEST, _GROUPS, _CHANCE = (
+    judged("outliers", name) for name in ("odds", "apart", "longest", "groups", "chance")
+)
 # Samples at each end of the record whose scatter is computed; most rounds of the search for neighbours.
 _END, _ROUNDS = 16, 5
 # Neighbouring samples that are held out together.
@@ -84,6 +86,7 @@ class Outliers(Effect):
                 "sizes": tuple(view.amplitude_estimate("size", size, bulk) for size in sizes),
             },
             bound=float(np.exp(-max(gain, 0.0))),
+            doubt=_doubt(times, view.n),
         )
 
     def again(self, view: View, found: Candidate) -> Candidate:
@@ -126,6 +129,22 @@ def _found(
 def _p_value(z: Float[np.ndarray, " n"]) -> float:
     """Probability that one of as many normal scores is larger than the largest of these."""
     return any_of(2.0 * float(norm.sf(np.max(abs(z)))), len(z))
+
+
+def _doubt(times: Int[np.ndarray, " k"], n: int) -> str:
+    """Why large errors at these samples are hardly outliers: they come in groups, unlike independent ones.
+
+    A few groups may be knocks.
+    """
+    gaps = np.diff(times)
+    for longest in _APART * 2.0 ** np.arange(np.log2(n / _APART)):
+        near = gaps <= longest
+        # Of independent outliers, the next one is so near with this probability.
+        chance = binom.sf(np.count_nonzero(near) - 1, len(gaps), -np.expm1(-len(times) * longest / n))
+        groups = np.count_nonzero(np.diff(near.astype(int), prepend=0) > 0)
+        if chance < _CHANCE and groups > _GROUPS:
+            return "they come in groups"
+    return ""
 
 
 class _Mixture(NamedTuple):

@@ -1,4 +1,4 @@
-"""A change of the bias of no known cause: a transition, a bump, or a jump that decays."""
+"""A change of the bias of no known cause: a transition, a bump, a swing, or a jump that decays."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ class Course(NamedTuple):
             return np.clip(u + 0.5, 0.0, 1.0)
         if self.kind == "decay":
             return np.where(u >= 0.0, np.exp(-np.maximum(u, 0.0)), 0.0)
-        return np.where(abs(u) < 0.5, 0.5 + 0.5 * np.cos(2.0 * np.pi * u), 0.0)
+        bump = 0.5 + 0.5 * np.cos(2.0 * np.pi * u)
+        # A swing goes up and down.
+        return np.where(abs(u) < 0.5, bump if self.kind == "bump" else np.sin(2.0 * np.pi * u) * bump, 0.0)
 
 
 class SlowChange(Effect):
@@ -85,7 +87,7 @@ def _bank(n: int) -> tuple[list[Course], Bank]:
     """Courses, and a bank of their lowest coefficients for records of n samples."""
     courses = [
         Course(kind, float(place), float(length))
-        for kind in ("transition", "bump", "decay")
+        for kind in ("transition", "bump", "swing", "decay")
         for length in _LENGTHS
         for place in np.arange(length / 2.0, 1.0 - length / 4.0, length / _PER_LENGTH)
     ]
