@@ -45,7 +45,7 @@ class Comparison(NamedTuple):
         drifts: for each finding the drift that it changes most; None if the record is too short.
         last: profiles after the last finding by statistic, those whose places have an extent.
         free: what descriptions that name nothing gain over the model by domain, before the first finding and
-            after the last one.
+            after the last one; once if there is none.
     """
 
     before: tuple[Discrepancy, ...]
@@ -90,8 +90,7 @@ def compared(
             drifts.append(_drift_change(stages[k - 1], stage))
             stages[k - 1].forget(*(_SHARED if k == 1 else ()))
         if k in (0, len(stages) - 1):
-            if len(stages) > 1:
-                free.append(descriptions(stage))
+            free.append(descriptions(stage))
             worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
             ends.append([*worst, *of_samples(stage, raw[min(k, 1)])])
     stages[-1].forget(*_SHARED)

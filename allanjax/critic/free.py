@@ -25,6 +25,11 @@ class Free(NamedTuple):
     gain: Float[np.ndarray, " windows"]
     width: float
 
+    @property
+    def total(self) -> float:
+        """Gain of all windows."""
+        return float(self.gain.sum())
+
     def place(self) -> tuple[float, float]:
         """Part of the record or of the spectrum with most of the gain."""
         share = np.cumsum(np.maximum(self.gain, 0.0))

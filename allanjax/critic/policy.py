@@ -232,6 +232,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("spectral_shape", "left"): Judgement(
         0.0001, "p-value of the rest of a spectrum below which it is searched again"
     ),
+    ("telegraph", "clearly"): Judgement(
+        4.0, "nats by which levels that decay must explain more than levels that stay, of forty compared"
+    ),
     ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
     ("telegraph", "regular"): Judgement(
         0.005, "p-value of times between jumps that scatter less than random ones: one true telegraph in 200"

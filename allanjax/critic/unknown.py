@@ -11,7 +11,7 @@ or frequency, how large and how significant it is, and what it resembles.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,8 @@ _BAND = (0.2, 0.9)
 CERTAIN = judged(UNEXPLAINED, "p_value")
 _LEFT, _NATS = judged(UNEXPLAINED, "left"), judged(UNEXPLAINED, "nats")
 _MORE = judged("variance_change", "more")
+# Gain of a free description that it exceeds by chance with that probability, for each half (Markov).
+_SURE = -2.0 * float(np.log(CERTAIN))
 _BROAD, _MOST_BROAD = judged("resonance", "broad"), judged("resonance", "most")
 
 
@@ -101,10 +103,8 @@ def _doubted(
     """
     each = []
     for f, doubt in zip(findings, reasons, strict=True):
-        domain = _domains(f)[0]
-        left = domain != "bias" and _is_left(f, *(descriptions[domain] for descriptions in free))
-        reason = doubt or _of_several(f, findings) or ("much of what is there remains" if left else "")
-        each.append(_Doubted(f, domain, reason))
+        reason = doubt or _of_several(f, findings) or _beside(f, free[0], free[-1])
+        each.append(_Doubted(f, _domains(f)[0], reason))
     found = [d for d in each if d.reason]
     while part := _part(each, found, free):
         found.append(part)
@@ -128,9 +128,15 @@ def _domains(f: Finding) -> tuple[str, ...]:
     return _OF_CAUSES.get(f.cause, ("bias",))
 
 
-def _is_left(f: Finding, before: Free, after: Free) -> bool:
-    """Whether much of what a free description gained at the place of a finding remains."""
-    return after.within(*f.span) > max(_NATS, _LEFT * before.within(*f.span))
+def _beside(f: Finding, before: Mapping[str, Free], after: Mapping[str, Free]) -> str:
+    """Why a finding is hardly the cause, from what descriptions that name nothing gain beside it."""
+    own, *others = _domains(f)
+    if own in after and after[own].within(*f.span) > max(_NATS, _LEFT * before[own].within(*f.span)):
+        return "much of what is there remains"
+    # Where the level varies, some stretch has another level, and large values are more frequent.
+    if "level" in (own, *others) and after["level"].total > max(_SURE, f.gain or 0.0):
+        return "the level varies in another way"
+    return ""
 
 
 def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
@@ -189,19 +195,32 @@ def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
 
 # --- Findings without a cause -------------------------------------------------------------------------------
 
-# A discrepancy that remains, and the part of the record [s] or of the spectrum [Hz] that it is in.
-_Left: TypeAlias = tuple[Discrepancy, tuple[float, float] | None]
+
+class _Left(NamedTuple):
+    """Discrepancy that remains, and its part of the record [s] or of the spectrum [Hz].
+
+    `gain` is what a free description gains [nats].
+    """
+
+    worst: Discrepancy
+    place: tuple[float, float] | None
+    gain: float
 
 
 def _left(domain: str, made: Comparison) -> _Left | None:
     """What remains beyond doubt after the last finding in a domain, if anything."""
-    sure = [d for d in made.after if d.statistic in DOMAINS[domain] and d.p_value < CERTAIN]
+    mine = [d for d in made.after if d.statistic in DOMAINS[domain]]
+    sure = [d for d in mine if d.p_value < CERTAIN]
+    free = made.free[-1].get(domain)
+    gain = 0.0 if free is None else free.total
+    if not sure and gain < _SURE:
+        return None
     # A part of the spectrum is placed best by statistics of it.
     narrow = [d for d in sure if d.statistic in ("psd", "psd_line")]
-    if not sure:
-        return None
-    worst = min(narrow or sure, key=lambda d: (d.p_value, DOMAINS[domain].index(d.statistic)))
-    return worst, _span(worst, made.last.get(worst.statistic))
+    worst = min(narrow or sure or mine, key=lambda d: (d.p_value, DOMAINS[domain].index(d.statistic)))
+    if free is not None and gain >= _SURE and not narrow:
+        return _Left(worst, free.place(), gain)
+    return _Left(worst, _span(worst, made.last.get(worst.statistic)), max(gain, 0.0))
 
 
 def _span(d: Discrepancy, profile: Profile | None) -> tuple[float, float] | None:
@@ -229,7 +248,7 @@ def _unexplained(
     """
     axis, in_time = stage.axis, domain in ("level", "bias", "values")
     first = min((d for d in made.before if d.statistic in DOMAINS[domain]), key=lambda d: d.p_value)
-    worst, place = left or (first, None)
+    worst, place, gain = left or (first, None, 0.0)
     members = [d.finding for d in doubts]
     if doubts:
         place = _place(doubts, made.free[0]) or _span(first, None) or _whole(doubts)
@@ -254,9 +273,9 @@ def _unexplained(
         UNEXPLAINED,
         (axis.name,),
         known | {f.size.label: f.size for f in members if len(members) == 1 and f.size is not None},
-        members[0].p_value if members else worst.p_value,
+        members[0].p_value if members else min(worst.p_value, float(np.exp(-0.5 * gain))),
         sum((f.evidence or 0.0 for f in members), 0.0),
-        sum((f.gain or 0.0 for f in members), 0.0),
+        sum((f.gain or 0.0 for f in members), gain),
         (),
         place or (0.0, stage.n / stage.rate if in_time else 0.5 * stage.rate),
         "time" if in_time else "frequency",

@@ -10,12 +10,14 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.fft import dct
+from scipy.signal import lfilter
 from scipy.special import expit, logit
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, folds
 from allanjax.critic.effect import TIMES, Effect
-from allanjax.critic.noise import centred
+from allanjax.critic.noise import Noise, centred
 from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -26,7 +28,7 @@ from allanjax.record.completion import in_time
 
 # Largest number of blocks over which samples are averaged.
 _BLOCKS = 2048
-_LEAST_JUMPS = judged("telegraph", "jumps")
+_LEAST_JUMPS, _CLEARLY = judged("telegraph", "jumps"), judged("telegraph", "clearly")
 # Blocks over which the first levels are smoothed; rounds in which the levels are adjusted.
 _SMOOTH, _ROUNDS = (8, 32, 128), 10
 # Fewest dwell times whose scatter is judged, draws of it, and the p-value below which they are too regular.
@@ -90,14 +92,16 @@ class Telegraph(Effect):
             p_value=None,
             bound=float(np.exp(-max(gain, 0.0))),
             held_out=functools.partial(_held_out, view, candidate.after, means, sigma),
-            doubt=_doubt(view, path),
+            doubt=_doubt(view, candidate.after.noise, path),
         )
 
 
-def _doubt(view: View, path: Float[np.ndarray, " blocks"]) -> str:
+def _doubt(view: View, noise: Noise, path: Float[np.ndarray, " blocks"]) -> str:
     """Why a path is hardly a random telegraph's."""
     if Telegraph.name in view.found:
         return "it has more than two levels"
+    if _decays(view, noise, path):
+        return "its level decays after a jump"
     dwell = np.diff(np.flatnonzero(np.diff(path)))
     if len(dwell) < _FEW:
         return ""
@@ -105,6 +109,17 @@ def _doubt(view: View, path: Float[np.ndarray, " blocks"]) -> str:
     drawn = np.random.default_rng(0).exponential(size=(_DRAWS, len(dwell)))
     by_chance = float(np.mean(_scatter(drawn) <= _scatter(dwell)))
     return "its jumps are too regular to be random" if by_chance < _REGULAR else ""
+
+
+def _decays(view: View, noise: Noise, path: Float[np.ndarray, " blocks"]) -> bool:
+    """Whether a level that returns after each jump, or after those up or down, explains more than a path."""
+    jumps = np.diff(path, prepend=path[0])
+    some = jumps, np.maximum(jumps, 0.0), np.minimum(jumps, 0.0)
+    kept = np.exp(-1.0 / np.geomspace(_SHORTEST, len(path) / _SHORTEST, _DWELLS))
+    paths = [path, *(lfilter([1.0], [1.0, -k], each) for each in some for k in kept)]
+    shapes = dct(np.stack(paths), norm="ortho", axis=1)[:, 1:] * np.sqrt(view.n / len(path))
+    gain = 0.5 * Bank(shapes).scan(view, noise).snr ** 2
+    return bool(gain[1:].max() - gain[0] > _CLEARLY)
 
 
 def _scatter(dwell: Float[np.ndarray, "*draws jumps"]) -> Float[np.ndarray, "*draws"]:
