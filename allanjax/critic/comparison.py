@@ -90,7 +90,7 @@ def compared(
             drifts.append(_drift_change(stages[k - 1], stage))
             stages[k - 1].forget(*(_SHARED if k == 1 else ()))
         if k in (0, len(stages) - 1):
-            free.append(descriptions(stage))
+            free.append(descriptions(stage, raw[min(k, 1)]))
             worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
             ends.append([*worst, *of_samples(stage, raw[min(k, 1)])])
     stages[-1].forget(*_SHARED)

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from allanjax.critic.stage import Stage
+from allanjax.inspection.plausible import lattice
 
 # Ordinates of one half in the narrowest window of a free level, number of intervals of a free distribution.
 _NARROWEST, _INTERVALS = 16, 24
@@ -42,13 +43,17 @@ class Free(NamedTuple):
         return float(np.sum(self.gain[first : max(last, first + 1)]))
 
 
-def descriptions(stage: Stage) -> dict[str, Free]:
-    """Descriptions of an axis at one stage, by the domain that they describe: one window for the values."""
-    e, rate = stage.whitened, stage.rate
+def descriptions(stage: Stage, raw: Float[np.ndarray, " recorded"]) -> dict[str, Free]:
+    """Descriptions of an axis at one stage, by the domain that they describe: one window for the values.
+
+    The resolution of the samples as recorded, `raw`, is not described: it is a finding if it matters.
+    """
+    e, rate, step = stage.whitened, stage.rate, lattice(raw)
+    width = 0.0 if step is None else step * float(np.exp(-0.5 * np.mean(np.log(stage.variance))))
     return {
         "spectrum": free_level(stage.whitened_coefficients**2, rate / (2.0 * stage.n)),
         "level": free_level(e**2 / np.mean(e**2), 1.0 / rate),
-        "values": Free(np.array([free_distribution(e)]), stage.n / rate),
+        "values": Free(np.array([free_distribution(e, width)]), stage.n / rate),
     }
 
 
@@ -85,13 +90,16 @@ def _levels(sums: Float[np.ndarray, " windows"], count: float) -> Float[np.ndarr
         best, total, size = (x.reshape(-1, 2).sum(axis=1) for x in (np.maximum(own, best), total, size))
 
 
-def free_distribution(values: Float[np.ndarray, " n"]) -> float:
+def free_distribution(values: Float[np.ndarray, " n"], width: float) -> float:
     """Gain of a free distribution of standardized values over the normal one [nats].
 
     The shares of intervals that are equally probable under the normal law come from every other pair, the
-    gain from the rest.
+    gain from the rest. Values rounded to this width are drawn within it by the normal law.
     """
-    share = ndtr((values - values.mean()) / values.std())
+    # The variance without that of rounding (Sheppard).
+    deviation = np.sqrt(np.var(values) - width**2 / 12.0)
+    low, high = (ndtr((values - values.mean() + side * width) / deviation) for side in (-0.5, 0.5))
+    share = low + (high - low) * np.random.default_rng(0).random(len(values))
     place = np.minimum((share * _INTERVALS).astype(int), _INTERVALS - 1)
     pairs = place[: len(place) // 4 * 4].reshape(-1, 2, 2)
     one, other = (np.bincount(pairs[:, k].ravel(), minlength=_INTERVALS) + 0.5 for k in (0, 1))

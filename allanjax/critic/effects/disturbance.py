@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.fft import dct
 from scipy.special import gammaincc
 
+from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import folds
 from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
@@ -64,7 +65,7 @@ class Disturbance(Effect):
         # The first noise was estimated with the motion in it and contains part of it: repeated without.
         for _ in range(2):
             e = in_time(view.coefficients / np.sqrt(view.variance(quiet.noise)))
-            e /= 1.4826 * float(np.median(abs(e)))
+            e /= bulk_std(e)
             # Imputed samples are not part of a disturbance.
             squares = np.where(view.imputed, 1.0, e**2)
             if (stretch := known or _searched(e, squares, block)) is None:

@@ -11,6 +11,7 @@ from scipy.fft import dct, rfft
 from scipy.optimize import minimize
 from scipy.stats import binom, norm
 
+from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import PARTS, any_of, owners
 from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
@@ -51,7 +52,7 @@ class Outliers(Effect):
 
     def detect(self, view: View) -> Candidate | None:
         # A robust scale: that of the fit includes the outliers.
-        bulk = 1.4826 * float(np.median(abs(view.loo_residuals[0])))
+        bulk = bulk_std(view.loo_residuals[0])
         if bulk == 0.0:
             return None
         z = _scores(view, bulk)
