@@ -14,10 +14,16 @@ from allanjax.base.wording import (
     format_with_error,
     percent,
     plain,
-    times_ten,
     without_error,
 )
-from allanjax.critic.finding import UNEXPLAINED, CoefficientChange, Discrepancy, Finding, cause_title
+from allanjax.critic.finding import (
+    UNEXPLAINED,
+    CoefficientChange,
+    Discrepancy,
+    DriftChange,
+    Finding,
+    cause_title,
+)
 from allanjax.critic.parameters import Detail, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.unknown import DOMAINS
@@ -25,12 +31,22 @@ from allanjax.estimate.result import LIMIT
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 
-# Statistics whose two values compare as a ratio: their name, and what stands before a place.
-_RELATIVE = {
-    "allan_deviation": ("Allan deviation", "at τ ="),
-    "drift": ("drift", "over"),
-    "psd": ("PSD", "at"),
-    "window_variance": ("noise power", "around"),
+# Statistics in words. Of those with `off`, the two values compare as a ratio.
+_STATISTICS = {
+    "allan_deviation": "simulated Allan deviation is {off} at τ = {place}",
+    "drift": "simulated drift is {off} over {place}",
+    "psd": "simulated PSD is {off} at {place}",
+    "window_variance": "simulated noise power is {off} around {place}",
+    "psd_line": "spectral line of {measured} at {place} ({simulated} in simulations)",
+    "autocorrelation": "residuals have an autocorrelation of {measured} at a lag of {place}",
+    "skewness": "residuals have a skewness of {measured}",
+    "tails": "residuals have an excess kurtosis of {measured}",
+    "largest_residual": "largest residual of {measured} at {place} ({simulated} in simulations)",
+    "lattice": "all samples are multiples of one step",
+    "repeated_values": "{shares[0]} of the samples repeat the previous one ({shares[1]} in simulations)",
+    "window_mean": "residuals have a mean of {measured} around {place}",
+    "cross_correlation": "residuals have a correlation of {measured} with those of {channel}",
+    "auxiliary_correlation": "{measured} rms follow {channel} ({simulated} by chance)",
 }
 # Values of a list that are shown; length from which on none is; and details that are never shown.
 _SHOWN, _LONGEST, _OMITTED = 3, 20, frozenset({"axes", "sizes"})
@@ -42,8 +58,11 @@ _EXACT = 1e-5
 _COUNTS = frozenset({"count", "jumps", "order", "longest"})
 # Parameters that are values of samples, and are given in the samples' unit.
 _AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
-# Parameters that are places in time, whose limits have words of their own.
-_PLACES = frozenset({"start", "end", "time"})
+# Words before a limit, if not its side.
+_BEYOND = {
+    **{label: {"below": "at or before", "above": "at or after"} for label in ("start", "end", "time")},
+    **{label: {"below": "at most", "above": "at least"} for label in _COUNTS},
+}
 # Finer units for small values, the largest first, and their factors.
 _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "g": (("mg", 1e3), ("µg", 1e6)),
@@ -73,12 +92,11 @@ def significance(finding: Finding) -> str:
     """How improbable a finding is by chance: a p-value where there is a test, else the odds."""
     if finding.p_value is not None:
         return format_p_value(finding.p_value)
-    if finding.evidence is None:
+    if finding.odds is None or finding.evidence is None:
         measured = finding.gain is not None or _is_counted_elsewhere(finding)
         return "" if measured else "visible directly in the samples"
     # Larger odds overflow.
-    known = finding.evidence < 700.0
-    return f"odds {plain(np.exp(finding.evidence), 2) if known else f'above 10{times_ten(300)[3:]}'} : 1"
+    return f"odds {plain(finding.odds, 2) if finding.evidence < 700.0 else 'above 10³⁰⁰'} : 1"
 
 
 def gain_of(finding: Finding) -> str:
@@ -102,28 +120,30 @@ def nats(gain: float) -> str:
 
 def amount(e: Estimate) -> str:
     """Value, error and unit of a finding's parameter; counts are whole, shares in per cent."""
-    if limit := side_of_limit(e):
-        unit, factor = suited(e.unit, e.value)
-        number = f"{round(e.value):,}" if e.label in _COUNTS else plain(factor * e.value, 3)
-        return f"{_beyond(limit, e.label)} {number}{f' {unit}' if unit else ''}"
-    if e.label in _COUNTS and np.isfinite(e.value):
-        return f"{round(e.value):,}{'' if e.unit == '1' else f' {e.unit}'}"
+    limit, (value, std, unit) = side_of_limit(e), _suited(e)
+    if e.label in _COUNTS and np.isfinite(value):
+        text = f"{round(value):,}"
+    elif limit or e.label == "fraction":
+        text = plain(value, 3)
+    elif std > _EXACT * abs(value):
+        text = format_with_error(value, std)
+    else:
+        text = plain(value, 6 if std > 0.0 else 4)
+    words = _BEYOND.get(e.label, {}).get(limit, limit)
+    return f"{words} {_with(unit, text)}".lstrip()
+
+
+def _suited(e: Estimate) -> tuple[float, float, str]:
+    """Value and error in the unit in which they are shown, and that: of values of samples the record's."""
+    unit, factor = (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
     if e.label == "fraction":
-        return f"{plain(100.0 * e.value, 3)} %"
-    unit, factor = _unit(e)
-    value, std = factor * e.value, factor * e.std
-    known = std > _EXACT * abs(value)
-    text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
-    return f"{text}{f' {unit}' if unit else ''}"
+        unit, factor = "%", 100.0
+    return factor * e.value, factor * e.std, unit
 
 
-def _beyond(limit: str, name: str) -> str:
-    """Words before a limit, e.g. "below"."""
-    if name in _PLACES:
-        return {"below": "at or before", "above": "at or after"}[limit]
-    if name in _COUNTS:
-        return {"below": "at most", "above": "at least"}[limit]
-    return limit
+def _with(unit: str, number: str) -> str:
+    """Number with its unit; a ratio has none."""
+    return number if unit in ("", "1") else f"{number} {unit}"
 
 
 def several(detail: Detail) -> str:
@@ -133,7 +153,7 @@ def several(detail: Detail) -> str:
     unit, factor = suited(unit, max(numbers, key=abs, default=0.0))
     shown = [v if isinstance(v, str) else plain(factor * v, 4) for v in values[:_SHOWN]]
     more = f", … ({len(values)} in all)" if len(values) > _SHOWN else ""
-    return f"{', '.join(shown)}{f' {unit}' if unit else ''}{more}"
+    return _with(unit, ", ".join(shown)) + more
 
 
 def suited(unit: str, value: float) -> tuple[str, float]:
@@ -157,25 +177,16 @@ def describe(d: Discrepancy) -> str:
 
 def what(d: Discrepancy) -> str:
     """Discrepancy in words, without its p-value."""
-    place = f"{plain(d.where, 3)} {d.where_unit}"
-    if d.statistic in _RELATIVE:
-        name, before = _RELATIVE[d.statistic]
-        return f"simulated {name} is {factor_off(d.size)} {before} {place}"
     unit, factor = suited(d.unit, d.measured)
-    value, simulated = (plain(factor * x, 2) for x in (d.measured, d.simulated))
-    return {
-        "psd_line": f"spectral line of {value} {unit} at {place} ({simulated} {unit} in simulations)",
-        "autocorrelation": f"residuals have an autocorrelation of {value} at a lag of {place}",
-        "skewness": f"residuals have a skewness of {value}",
-        "tails": f"residuals have an excess kurtosis of {value}",
-        "largest_residual": f"largest residual of {value} σ at {place} ({simulated} σ in simulations)",
-        "lattice": "all samples are multiples of one step",
-        "repeated_values": f"{percent(d.measured)} of the samples repeat the previous one "
-        f"({percent(d.simulated)} in simulations)",
-        "window_mean": f"residuals have a mean of {value} σ around {place}",
-        "cross_correlation": f"residuals have a correlation of {value} with those of {d.channel}",
-        "auxiliary_correlation": f"{value} {unit} rms follow {d.channel} ({simulated} {unit} by chance)",
-    }.get(d.statistic, f"{d.statistic.replace('_', ' ')} is {value} {unit} ({simulated} in simulations)")
+    measured, simulated = (_with(unit, plain(factor * x, 2)) for x in (d.measured, d.simulated))
+    return _STATISTICS[d.statistic].format(
+        off=factor_off(d.size),
+        measured=measured,
+        simulated=simulated,
+        shares=[percent(d.measured), percent(d.simulated)],
+        place=_with(d.where_unit, plain(d.where, 3)),
+        channel=d.channel,
+    )
 
 
 def factor_off(size: float) -> str:
@@ -194,8 +205,8 @@ def factor_off(size: float) -> str:
 #: Most findings that a printed critique lists.
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
-# An empty cell of the table.
-_NONE = "–"
+# An empty cell of the table, and the place of what has no other.
+_NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
     "frequency": "{}",
@@ -243,23 +254,27 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
 
 def place(finding: Finding) -> str:
     """Where a finding is, in time or frequency, e.g. "7.3 Hz, × 2, × 3" or "12.5 … 14 s"."""
-    if "start" in finding.parameters and "end" in finding.parameters:
-        start, end = (plain(finding.parameters[name].value, 4) for name in ("start", "end"))
-        return f"{start} … {end} s"
-    if "lowest" in finding.parameters:
-        lowest, highest = (plain(finding.parameters[name].value, 4) for name in ("lowest", "highest"))
-        return f"{lowest} … {highest} Hz"
+    if ends := _ends(finding):
+        return ends
     if isinstance(channel := finding.details.get("channel"), str):
         return channel
-    label = next((label for label in _WHERE if label in finding.parameters), None)
-    if label is None:
-        return "whole record"
-    e = finding.parameters[label]
-    text = plain(e.value, 6 if label == "count" else 4) + ("" if e.unit == "1" else f" {e.unit}")
-    places = [_LIMIT[side_of_limit(e)] + _WHERE[label].format(text)]
+    e = next((finding.parameters[label] for label in _WHERE if label in finding.parameters), None)
+    if e is None:
+        return _EVERYWHERE
+    text = _with(e.unit, plain(e.value, 6 if e.label == "count" else 4))
+    places = [_LIMIT[side_of_limit(e)] + _WHERE[e.label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
         places += [f"{sign}{plain(float(x), 4)}" for x in values_of(finding.details.get(name, ()))[0]]
     return ", ".join([*places[:_SHOWN], "…"] if len(places) > _SHOWN else places)
+
+
+def _ends(finding: Finding) -> str:
+    """Part of the record or of the spectrum that a finding is in; "" if it has no ends."""
+    for names in (("start", "end"), ("lowest", "highest")):
+        ends = [finding.parameters[name] for name in names if name in finding.parameters]
+        if len(ends) == 2:
+            return f"{plain(ends[0].value, 4)} … {plain(ends[1].value, 4)} {ends[0].unit}"
+    return ""
 
 
 def size(finding: Finding) -> str:
@@ -282,15 +297,14 @@ def changed(finding: Finding, brief: bool) -> str:
         at = "" if brief else f" at {plain(impact.time, 3)} s"
         return f"Allan deviation{at} by {percent(impact.size)}"
     if impact.quantity == "drift" and finding.drift is not None:
-        drift = finding.drift
-        numbers = f"{plain(drift.before, 3)} → {plain(drift.after, 3)} {drift.unit}"
-        return f"drift {'' if brief else f'in {duration(drift.horizon)} '}{numbers}"
+        within = "" if brief else f"in {duration(impact.time)} "
+        return f"drift {within}{_before_and_after(finding.drift)}"
     own = next(c for c in finding.coefficients if c.label == impact.quantity)
     return f"{_SYMBOLS[own.label]} {_before_and_after(own)}"
 
 
-def _before_and_after(c: CoefficientChange) -> str:
-    """Values of a coefficient, e.g. "2.53 → 1.46 deg/√h"; "none" where its term is not in the model."""
+def _before_and_after(c: CoefficientChange | DriftChange) -> str:
+    """Values of a change, e.g. "2.53 → 1.46 deg/√h"; "none" where a coefficient is not in the model."""
     before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
     return f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
 
@@ -309,20 +323,12 @@ def _names(axes: Iterable[str]) -> str:
     return ", ".join(words)
 
 
-def _unit(e: Estimate) -> tuple[str, float]:
-    """Unit in which a value is shown, and the factor to it: of values of samples that of the record."""
-    if e.label == "fraction":
-        return "%", 100.0
-    return (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
-
-
 def _short(e: Estimate) -> str:
     """Value of a parameter with the digits that its error bears, four at most, but without the error."""
-    unit, factor = _unit(e)
-    value, std = factor * e.value, factor * e.std
+    value, std, unit = _suited(e)
     known = std > _EXACT * abs(value)
     text = without_error(value, max(std, 0.01 * abs(value))) if known else plain(value, 3)
-    return f"{_LIMIT[side_of_limit(e)]}{'× ' if e.label == 'ratio' else ''}{text}{f' {unit}' if unit else ''}"
+    return f"{_LIMIT[side_of_limit(e)]}{'× ' if e.label == 'ratio' else ''}{_with(unit, text)}"
 
 
 # --- A line for each axis -----------------------------------------------------------------------------------
@@ -412,7 +418,7 @@ def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
         bare = [f for f in axis.findings if f not in causes]
         if most == _BRIEF and bare:
             worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
-            where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_extent(worst)})"
+            where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_ends(worst) or _EVERYWHERE})"
             words = f"{where}: {what(worst.discrepancies[0][0])}"
         more = f"; and {len(own) - most} more" if len(own) > most else ""
         return f"{name}: {tests} {then}: {words}{more}"
@@ -494,22 +500,17 @@ def sentence(finding: Finding) -> str:
 def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
     domain = str(finding.details["domain"])
-    places = [_extent(finding), *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
-    text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({', '.join(places)})"
-    if (worst := finding.discrepancies[0][0]).p_value < SIGNIFICANT:
-        text += f": {describe(worst)}"
-    text += "."
+    where = _ends(finding) or _EVERYWHERE
+    amounts = f", {e.label} {amount(e)}" if (e := finding.size) else ""
+    worst = finding.discrepancies[0][0]
+    test = f": {describe(worst)}" if worst.p_value < SIGNIFICANT else ""
+    text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({where}{amounts}){test}."
     if like := _likeness(finding):
         text += (
             f" The extended model describes it as {', '.join(like)} ({gain_of(finding)}), which is not "
             f"taken for its cause: {finding.details['reason']}."
         )
     return f"{text} {_DOMAINS[domain][1]}"
-
-
-def _extent(finding: Finding) -> str:
-    """Part of the record or of the spectrum that something unexplained is in."""
-    return place(finding) if {"start", "lowest"} & set(finding.parameters) else "whole record"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
@@ -535,7 +536,7 @@ def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
 
 def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
     """Remainder of a discrepancy in words, e.g. "within 0.5 %"."""
-    if before.statistic in _RELATIVE and np.isfinite(after.size):
+    if "{off}" in _STATISTICS[before.statistic] and np.isfinite(after.size):
         if after.p_value < SIGNIFICANT:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
@@ -551,10 +552,9 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     ]
     drift = finding.drift
     if drift is not None and _notable(drift.before, drift.after):
-        measured, before, after = (plain(x, 3) for x in (drift.measured, drift.before, drift.after))
         texts.append(
-            f"drift over {duration(drift.horizon)} in simulations {before} → {after} {drift.unit}, "
-            f"in the record {measured} {drift.unit}"
+            f"drift over {duration(drift.horizon)} in simulations {_before_and_after(drift)}, "
+            f"in the record {plain(drift.measured, 3)} {drift.unit}"
         )
     return texts
 
