@@ -22,7 +22,7 @@ from allanjax.base.wording import plain
 from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.law import summaries
 from allanjax.critic.merging import EVENT, OUTLIERS
-from allanjax.critic.parameters import values_of
+from allanjax.critic.parameters import numbers_in
 from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
 from allanjax.record.recording import Axis
@@ -266,9 +266,8 @@ def _draw_extremes(panel: Axes, record: Stage, after: Stage, finding: Finding) -
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
     panel.fill_between(time, low, high, color=draw.ink(0.75), linewidth=0.5, label="range of samples")
     panel.plot(time, np.add.reduceat(e, edges) / length, color=_AFTER, linewidth=0.9, label="mean")
-    if "times" in finding.details:
-        t = np.array(values_of(finding.details["times"])[0], float)
-        k = np.clip(np.rint(t * record.rate).astype(int), 0, record.n - 1)
+    if t := numbers_in(finding.details, "times"):
+        k = np.clip(np.rint(np.array(t) * record.rate).astype(int), 0, record.n - 1)
         panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     else:
         _shade(panel, finding.span, duration)

@@ -24,7 +24,7 @@ from allanjax.critic.finding import (
     Finding,
     cause_title,
 )
-from allanjax.critic.parameters import Detail, side_of_limit, values_of
+from allanjax.critic.parameters import Detail, numbers_in, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.unknown import DOMAINS
 from allanjax.estimate.result import LIMIT
@@ -264,7 +264,7 @@ def place(finding: Finding) -> str:
     text = _with(e.unit, plain(e.value, 6 if e.label == "count" else 4))
     places = [_LIMIT[side_of_limit(e)] + _WHERE[e.label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
-        places += [f"{sign}{plain(float(x), 4)}" for x in values_of(finding.details.get(name, ()))[0]]
+        places += [f"{sign}{plain(x, 4)}" for x in numbers_in(finding.details, name)]
     return ", ".join([*places[:_SHOWN], "…"] if len(places) > _SHOWN else places)
 
 
@@ -373,8 +373,8 @@ def _causes(findings: Iterable[Finding]) -> list[Finding]:
 
 def _likeness(finding: Finding) -> list[str]:
     """Usual names of the causes that an unexplained finding resembles."""
-    words = values_of(finding.details.get("resembles", ()))[0]
-    return [finding.named(cause) for cause in words if isinstance(cause, str)]
+    causes = finding.details.get("resembles", ())
+    return [finding.named(cause) for cause in causes if isinstance(cause, str)]
 
 
 def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
