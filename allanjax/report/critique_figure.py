@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
 from allanjax.critic.finding import UNEXPLAINED, Finding
-from allanjax.critic.law import summaries
+from allanjax.critic.law import Curve, summaries
 from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import numbers_in
 from allanjax.critic.result import Critique
@@ -59,13 +60,13 @@ def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job
     if findings is not None:
         pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
         pairs = [pair for pair in pairs if pair[0] in findings]
-    names: list[str] = []
+    jobs, count = [], Counter[str]()
     for finding, axis in pairs:
         where = "_".join(finding.axes) if finding in critique.shared_findings and finding else axis
-        names.append(f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}")
-    earlier = [names[:k].count(name) for k, name in enumerate(names)]
-    numbered = [f"{name}_{k + 1}" if k else name for name, k in zip(names, earlier, strict=True)]
-    return [_Job(*pair, name) for pair, name in zip(pairs, numbered, strict=True)]
+        name = f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}"
+        count[name] += 1
+        jobs.append(_Job(finding, axis, f"{name}_{count[name]}" if count[name] > 1 else name))
+    return jobs
 
 
 _AFTER, _SPAN, _BEFORE = draw.COLOURS[0], draw.COLOURS[1], draw.COLOURS[3]
@@ -207,26 +208,21 @@ def _panels(
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Shown], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (draw.unit_of(axis), density_unit(axis))
-    names = ((draw.CLUSTER_TIME, "Allan deviation"), (draw.FREQUENCY, "one-sided PSD"))
-    for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
-        name = axis.name if panel is panels[0] else ""
-        draw.dress(panel, name, x_label, draw.label_in(y_label, unit), log="xy")
-    medians, points = [], []
-    for stage in stages:
-        look = stage.points()
-        for panel, (_, scale), curve in zip(panels, units, summaries(stage.record), strict=True):
-            x, median, y = curve.place, curve.median / scale, curve.measured / scale
-            panel.fill_between(x, curve.low / scale, curve.high / scale, **draw.band(stage.colour))
-            panel.plot(x, median, color=stage.colour, linewidth=1.0)
-            panel.plot(x, y, zorder=3, **look)
-        medians.append(median)
-        points.append((x, y, look["color"]))
-    # Those of the PSD limit its vertical scale.
+    names = ((axis.name, draw.CLUSTER_TIME, "Allan deviation"), ("", draw.FREQUENCY, "one-sided PSD"))
+    curves = zip(*(summaries(stage.record) for stage in stages), strict=True)
+    for panel, (unit, scale), (name, x, y), shown in zip(panels, units, names, curves, strict=True):
+        draw.dress(panel, name, x, draw.label_in(y, unit), log="xy")
+        own = [Curve(c.place, *(values / scale for values in c[1:])) for c in shown]
+        for stage, c in zip(stages, own, strict=True):
+            panel.fill_between(c.place, c.low, c.high, **draw.band(stage.colour))
+            panel.plot(c.place, c.median, color=stage.colour, linewidth=1.0)
+            panel.plot(c.place, c.measured, zorder=3, **stage.points())
+    # The medians of the PSD limit its vertical scale.
     low, high = panels[1].get_ylim()
-    middle = np.concatenate(medians)
+    middle = np.concatenate([c.median for c in own])
     panels[1].set_ylim(max(low, middle.min() / _BELOW), min(high, middle.max() * _ABOVE))
-    for x, y, shown in points:
-        draw.mark_off_scale(panels[1], x, y, shown)
+    for stage, c in zip(stages, own, strict=True):
+        draw.mark_off_scale(panels[1], c.place, c.measured, stage.points()["color"])
 
 
 def _finish(panel: Axes, y: str, x: str = draw.TIME, log: str = "") -> None:
