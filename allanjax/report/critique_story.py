@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -43,7 +44,7 @@ _STATISTICS = {
     "tails": "residuals have an excess kurtosis of {measured}",
     "largest_residual": "largest residual of {measured} at {place} ({simulated} in simulations)",
     "lattice": "all samples are multiples of one step",
-    "repeated_values": "{shares[0]} of the samples repeat the previous one ({shares[1]} in simulations)",
+    "repeated_values": "{measured} of the samples repeat the previous one ({simulated} in simulations)",
     "window_mean": "residuals have a mean of {measured} around {place}",
     "cross_correlation": "residuals have a correlation of {measured} with those of {channel}",
     "auxiliary_correlation": "{measured} rms follow {channel} ({simulated} by chance)",
@@ -178,15 +179,12 @@ def describe(d: Discrepancy) -> str:
 def what(d: Discrepancy) -> str:
     """Discrepancy in words, without its p-value."""
     unit, factor = suited(d.unit, d.measured)
+    if d.statistic == "repeated_values":
+        unit, factor = "%", 100.0
     measured, simulated = (_with(unit, plain(factor * x, 2)) for x in (d.measured, d.simulated))
-    return _STATISTICS[d.statistic].format(
-        off=factor_off(d.size),
-        measured=measured,
-        simulated=simulated,
-        shares=[percent(d.measured), percent(d.simulated)],
-        place=_with(d.where_unit, plain(d.where, 3)),
-        channel=d.channel,
-    )
+    numbers = {"measured": measured, "simulated": simulated, "off": factor_off(d.size)}
+    place = _with(d.where_unit, plain(d.where, 3))
+    return _STATISTICS[d.statistic].format(**numbers, place=place, channel=d.channel)
 
 
 def factor_off(size: float) -> str:
@@ -209,9 +207,7 @@ _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
 _NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
-    "frequency": "{}",
-    "bandwidth": "{}",
-    "time": "{}",
+    **dict.fromkeys(("frequency", "bandwidth", "time"), "{}"),
     "time_constant": "T = {}",
     "count": "{} samples",
     "exponent": "α = {}",
@@ -312,14 +308,10 @@ def _before_and_after(c: CoefficientChange | DriftChange) -> str:
 def _names(axes: Iterable[str]) -> str:
     """Names of axes, those of one sensor together, e.g. "accel_xyz"."""
     words: list[str] = []
-    former = ""
-    for axis in axes:
-        sensor, _, own = axis.rpartition("_")
-        if sensor and sensor == former and len(own) == 1:
-            words[-1] += own
-        else:
-            words.append(axis)
-        former = sensor
+    for sensor, group in itertools.groupby(axes, lambda axis: axis.rpartition("_")[0]):
+        same = [*group]
+        own = [axis.removeprefix(f"{sensor}_") for axis in same]
+        words += [f"{sensor}_{''.join(own)}"] if sensor and {*map(len, own)} == {1} else same
     return ", ".join(words)
 
 
@@ -480,8 +472,8 @@ def sentence(finding: Finding) -> str:
         return _without_a_cause(finding)
     cause = ", ".join([f"{axes}: {finding.named(finding.cause)}", *parameters(finding)])
     if finding.members and (sizes := finding.amplitudes):
-        remarks = {axis: f" ({e.remark})" if e.remark else "" for axis, e in sizes.items()}
-        cause += f"; {', '.join(f'{axis} {_short(e)}{remarks[axis]}' for axis, e in sizes.items())}"
+        each = (f"{axis} {_short(e)}{f' ({e.remark})' if e.remark else ''}" for axis, e in sizes.items())
+        cause += f"; {', '.join(each)}"
     pair, gain = headline_discrepancy(finding), gain_of(finding)
     if pair is None:
         test = significance(finding)
