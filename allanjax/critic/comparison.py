@@ -54,7 +54,7 @@ class Comparison(NamedTuple):
     last: Mapping[str, Profile]
     free: tuple[Mapping[str, Free], ...]
 
-    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
+    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy:
         """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
         unit = {"time": "s", "frequency": "Hz"}[domain]
         places = [p for p in self.last.values() if p.where_unit == unit]

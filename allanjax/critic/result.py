@@ -125,7 +125,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     @property
     def duration(self) -> float:
         """Length of the recording [s]."""
-        return len(self.results[0].stages[0].x) / self.rate if self.results else 0.0
+        return self.results[0].stages[0].n / self.rate if self.results else 0.0
 
     @property
     def models(self) -> dict[str, Model]:
@@ -155,7 +155,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         units = {a.axis.sensor: a.axis.unit for a in self.results}
         simulated = simulate_recording(
             self.models,
-            len(self.results[0].stages[0].x) if n is None else n,
+            self.results[0].stages[0].n if n is None else n,
             self.rate,
             key,
             bias={a.axis.name: a.bias(self.rate) for a in self.results},

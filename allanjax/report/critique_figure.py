@@ -157,11 +157,11 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
     finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, f"{job.axis}: no finding", [_Shown(record(job.axis, 0))])[0]
+        return _panels(critique, [_Shown(record(job.axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
         records = [_record(critique, name, -1) for name in finding.axes]
-        figure, effect = _panels(critique, "", [_Shown(records[0])], finding)
+        figure, effect = _panels(critique, [_Shown(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
     own = next(f for f in (finding, finding.strongest) if f in axis.findings)
@@ -169,7 +169,7 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
     stages = [_Shown(before)]
     if before is not after:
         stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
-    figure, effect = _panels(critique, "", stages, finding)
+    figure, effect = _panels(critique, stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
     # Single samples and frequencies are those of the axis.
@@ -179,7 +179,7 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
 
 
 def _panels(
-    critique: Critique, title: str, stages: Sequence[_Shown], finding: Finding | None = None
+    critique: Critique, stages: Sequence[_Shown], finding: Finding | None = None
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
@@ -190,6 +190,7 @@ def _panels(
         key += [draw.line_entry(**stage.points())]
         key += [draw.band_entry(f"95 % of simulations{stage.when}", stage.colour, 0.25)]
     record, lines, sheet = stages[0].record, [], _SHEET
+    title = f"{record.axis.name}: no finding"
     if finding is not None:
         title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
         lines = _description(finding, record.axis)

@@ -20,7 +20,7 @@ SCHEMA_VERSION = 1
 
 def to_dict(critique: Critique) -> dict[str, Any]:
     """The critique as dictionaries, lists, numbers and strings; None for nan and infinite numbers."""
-    n = len(critique.results[0].stages[0].x) if critique.results else 0
+    n = critique.results[0].stages[0].n if critique.results else 0
     rate = float(critique.rate)
     results = {
         "gain_nats": critique.gain,

@@ -333,8 +333,8 @@ _NOTABLE = 0.05
 # The best-known statistic comes first, unless another one improved by this many times as many nats.
 _KNOWN, _CLEARER = "allan_deviation", 3.0
 _BETWEEN = DOMAINS["channels"]
-# Most failed tests of an axis and most notes: on a screen, and in full.
-_BRIEF, _FULL = 1, 3
+# Most failed tests of an axis that are described in full.
+_MOST_TESTS = 3
 
 
 def story(critique: Critique) -> str:
@@ -345,7 +345,7 @@ def story(critique: Critique) -> str:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
         lines.append(f"and {len(causes) - MOST} more: critique.details()")
-    return printable("\n".join([*lines, "", *_end(critique, _BRIEF)]))
+    return printable("\n".join([*lines, "", *_end(critique, brief=True)]))
 
 
 def details(critique: Critique) -> str:
@@ -355,7 +355,7 @@ def details(critique: Critique) -> str:
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
             lines.append(wrapped(f"Changes: {text}.", first="  "))
-    return "\n".join([*lines, "", *_end(critique, _FULL)])
+    return "\n".join([*lines, "", *_end(critique, brief=False)])
 
 
 def _causes(findings: Iterable[Finding]) -> list[Finding]:
@@ -381,46 +381,42 @@ def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
     return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}{more}"
 
 
-def _end(critique: Critique, most: int) -> list[str]:
+def _end(critique: Critique, brief: bool) -> list[str]:
     """How well each axis is simulated now, axes that were not compared, warnings and notes."""
     shared = {name for f in critique.shared_findings for name in f.axes}
-    lines = [_verdict(axis, shared, most) for axis in critique.results]
+    lines = [_verdict(axis, shared, brief) for axis in critique.results]
     lines += [f"{dead.axis.name}: not compared: {dead.reason}" for dead in critique.dead]
     remarks = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
-    notes = critique.notes[:_BRIEF] if most == _BRIEF else critique.notes
+    notes = critique.notes[:1] if brief else critique.notes
     remarks += [f"note: {note}" for note in notes]
     if more := len(critique.notes) - len(notes):
         remarks.append(f"and {more} more note{'s' if more > 1 else ''}: see details() or the JSON file")
     return [*map(wrapped, lines), *([""] if remarks else []), *map(wrapped, remarks)]
 
 
-def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
-    """Which tests of an axis fail with all that was found in it, and `most` of them in words."""
+def _verdict(axis: AxisCritique, shared: set[str], brief: bool) -> str:
+    """Which tests of an axis fail with all that was found in it, and how."""
     name, count = axis.axis.name, len(axis.before)
-    causes = _causes(axis.findings)
-    before = _failed(axis.before)
+    causes, before = _causes(axis.findings), _failed(axis.before)
     after = _failed(axis.after) if causes else before
     # What axes have in common is among the findings.
     own = [d for d in after if not (name in shared and d.statistic in _BETWEEN)]
-    if own:
-        tests = f"{len(own)} of {count} tests {'fails' if len(own) == 1 else 'fail'}"
-        earlier = "" if most == _BRIEF else f" ({len(before)} before)"
-        then = f"after the findings{earlier}" if causes else "and no cause was found"
-        words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
-        bare = [f for f in axis.findings if f not in causes]
-        if most == _BRIEF and bare:
-            worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
-            where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_ends(worst) or _EVERYWHERE})"
-            words = f"{where}: {what(worst.discrepancies[0][0])}"
-        more = f"; and {len(own) - most} more" if len(own) > most else ""
-        return f"{name}: {tests} {then}: {words}{more}"
-    if after:
+    if after and not own:
         return f"{name}: the simulation reproduces the record except for the noise that axes share"
-    text = f"{name}: the simulation reproduces the record in all {count} tests"
-    if causes:
-        return f"{text} after the findings ({len(before) or 'none'} failed before)"
-    smallest = min((d.p_value for d in axis.before), default=1.0)
-    return f"{text} (smallest p-value {plain(smallest, 2)})"
+    if not own:
+        smallest = min((d.p_value for d in axis.before), default=1.0)
+        then = f"after the findings ({len(before) or 'none'} failed before)"
+        then = then if causes else f"(smallest p-value {plain(smallest, 2)})"
+        return f"{name}: the simulation reproduces the record in all {count} tests {then}"
+    tests = f"{len(own)} of {count} tests {'fails' if len(own) == 1 else 'fail'}"
+    then = f"after the findings{'' if brief else f' ({len(before)} before)'}"
+    shown = own[: 1 if brief else _MOST_TESTS]
+    words = "; ".join(map(what if brief else describe, shown))
+    if brief and (bare := [f for f in axis.findings if f not in causes]):
+        worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
+        words = f"{_where(worst)}: {what(worst.discrepancies[0][0])}"
+    more = f"; and {len(own) - len(shown)} more" if len(own) > len(shown) else ""
+    return f"{name}: {tests} {then if causes else 'and no cause was found'}: {words}{more}"
 
 
 def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
@@ -431,9 +427,7 @@ def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
 def unmeasured(critique: Critique) -> tuple[str, ...]:
     """Warnings about axes whose baseline does not fit the data, and what to do about it."""
     warnings = []
-    for axis in critique.results:
-        if axis.misfit is None or not axis.misfit.excessive:
-            continue
+    for axis in (axis for axis in critique.results if axis.misfit is not None and axis.misfit.excessive):
         left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < SIGNIFICANT]
         # Whether what is left is beyond what coefficients may have, in either direction.
         far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
@@ -491,18 +485,21 @@ def sentence(finding: Finding) -> str:
 
 def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
-    domain = str(finding.details["domain"])
-    where = _ends(finding) or _EVERYWHERE
     amounts = f", {e.label} {amount(e)}" if (e := finding.size) else ""
     worst = finding.discrepancies[0][0]
     test = f": {describe(worst)}" if worst.p_value < SIGNIFICANT else ""
-    text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({where}{amounts}){test}."
+    text = f"{', '.join(finding.axes)}: unexplained, {_where(finding, amounts)}{test}."
     if like := _likeness(finding):
         text += (
             f" The extended model describes it as {', '.join(like)} ({gain_of(finding)}), which is not "
             f"taken for its cause: {finding.details['reason']}."
         )
-    return f"{text} {_DOMAINS[domain][1]}"
+    return f"{text} {_DOMAINS[str(finding.details['domain'])][1]}"
+
+
+def _where(finding: Finding, more: str = "") -> str:
+    """Where something unexplained shows, e.g. "in the spectrum (11 … 14 Hz)"."""
+    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or _EVERYWHERE}{more})"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
