@@ -93,25 +93,20 @@ def significance(finding: Finding) -> str:
     """How improbable a finding is by chance: a p-value where there is a test, else the odds."""
     if finding.p_value is not None:
         return format_p_value(finding.p_value)
-    if finding.odds is None or finding.evidence is None:
-        measured = finding.gain is not None or _is_counted_elsewhere(finding)
+    if (odds := finding.odds) is None:
+        measured = any(f.gain is not None for f in (finding, *finding.members))
         return "" if measured else "visible directly in the samples"
     # Larger odds overflow.
-    return f"odds {plain(finding.odds, 2) if finding.evidence < 700.0 else 'above 10³⁰⁰'} : 1"
+    return f"odds {plain(odds, 2) if odds < np.exp(700.0) else 'above 10³⁰⁰'} : 1"
 
 
 def gain_of(finding: Finding) -> str:
     """Gain of a finding in words, e.g. "gain of 1,234 nats on held-out data"."""
     if finding.gain is not None:
         return f"gain of {nats(finding.gain)} on held-out data"
-    if _is_counted_elsewhere(finding):
+    if any(member.gain is not None for member in finding.members):
         return "gain included in that of the other outliers of its axes"
     return "no gain: it cannot be tested on held-out data"
-
-
-def _is_counted_elsewhere(finding: Finding) -> bool:
-    """Whether the gain of a finding is included in that of another one, of which it is a part."""
-    return finding.gain is None and any(member.gain is not None for member in finding.members)
 
 
 def nats(gain: float) -> str:
@@ -158,11 +153,9 @@ def several(detail: Detail) -> str:
 
 
 def suited(unit: str, value: float) -> tuple[str, float]:
-    """Unit in which a small value is easy to read, and the factor to it; a ratio has an empty name."""
-    if unit in ("", "1"):
-        return "", 1.0
-    known = (name for name in _FINER if unit == name or unit.startswith((f"{name}/[", f"{name}/√")))
-    base = max(known, key=len, default="")
+    """Unit in which a small value is easy to read, and the factor to it."""
+    # Without what it is per: a unit of a channel, or a root.
+    base = re.split(r"/[\[√]", unit)[0]
     name, factor = base, 1.0
     for finer, times in _FINER.get(base, ()):
         if not 0.0 < factor * abs(value) < _SMALL:
