@@ -40,19 +40,11 @@ from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
 
 
-class _Job(NamedTuple):
-    """Figure to be drawn: of a finding, None for an axis without; in which axis; and its file's name."""
+def _named(critique: Critique, findings: Collection[Finding] | None) -> dict[str, tuple[Finding | None, str]]:
+    """Findings in their order, and None for axes without, each with the axis that is shown, by file names.
 
-    finding: Finding | None
-    axis: str
-    name: str
-
-
-def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job]:
-    """Figures of the findings in their order, and of axes without; or of some findings or parts of findings.
-
-    Names are after the axis that is shown, or the axes that share what was found, and the cause; numbered
-    where a cause was found several times.
+    They may be some findings only, or parts of findings. Names are after the axis that is shown, or the axes
+    that share what was found, and the cause; numbered where a cause was found several times.
     """
     listed = critique.findings
     pairs: list[tuple[Finding | None, str]] = [(finding, finding.shown) for finding in listed]
@@ -60,13 +52,13 @@ def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job
     if findings is not None:
         pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
         pairs = [pair for pair in pairs if pair[0] in findings]
-    jobs, count = [], Counter[str]()
+    named, count = {}, Counter[str]()
     for finding, axis in pairs:
         where = "_".join(finding.axes) if finding in critique.shared_findings and finding else axis
         name = f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}"
         count[name] += 1
-        jobs.append(_Job(finding, axis, f"{name}_{count[name]}" if count[name] > 1 else name))
-    return jobs
+        named[f"{name}_{count[name]}" if count[name] > 1 else name] = finding, axis
+    return named
 
 
 _AFTER, _SPAN, _BEFORE = draw.COLOURS[0], draw.COLOURS[1], draw.COLOURS[3]
@@ -119,19 +111,23 @@ def critique_figures(
     suffix: str = "png",
 ) -> dict[str, Figure]:
     """Figures of a critique by the names of their files with this suffix; see `plot_critique`."""
-    jobs = _jobs(critique, findings)
-    figures: dict[str, Figure] = {}
+    shown = _named(critique, findings)
+
+    @functools.lru_cache(maxsize=2)
+    def record(axis: str, stage: int) -> Stage:
+        """An axis at a stage; a copy, as the critique shall not keep the arrays that figures need."""
+        return dataclasses.replace(critique[axis].stages[stage])
+
     with draw.style():
-        record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique))
         # Axis by axis, since the curves of an axis are used again.
-        for job in sorted(jobs, key=lambda job: critique.axes.index(job.axis)):
-            figures[job.name] = _draw(critique, job, record)
-    named = {f"{job.name}.{suffix}": figures[job.name] for job in jobs}
+        names = sorted(shown, key=lambda name: critique.axes.index(shown[name][1]))
+        drawn = {name: _draw(critique, *shown[name], record) for name in names}
+    figures = {f"{name}.{suffix}": drawn[name] for name in shown}
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
-        for name, figure in named.items():
+        for name, figure in figures.items():
             draw.saved(figure, Path(path) / name)
-    return named
+    return figures
 
 
 class _Shown(NamedTuple):
@@ -148,24 +144,20 @@ class _Shown(NamedTuple):
         return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
-def _record(critique: Critique, axis: str, stage: int) -> Stage:
-    """An axis at a stage; a copy, as the critique shall not keep the arrays that figures need."""
-    return dataclasses.replace(critique[axis].stages[stage])
-
-
-def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) -> Figure:
+def _draw(
+    critique: Critique, finding: Finding | None, axis: str, record: Callable[[str, int], Stage]
+) -> Figure:
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
-    finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, [_Shown(record(job.axis, 0))])[0]
+        return _panels(critique, [_Shown(record(axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
-        records = [_record(critique, name, -1) for name in finding.axes]
+        records = [record(name, -1) for name in finding.axes]
         figure, effect = _panels(critique, [_Shown(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
-    own = next(f for f in (finding, finding.strongest) if f in axis.findings)
-    before, after = (record(job.axis, stage % len(axis.stages)) for stage in own.stages)
+    own = next(f for f in (finding, finding.strongest) if f in critique[axis].findings)
+    before, after = (record(axis, stage % len(critique[axis].stages)) for stage in own.stages)
     stages = [_Shown(before)]
     if before is not after:
         stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
