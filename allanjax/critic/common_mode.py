@@ -104,13 +104,13 @@ def common_mode(records: Sequence[Stage], alpha: float) -> list[Finding]:
 def _bands(records: Sequence[Stage]) -> list[_Band]:
     """All noise and the white noise, each in all parts of the spectrum in which axes may share it."""
     z = np.stack([record.whitened_coefficients for record in records])
-    white = [record.share(WHITE) for record in records]
+    white = np.stack([record.share(WHITE) for record in records])
     # If nearly all noise is white, white noise and all noise are the same.
-    own = [np.zeros(z.shape[1]) if w is None or np.mean(w) > NEARLY_ALL else w for w in white]
+    white[white.mean(axis=1) > NEARLY_ALL] = 0.0
     tops = [z.shape[1]]
     while tops[-1] // _SPLIT >= _LEAST:
         tops.append(tops[-1] // _SPLIT)
-    shares = {"all": np.broadcast_to(1.0, z.shape), "white": np.stack(own)}
+    shares = {"all": np.broadcast_to(1.0, z.shape), "white": white}
     return [_Band(noise, z[:, :top], share[:, :top]) for noise, share in shares.items() for top in tops]
 
 

@@ -13,16 +13,15 @@ from allanjax.critic.free import Free, descriptions
 from allanjax.critic.law import allan_weights
 from allanjax.critic.noise import centred
 from allanjax.critic.profiles import (
-    ANGLE,
     Profile,
     autocorrelation,
     cross_correlation,
+    drift_scale,
     drift_sizes,
     of_samples,
     profiles_of,
 )
 from allanjax.critic.stage import Stage, narrow_bins
-from allanjax.record.units import unit_scale
 
 # Order of the discrepancies in a critique.
 _ORDER = (
@@ -55,7 +54,7 @@ class Comparison(NamedTuple):
     last: Mapping[str, Profile]
     free: tuple[Mapping[str, Free], ...]
 
-    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy | None:
+    def rest(self, span: tuple[float, float], domain: str) -> Discrepancy:
         """Largest discrepancy after the last finding in a part of the record [s] or of the spectrum [Hz]."""
         unit = {"time": "s", "frequency": "Hz"}[domain]
         places = [p for p in self.last.values() if p.where_unit == unit]
@@ -127,22 +126,21 @@ def _drift_change(before: Stage, after: Stage) -> DriftChange | None:
     It is given at the time at which the finding changes that of simulations most. What the finding subtracts
     from the samples is in the record still, and so it is added to the simulations after it.
     """
-    n, rate, axis = before.n, before.rate, before.axis
-    sizes = drift_sizes(n, rate)
-    short = sizes <= _SHARE * n
-    if not short.any():
+    sizes = drift_sizes(before.n, before.rate)
+    count = np.count_nonzero(sizes <= _SHARE * before.n)
+    if count == 0:
         return None
-    weights = allan_weights(n, tuple(sizes.tolist()))[short]
+    weights = allan_weights(before.n, tuple(sizes.tolist()))
     old, _, measured, _ = before.sums
     new = after.sums[0]
     if not before.same_record(after):
         path = before.residual - after.residual
-        new = new + np.add.reduceat(path * path, narrow_bins(n)[:-1] - 1)
-    T, unit = sizes[short] / rate, ANGLE[axis.sensor]
-    drifts = np.sqrt(2.0 * np.stack([measured, old, new]) @ weights.T) * T / unit_scale(unit, axis.sensor)
+        new = new + np.add.reduceat(path * path, narrow_bins(before.n)[:-1] - 1)
+    scale, unit = drift_scale(before, sizes)
+    drifts = (scale * np.sqrt(np.stack([measured, old, new]) @ weights.T))[:, :count]
     k = int(np.argmax(abs(np.log(np.maximum(drifts[2], 1e-300) / np.maximum(drifts[1], 1e-300)))))
     record, was, now = map(float, drifts[:, k])
-    return DriftChange(float(T[k]), record, was, now, unit)
+    return DriftChange(float(sizes[k] / before.rate), record, was, now, unit)
 
 
 def _varying(auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> dict[str, Float[np.ndarray, " n-1"]]:

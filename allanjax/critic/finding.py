@@ -210,18 +210,15 @@ class Finding(ByValue):
     @property
     def impact(self) -> Impact:
         """The largest relative change of N, K, the drift or the Allan deviation in any axis."""
-        found = [
-            Impact(_change(c.before, c.after), c.label)
-            for c in self.coefficients
-            if c.label in MAIN_COEFFICIENTS
-        ]
+        main = (c for c in self.coefficients if c.label in MAIN_COEFFICIENTS)
+        found = [Impact(_change(c.before, c.after), c.label) for c in main]
         if self.drift is not None:
             found.append(Impact(_change(self.drift.before, self.drift.after), "drift", self.drift.horizon))
         for before, after in self.discrepancies:
             if before.statistic == "allan_deviation":
                 # Reduction of the simulation's error, as subtraction also changes the measured value.
-                mended = (1.0 + _off(before)) / (1.0 + _off(after)) - 1.0
-                found.append(Impact(max(mended, 0.0), "allan_deviation", before.where))
+                off, left = (1.0 + _change(d.measured, d.simulated) for d in (before, after))
+                found.append(Impact(max(off / left - 1.0, 0.0), "allan_deviation", before.where))
         if "correlation" in self.parameters and len(self.axes) > 1:
             r = abs(self.parameters["correlation"].value)
             found.append(Impact(float(np.sqrt(1.0 + r)) - 1.0, "sum"))
@@ -239,11 +236,6 @@ class Finding(ByValue):
 def cause_title(cause: str, sensor: Sensor) -> str:
     """Usual name of a cause or a coefficient, e.g. "spectral line" for "sinusoid"."""
     return _TITLES.get(cause) or title_of(cause, sensor)
-
-
-def _off(d: Discrepancy) -> float:
-    """Error of a simulated statistic, in the measure of `Impact.size`."""
-    return _change(d.measured, d.simulated)
 
 
 def _change(before: float, after: float) -> float:

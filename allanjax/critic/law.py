@@ -15,7 +15,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.stats import chi2
 
 from allanjax.allan.estimators import cluster_sizes
@@ -51,7 +51,8 @@ class Law(NamedTuple):
         v, square, measured, _ = stage.sums
         edges = narrow_bins(stage.n)
         size = np.diff(edges)
-        q = _shares(stage, edges[:-1] - 1 + size // 2)
+        middle = edges[:-1] - 1 + size // 2
+        q = np.reshape([stage.share(term, middle) for term in stage.powers], (-1, len(size)))
         # No power is more uncertain than 100 %, hence the 1 beside the Fisher information ½ Σ_j q_k q_l.
         information = 0.5 * (q * size) @ q.T
         errors = np.linalg.inv(information + np.eye(len(q)))
@@ -72,13 +73,6 @@ class Law(NamedTuple):
         """Quantile of the simulations' sums, χ² variates of as many degrees of freedom as fit."""
         dof = 2.0 / np.diag(self.covariance)
         return self.mean * chi2.ppf(probability, dof) / dof
-
-
-def _shares(stage: Stage, places: Int[np.ndarray, " bins"]) -> Float[np.ndarray, "terms bins"]:
-    """Share of each noise term in the expected squares at some places; no rows if the terms are unknown."""
-    rows = [p * stage.family.unit(name, stage.index)[places] for name, p in stage.powers.items()]
-    shares = np.reshape(rows, (len(rows), len(places)))
-    return shares / np.maximum(shares.sum(axis=0), 1e-300)
 
 
 @functools.lru_cache(maxsize=4)

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.special import gammainc
 
 from allanjax.critic.finding import UNEXPLAINED, Finding, Rival
-from allanjax.critic.parameters import Detail, Limit, parameter_estimate, side_of_limit, values_of
+from allanjax.critic.parameters import Detail, Limit, numbers_in, parameter_estimate, side_of_limit
 from allanjax.critic.policy import judged
 from allanjax.noise.estimate import Estimate
 
@@ -53,25 +53,24 @@ def merged(
 
 def _families(findings: Sequence[Finding], duration: float) -> Iterator[Finding]:
     """Findings, with those that are one joined."""
-    kinds = [_kind(f) for f in findings]
-    # The strongest finding comes first, but of lines the lowest, which may be the fundamental of others.
-    rank = [
-        f.parameters["frequency"].value if name == "line" else -_weight(f)
-        for f, (name, _) in zip(findings, kinds, strict=True)
-    ]
-    left = sorted(range(len(findings)), key=rank.__getitem__)
-    while left:
-        family = [left.pop(0)]
-        kind = kinds[family[0]]
-        rule = RULES.get(kind[0], Rule(lambda one, other, duration: False))
-        for known in family if rule.grows else family[:1]:
-            for k in [k for k in left if kinds[k] == kind]:
-                taken = rule.is_once and findings[k].axes in [findings[i].axes for i in family]
-                if not taken and rule.same(findings[known], findings[k], duration):
-                    family.append(k)
-                    left.remove(k)
-        members = [findings[k] for k in sorted(family)]
-        yield rule.combine(members) if len(members) > 1 else members[0]
+    kinds: dict[tuple[str, str], list[Finding]] = {}
+    for f in findings:
+        kinds.setdefault(_kind(f), []).append(f)
+    for (name, _), alike in kinds.items():
+        rule = RULES.get(name, _ALONE)
+        # The strongest finding comes first, but of lines the lowest, which may be the fundamental of others.
+        rank = [f.parameters["frequency"].value if name == "line" else -_weight(f) for f in alike]
+        left = sorted(range(len(alike)), key=rank.__getitem__)
+        while left:
+            family = [left.pop(0)]
+            for known in family if rule.grows else family[:1]:
+                for k in [*left]:
+                    taken = rule.combine is together and alike[k].axes in [alike[i].axes for i in family]
+                    if not taken and rule.same(alike[known], alike[k], duration):
+                        family.append(k)
+                        left.remove(k)
+            members = [alike[k] for k in sorted(family)]
+            yield rule.combine(members) if len(members) > 1 else members[0]
 
 
 def _weight(f: Finding) -> float:
@@ -214,8 +213,8 @@ def _event_numbers(findings: Sequence[Finding], duration: float) -> list[Int[np.
 def _spans(f: Finding, duration: float) -> Float[np.ndarray, "parts 2"]:
     """Starts and ends of the parts of a finding that may belong to an event: outliers, or a short stretch."""
     if f.cause == OUTLIERS:
-        times = np.array(values_of(f.details.get("times", ()))[0], float)
-        return np.stack([times, times], axis=1)
+        times = numbers_in(f.details, "times")
+        return np.transpose([times, times])
     start, end = f.span
     if f.cause == "disturbance" or (f.cause == "variance_change" and end - start <= _SHORT * duration):
         return np.array([[start - _value(f, "start")[1], end + _value(f, "end")[1]]])
@@ -264,14 +263,12 @@ class Rule(NamedTuple):
 
     Attributes:
         same: whether two findings are one, in a record of this length [s].
-        combine: describes several findings as one.
-        is_once: whether only one finding of each axis is meant.
+        combine: describes several findings as one; `together` has one of each axis, others may have more.
         grows: whether a finding joins if it is the same as any member, not only as the first one.
     """
 
     same: Callable[[Finding, Finding, float], bool] = lambda one, other, duration: True
     combine: Callable[[Sequence[Finding]], Finding] = together
-    is_once: bool = True
     grows: bool = False
 
 
@@ -362,11 +359,12 @@ def _line(members: Sequence[Finding]) -> Finding:
         # The amplitude of a resonance is a standard deviation.
         remarks = [f"harmonic {order}"] * (order > 1) + [f"as {f.cause}"] * (f.cause != cause)
         sizes |= {axis: dataclasses.replace(e, remark=", ".join(remarks)) for axis, e in f.amplitudes.items()}
-    heard = [tone.value / lowest for tone in tones]
-    for f, own in zip(members, tuple(heard), strict=True):
-        heard += [own * float(k) for k in values_of(f.details.get("harmonics", ()))[0]]
-        heard += [float(x) / lowest for x in values_of(f.details.get("further_frequencies", ()))[0]]
-    multiples = sorted({round(k) for k in heard if abs(k - round(k)) < _BY_CHANCE * k and round(k) > 1})
+    heard = [tone.value for tone in tones]
+    for f, tone in zip(members, tones, strict=True):
+        heard += [tone.value * k for k in numbers_in(f.details, "harmonics")]
+        heard += numbers_in(f.details, "further_frequencies")
+    ratios = [x / lowest for x in heard]
+    multiples = sorted({round(k) for k in ratios if abs(k - round(k)) < _BY_CHANCE * k and round(k) > 1})
     harmonics = tuple(parameter_estimate(tones[0].axis, "harmonic", k, 0.0, "1") for k in multiples)
     whole = together(members)
     return dataclasses.replace(
@@ -401,11 +399,12 @@ def _stretch(members: Sequence[Finding]) -> Finding:
 
 #: Rules for findings that are reported once for several axes.
 RULES: Mapping[str, Rule] = {
-    "line": Rule(_same_line, _line, is_once=False),
-    "stretch": Rule(_same_stretch, _stretch, is_once=False, grows=True),
+    "line": Rule(_same_line, _line),
+    "stretch": Rule(_same_stretch, _stretch, grows=True),
     "low_pass": Rule(lambda one, other, _: _similar(one, other, "bandwidth", 1.0 + _FILTER)),
     "resonance": Rule(_same_resonance),
     "bias_step": Rule(lambda one, other, T: _agree(one, other, "time", _AT_ONCE * T, _APART * T)),
     "warm_up": Rule(lambda one, other, _: _similar(one, other, "time_constant", _WARMING)),
     **dict.fromkeys(("temperature", OUTLIERS, "rounding", "saturation", "repeated_samples"), Rule()),
 }
+_ALONE = Rule(lambda one, other, duration: False)

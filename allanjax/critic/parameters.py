@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -80,3 +80,13 @@ def values_of(detail: Detail) -> tuple[tuple[float, ...] | tuple[str, ...], floa
     words = (detail,) if isinstance(detail, str) else tuple(x for x in detail if isinstance(x, str))
     numbers = [x for x in detail if isinstance(x, Estimate)]
     return (tuple(x.value for x in numbers), numbers[0].std, numbers[0].unit) if numbers else (words, 0.0, "")
+
+
+def written(x: Estimate | Detail) -> tuple[float | tuple[float, ...] | tuple[str, ...], float, str, Limit]:
+    """Value, standard deviation and unit of a parameter or a detail, and the side of a limit."""
+    return (x.value, x.std, x.unit, side_of_limit(x)) if isinstance(x, Estimate) else (*values_of(x), "")
+
+
+def numbers_in(details: Mapping[str, Detail], name: str) -> list[float]:
+    """Values of a list among details; none if there is no such list."""
+    return [x.value for x in details.get(name, ()) if isinstance(x, Estimate)]

@@ -11,11 +11,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int, Real
 from scipy.fft import dct, rfft
-from scipy.stats import binom, chi2, norm
+from scipy.stats import binom, chi2, kurtosistest, norm, skewtest
 
 from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
@@ -27,18 +28,17 @@ from allanjax.inspection.plausible import lattice
 from allanjax.record.completion import in_time
 from allanjax.record.units import unit_scale
 
-#: Smallest p-value that is reported; smaller ones are beyond floating point.
-TINY = 1e-300
+# Smallest p-value that is reported; smaller ones are beyond floating point.
+_TINY = 1e-300
 # Most lags of the autocorrelation, most windows, fewest samples in one.
 _LAGS, _WINDOWS, _SHORTEST = 200, 64, 16
 # Draws from which the law of a largest score is extrapolated.
 _DRAWS = 2000
 # Normal scores beyond this are computed from the deviance: their probabilities underflow.
 _FAR = 35.0
-#: Unit of the integrated rate of each sensor.
-ANGLE = {"gyro": "deg", "accel": "m/s"}
 
 Places = Float[np.ndarray, " places"]
+_Numbers: TypeAlias = Callable[[int], tuple[float, float, float]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Profile:
     Attributes:
         score: difference between measurement and simulations at each place: standard normal under the model,
             or a magnitude that grows like one.
-        law: p-value of the largest magnitude among the scores.
         numbers: place, measured value, and median of simulations, by the number of the place.
+        law: p-value of the largest magnitude among the scores; None if they are independent normal ones.
         channels: other axes or channels, one place each, for correlations.
         extent: start and end of each place, of windows in time and bands of frequencies.
     """
@@ -58,8 +58,8 @@ class Profile:
     where_unit: str
     unit: str
     score: Places
-    law: Callable[[float], float]
-    numbers: Callable[[int], tuple[float, float, float]]
+    numbers: _Numbers
+    law: Callable[[float], float] | None = None
     channels: tuple[str, ...] = ()
     extent: tuple[Places, Places] | None = None
 
@@ -75,10 +75,12 @@ class Profile:
     def at(self, place: int) -> Discrepancy:
         """Discrepancy at one place; its p-value is corrected for having searched all places."""
         where, measured, simulated = map(float, self.numbers(place))
-        p_value = float(np.clip(self.law(float(abs(self.score[place]))), TINY, 1.0))
-        channel = self.channels[place] if self.channels else ""
+        score = float(abs(self.score[place]))
+        p = self.law(score) if self.law else any_of(float(2.0 * norm.sf(score)), len(self.score))
         return Discrepancy(
-            self.statistic, where, self.where_unit, measured, simulated, self.unit, p_value, channel
+            *(self.statistic, where, self.where_unit, measured, simulated, self.unit),
+            p_value=float(np.clip(p, _TINY, 1.0)),
+            channel=self.channels[place] if self.channels else "",
         )
 
     def worst(self) -> Discrepancy:
@@ -86,16 +88,10 @@ class Profile:
         return self.at(int(np.argmax(abs(self.score))))
 
 
-def _listed(
-    where: Places, measured: Places, simulated: Places
-) -> Callable[[int], tuple[float, float, float]]:
-    """Numbers of a profile from arrays."""
-    return lambda place: (where[place], measured[place], simulated[place])
-
-
-def _independent(count: int) -> Callable[[float], float]:
-    """p-value of the largest of `count` independent standard normal magnitudes, as a function of its size."""
-    return lambda score: any_of(float(2.0 * norm.sf(score)), count)
+def _listed(where: Places | float, measured: Places, simulated: Places | float) -> _Numbers:
+    """Numbers of a profile from arrays, or of all places alike."""
+    table = np.broadcast_arrays(where, measured, simulated)
+    return lambda place: (table[0][place], table[1][place], table[2][place])
 
 
 def _largest(root: Float[np.ndarray, "places k"]) -> Callable[[float], float]:
@@ -107,7 +103,7 @@ def _largest(root: Float[np.ndarray, "places k"]) -> Callable[[float], float]:
 def _chi2_score(value: Places, dof: Real[np.ndarray, " places"]) -> Places:
     """Standard normal variates as improbable as these χ² ones."""
     below, above = chi2.cdf(value, dof), chi2.sf(value, dof)
-    z = np.where(below < 0.5, norm.ppf(np.maximum(below, TINY)), norm.isf(np.maximum(above, TINY)))
+    z = np.where(below < 0.5, norm.ppf(np.maximum(below, _TINY)), norm.isf(np.maximum(above, _TINY)))
     ratio = np.maximum(value / dof, 1e-300)
     deviance = np.sqrt(np.maximum(dof * (ratio - 1.0 - np.log(ratio)), _FAR**2))
     return np.where(abs(z) < _FAR, z, np.sign(z) * deviance)
@@ -128,9 +124,14 @@ def drift(stage: Stage) -> Profile:
     The drift over T, less that at the mean rate over an equally long time before, is √2·T times the Allan
     deviation at T.
     """
-    sizes, unit = drift_sizes(stage.n, stage.rate), ANGLE[stage.axis.sensor]
-    factor = np.sqrt(2.0) * sizes / stage.rate / unit_scale(unit, stage.axis.sensor)
-    return _of_law("drift", stage, sizes, factor, unit)
+    sizes = drift_sizes(stage.n, stage.rate)
+    return _of_law("drift", stage, sizes, *drift_scale(stage, sizes))
+
+
+def drift_scale(stage: Stage, sizes: Int[np.ndarray, " m"]) -> tuple[Places, str]:
+    """Ratio of drifts to the Allan deviations for clusters of these sizes [SI], and the drifts' unit."""
+    unit = {"gyro": "deg", "accel": "m/s"}[stage.axis.sensor]
+    return np.sqrt(2.0) * sizes / stage.rate / unit_scale(unit, stage.axis.sensor), unit
 
 
 def drift_sizes(n: int, rate: float) -> Int[np.ndarray, " m"]:
@@ -147,7 +148,7 @@ def _of_law(statistic: str, stage: Stage, sizes: Int[np.ndarray, " m"], factor: 
     values, vectors = np.linalg.eigh(law.fitted / np.sqrt(np.outer(variance, variance)))
     measured, simulated = (factor * np.sqrt(v) for v in (law.measured, law.quantile(0.5)))
     numbers = _listed(sizes / stage.rate, measured, simulated)
-    return Profile(statistic, "s", unit, z, _largest(vectors * np.sqrt(np.maximum(values, 0.0))), numbers)
+    return Profile(statistic, "s", unit, z, numbers, _largest(vectors * np.sqrt(np.maximum(values, 0.0))))
 
 
 # --- Frequencies --------------------------------------------------------------------------------------------
@@ -166,7 +167,7 @@ def psd(stage: Stage) -> Profile:
         *(level * x / count for x in (squares, chi2.median(count))),
     )
     between, unit = (edges - 0.5) * spacing, f"({stage.axis.unit})²/Hz"
-    return Profile("psd", "Hz", unit, z, _independent(len(z)), numbers, extent=(between[:-1], between[1:]))
+    return Profile("psd", "Hz", unit, z, numbers, extent=(between[:-1], between[1:]))
 
 
 def line(stage: Stage) -> Profile:
@@ -188,9 +189,8 @@ def line(stage: Stage) -> Profile:
         return any_of(float(np.exp(-0.5 * score**2)), count)
 
     lowest = np.arange(count) * spacing
-    return Profile(
-        "psd_line", "Hz", stage.axis.unit, score, law, numbers, extent=(lowest, lowest + 2.0 * spacing)
-    )
+    extent = lowest, lowest + 2.0 * spacing
+    return Profile("psd_line", "Hz", stage.axis.unit, score, numbers, law, extent=extent)
 
 
 def autocorrelation(stage: Stage) -> Profile:
@@ -202,46 +202,28 @@ def autocorrelation(stage: Stage) -> Profile:
     squares = np.concatenate([[0.0], stage.whitened_coefficients**2 - 1.0, [0.0]])
     lags = min(_LAGS, n // 10)
     r = dct(squares, type=1, workers=-1)[1 : lags + 1] / (2.0 * n)
-    numbers = _listed(np.arange(1, lags + 1) / stage.rate, r, np.zeros(lags))
-    return Profile("autocorrelation", "s", "1", r * np.sqrt(n), _independent(lags), numbers)
+    numbers = _listed(np.arange(1, lags + 1) / stage.rate, r, 0.0)
+    return Profile("autocorrelation", "s", "1", r * np.sqrt(n), numbers)
 
 
 # --- Values -------------------------------------------------------------------------------------------------
 
 
 def shape(stage: Stage) -> list[Profile]:
-    """Profiles of skewness and excess kurtosis of the whitened residuals, which have no mean."""
-    e, n = stage.whitened, float(stage.n)
+    """Profiles of skewness and excess kurtosis of the whitened residuals, which have no mean.
+
+    Scores are those of D'Agostino (1970) and of Anscombe & Glynn (1983).
+    """
+    e, n = stage.whitened, stage.n
     second, squares = float(e @ e) / n, e * e
-    skewness, kurtosis = float(e @ squares) / n / second**1.5, float(squares @ squares) / n / second**2
     found = []
-    for statistic, value, score in (
-        ("skewness", skewness, _skewness_score(skewness, n)),
-        ("tails", kurtosis - 3.0, _kurtosis_score(kurtosis, n)),
+    for statistic, value, test in (
+        ("skewness", e @ squares / n / second**1.5, skewtest),
+        ("tails", squares @ squares / n / second**2 - 3.0, kurtosistest),
     ):
-        numbers = _listed(*np.array([[0.0], [value], [0.0]]))
-        found.append(Profile(statistic, "", "1", np.array([score]), _independent(1), numbers))
+        score = np.array([test(e).statistic])
+        found.append(Profile(statistic, "", "1", score, _listed(0.0, np.array([value]), 0.0)))
     return found
-
-
-def _skewness_score(skewness: float, n: float) -> float:
-    """Standard normal score of the skewness of n normal variates (D'Agostino 1970)."""
-    spread = np.sqrt(6.0 * (n - 2.0) / ((n + 1.0) * (n + 3.0)))
-    kurtosis = 3.0 * (n**2 + 27.0 * n - 70.0) * (n + 1.0) * (n + 3.0)
-    kurtosis /= (n - 2.0) * (n + 5.0) * (n + 7.0) * (n + 9.0)
-    w = np.sqrt(2.0 * (kurtosis - 1.0)) - 1.0
-    return float(np.arcsinh(skewness / spread * np.sqrt(0.5 * (w - 1.0))) / np.sqrt(0.5 * np.log(w)))
-
-
-def _kurtosis_score(kurtosis: float, n: float) -> float:
-    """Standard normal score of the kurtosis of n normal variates (Anscombe & Glynn 1983)."""
-    ratio = (n + 3.0) * (n + 5.0) / (n * (n - 2.0) * (n - 3.0))
-    spread = np.sqrt(24.0 / ratio) / (n + 1.0)
-    x = (kurtosis - 3.0 * (n - 1.0) / (n + 1.0)) / spread
-    skewness = 6.0 * (n**2 - 5.0 * n + 2.0) / ((n + 7.0) * (n + 9.0)) * np.sqrt(6.0 * ratio)
-    a = 6.0 + 8.0 / skewness * (2.0 / skewness + np.sqrt(1.0 + 4.0 / skewness**2))
-    root = np.cbrt((1.0 - 2.0 / a) / (1.0 + x * np.sqrt(2.0 / (a - 4.0))))
-    return float((1.0 - 2.0 / (9.0 * a) - root) / np.sqrt(2.0 / (9.0 * a)))
 
 
 def largest_residual(stage: Stage) -> Profile:
@@ -252,7 +234,7 @@ def largest_residual(stage: Stage) -> Profile:
     def numbers(place: int) -> tuple[float, float, float]:
         return place / stage.rate, abs(float(e[place])), typical
 
-    return Profile("largest_residual", "s", "σ", e, _independent(n), numbers)
+    return Profile("largest_residual", "s", "σ", e, numbers)
 
 
 # --- Time ---------------------------------------------------------------------------------------------------
@@ -275,8 +257,8 @@ def windows(stage: Stage) -> list[Profile]:
         ("window_variance", "1", _chi2_score(square, length), square / length, 1.0),
     ):
         law = _window_law(finest, statistic == "window_mean")
-        numbers = _listed(start + 0.5 * duration, value, np.full(len(z), expected))
-        found.append(Profile(statistic, "s", unit, z, law, numbers, extent=(start, start + duration)))
+        numbers = _listed(start + 0.5 * duration, value, expected)
+        found.append(Profile(statistic, "s", unit, z, numbers, law, extent=(start, start + duration)))
     return found
 
 
@@ -301,9 +283,8 @@ def _window_law(finest: int, without_mean: bool) -> Callable[[float], float]:
 def cross_correlation(stage: Stage, others: Mapping[str, Stage]) -> Profile:
     """Profile of the correlations with the whitened residuals of other axes."""
     score, _ = _matched(stage, {name: other.whitened_coefficients for name, other in others.items()})
-    none, law = np.zeros(len(score)), _independent(len(score))
-    numbers = _listed(none, score / np.sqrt(stage.n), none)
-    return Profile("cross_correlation", "", "1", score, law, numbers, tuple(others))
+    numbers = _listed(0.0, score / np.sqrt(stage.n), 0.0)
+    return Profile("cross_correlation", "", "1", score, numbers, channels=tuple(others))
 
 
 def auxiliary_correlation(stage: Stage, channels: Mapping[str, Float[np.ndarray, " n-1"]]) -> Profile:
@@ -315,9 +296,8 @@ def auxiliary_correlation(stage: Stage, channels: Mapping[str, Float[np.ndarray,
     score, length = _matched(stage, {name: h / stage.deviation for name, h in channels.items()})
     rms = np.array([np.linalg.norm(h) for h in channels.values()])
     error = rms / length / np.sqrt(stage.n) / stage.scale
-    numbers = _listed(np.zeros(len(score)), abs(score) * error, float(norm.isf(0.25)) * error)
-    law = _independent(len(score))
-    return Profile("auxiliary_correlation", "", stage.axis.unit, score, law, numbers, tuple(channels))
+    numbers = _listed(0.0, abs(score) * error, float(norm.isf(0.25)) * error)
+    return Profile("auxiliary_correlation", "", stage.axis.unit, score, numbers, channels=tuple(channels))
 
 
 def _matched(stage: Stage, filters: Mapping[str, Float[np.ndarray, " n-1"]]) -> tuple[Places, Places]:
@@ -340,7 +320,7 @@ def of_samples(
     """
     step = lattice(raw)
     coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
-    on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", TINY if coarse else 1.0)
+    on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", _TINY if coarse else 1.0)
     count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
     if np.ptp(raw) > 0.0:
         x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
@@ -349,7 +329,7 @@ def of_samples(
         np.rint(x, out=x)
         simulated = int(np.count_nonzero(x[1:] == x[:-1]))
     # Two counts with the same expectation: an event is in either of them by chance.
-    p, n = max(float(binom.sf(count - 1, count + simulated, 0.5)), TINY), len(raw) - 1
+    p, n = max(float(binom.sf(count - 1, count + simulated, 0.5)), _TINY), len(raw) - 1
     return on_lattice, Discrepancy("repeated_values", 0.0, "", count / n, simulated / n, "1", p)
 
 

@@ -17,7 +17,7 @@ from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Discrepancy, Finding
 from allanjax.critic.merging import merged
-from allanjax.critic.parameters import side_of_limit, values_of
+from allanjax.critic.parameters import Detail, written
 from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
@@ -125,7 +125,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     @property
     def duration(self) -> float:
         """Length of the recording [s]."""
-        return len(self.results[0].stages[0].x) / self.rate if self.results else 0.0
+        return self.results[0].stages[0].n / self.rate if self.results else 0.0
 
     @property
     def models(self) -> dict[str, Model]:
@@ -155,7 +155,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         units = {a.axis.sensor: a.axis.unit for a in self.results}
         simulated = simulate_recording(
             self.models,
-            len(self.results[0].stages[0].x) if n is None else n,
+            self.results[0].stages[0].n if n is None else n,
             self.rate,
             key,
             bias={a.axis.name: a.bias(self.rate) for a in self.results},
@@ -244,19 +244,15 @@ def _table(findings: Sequence[Finding]) -> pd.DataFrame:
     rows = []
     for f in findings:
         whole = ", ".join(f.axes)
-        found = [(whole, *_row(e)) for e in f.parameters.values()]
-        found += [(whole, name, *values_of(detail), "") for name, detail in f.details.items()]
+        found: list[tuple[str, str, Estimate | Detail]]
+        found = [(whole, name, x) for name, x in {**f.parameters, **f.details}.items()]
         if f.members:
-            found += [(axis, *_row(e)) for axis, e in f.amplitudes.items()]
+            found += [(axis, e.label, e) for axis, e in f.amplitudes.items()]
             # Lists, such as the times of outliers, are in the findings of single axes.
-            lists = [(m, {k: d for k, d in m.details.items() if k not in f.details}) for m in f.members]
-            found += [(m.axes[0], name, *values_of(d), "") for m, own in lists for name, d in own.items()]
-        numbers = [float("nan") if x is None else x for x in (f.p_value, f.gain)]
-        for axes, *parameter in found or [(whole, "", float("nan"), float("nan"), "", "")]:
-            rows.append((axes, f.cause, *parameter, *numbers))
+            found += [
+                (m.axes[0], k, x) for m in f.members for k, x in m.details.items() if k not in f.details
+            ]
+        each: list[tuple[Any, ...]] = [(axes, f.cause, name, *written(x)) for axes, name, x in found]
+        numbers = [np.nan if x is None else x for x in (f.p_value, f.gain)]
+        rows += [(*row, *numbers) for row in each or [(whole, f.cause, "", np.nan, np.nan, "", "")]]
     return pd.DataFrame(rows, columns=columns)
-
-
-def _row(e: Estimate) -> tuple[Any, ...]:
-    """Label, value, standard deviation and unit of a parameter, and the side of its limit."""
-    return e.label, e.value, e.std, e.unit, side_of_limit(e)

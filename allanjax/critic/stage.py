@@ -17,6 +17,7 @@ from allanjax.record.recording import Axis
 
 # Growth of bins: six an octave, and so little that the noise hardly changes within one, see `law`.
 _OCTAVE, _NARROW = 2.0 ** (1.0 / 6.0) - 1.0, 2e-3
+_ALL = slice(None)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -98,14 +99,10 @@ class Stage(ByValue):
         first = narrow_bins(self.n)[:-1] - 1
         return np.stack([np.add.reduceat(y, first) for y in (v, v * v, square * v, square)])
 
-    def share(self, term: str) -> Float[np.ndarray, " n-1"] | None:
-        """Share of one noise term in the expected squares; None if there is no such term."""
-        if term not in self.powers:
-            return None
-        own, total = (
-            self.family.expected(powers, self.index)
-            for powers in ({term: self.powers[term]}, dict(self.powers))
-        )
+    def share(self, term: str, places: slice | Int[np.ndarray, " m"] = _ALL) -> Float[np.ndarray, " m"]:
+        """Share of a noise term in the expected squares, in all of them or at some places; 0 for no term."""
+        total = sum(p * self.family.unit(name, self.index)[places] for name, p in self.powers.items())
+        own = self.powers.get(term, 0.0) * self.family.unit(term, self.index)[places]
         return own / np.maximum(total, 1e-300)
 
     def same_record(self, other: Stage) -> bool:

@@ -6,6 +6,7 @@ import dataclasses
 import functools
 import itertools
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,9 +21,9 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
 from allanjax.critic.finding import UNEXPLAINED, Finding
-from allanjax.critic.law import summaries
+from allanjax.critic.law import Curve, summaries
 from allanjax.critic.merging import EVENT, OUTLIERS
-from allanjax.critic.parameters import values_of
+from allanjax.critic.parameters import numbers_in
 from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
 from allanjax.record.recording import Axis
@@ -39,19 +40,11 @@ from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
 
 
-class _Job(NamedTuple):
-    """Figure to be drawn: of a finding, None for an axis without; in which axis; and its file's name."""
+def _named(critique: Critique, findings: Collection[Finding] | None) -> dict[str, tuple[Finding | None, str]]:
+    """Findings in their order, and None for axes without, each with the axis that is shown, by file names.
 
-    finding: Finding | None
-    axis: str
-    name: str
-
-
-def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job]:
-    """Figures of the findings in their order, and of axes without; or of some findings or parts of findings.
-
-    Names are after the axis that is shown, or the axes that share what was found, and the cause; numbered
-    where a cause was found several times.
+    They may be some findings only, or parts of findings. Names are after the axis that is shown, or the axes
+    that share what was found, and the cause; numbered where a cause was found several times.
     """
     listed = critique.findings
     pairs: list[tuple[Finding | None, str]] = [(finding, finding.shown) for finding in listed]
@@ -59,13 +52,13 @@ def _jobs(critique: Critique, findings: Collection[Finding] | None) -> list[_Job
     if findings is not None:
         pairs += [(f, f.axes[0]) for axis in critique.results for f in axis.findings if f not in listed]
         pairs = [pair for pair in pairs if pair[0] in findings]
-    names: list[str] = []
+    named, count = {}, Counter[str]()
     for finding, axis in pairs:
         where = "_".join(finding.axes) if finding in critique.shared_findings and finding else axis
-        names.append(f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}")
-    earlier = [names[:k].count(name) for k, name in enumerate(names)]
-    numbered = [f"{name}_{k + 1}" if k else name for name, k in zip(names, earlier, strict=True)]
-    return [_Job(*pair, name) for pair, name in zip(pairs, numbered, strict=True)]
+        name = f"{critique.name or 'recording'}_{where}{f'_{finding.cause}' if finding else ''}"
+        count[name] += 1
+        named[f"{name}_{count[name]}" if count[name] > 1 else name] = finding, axis
+    return named
 
 
 _AFTER, _SPAN, _BEFORE = draw.COLOURS[0], draw.COLOURS[1], draw.COLOURS[3]
@@ -118,19 +111,23 @@ def critique_figures(
     suffix: str = "png",
 ) -> dict[str, Figure]:
     """Figures of a critique by the names of their files with this suffix; see `plot_critique`."""
-    jobs = _jobs(critique, findings)
-    figures: dict[str, Figure] = {}
+    shown = _named(critique, findings)
+
+    @functools.lru_cache(maxsize=2)
+    def record(axis: str, stage: int) -> Stage:
+        """An axis at a stage; a copy, as the critique shall not keep the arrays that figures need."""
+        return dataclasses.replace(critique[axis].stages[stage])
+
     with draw.style():
-        record = functools.lru_cache(maxsize=2)(functools.partial(_record, critique))
         # Axis by axis, since the curves of an axis are used again.
-        for job in sorted(jobs, key=lambda job: critique.axes.index(job.axis)):
-            figures[job.name] = _draw(critique, job, record)
-    named = {f"{job.name}.{suffix}": figures[job.name] for job in jobs}
+        names = sorted(shown, key=lambda name: critique.axes.index(shown[name][1]))
+        drawn = {name: _draw(critique, *shown[name], record) for name in names}
+    figures = {f"{name}.{suffix}": drawn[name] for name in shown}
     if path is not None:
         Path(path).mkdir(parents=True, exist_ok=True)
-        for name, figure in named.items():
+        for name, figure in figures.items():
             draw.saved(figure, Path(path) / name)
-    return named
+    return figures
 
 
 class _Shown(NamedTuple):
@@ -147,28 +144,24 @@ class _Shown(NamedTuple):
         return draw.dots(marker=self.marker, color=colour, label=f"measured{self.when}")
 
 
-def _record(critique: Critique, axis: str, stage: int) -> Stage:
-    """An axis at a stage; a copy, as the critique shall not keep the arrays that figures need."""
-    return dataclasses.replace(critique[axis].stages[stage])
-
-
-def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) -> Figure:
+def _draw(
+    critique: Critique, finding: Finding | None, axis: str, record: Callable[[str, int], Stage]
+) -> Figure:
     """Figure of a finding, or of an axis without; `record` gives an axis at a stage."""
-    finding, axis = job.finding, critique[job.axis]
     if finding is None:
-        return _panels(critique, f"{job.axis}: no finding", [_Shown(record(job.axis, 0))])[0]
+        return _panels(critique, [_Shown(record(axis, 0))])[0]
     if finding in critique.shared_findings:
         # With the curves of the first axis.
-        records = [_record(critique, name, -1) for name in finding.axes]
-        figure, effect = _panels(critique, "", [_Shown(records[0])], finding)
+        records = [record(name, -1) for name in finding.axes]
+        figure, effect = _panels(critique, [_Shown(records[0])], finding)
         _draw_correlation(effect, records)
         return figure
-    own = next(f for f in (finding, finding.strongest) if f in axis.findings)
-    before, after = (record(job.axis, stage % len(axis.stages)) for stage in own.stages)
+    own = next(f for f in (finding, finding.strongest) if f in critique[axis].findings)
+    before, after = (record(axis, stage % len(critique[axis].stages)) for stage in own.stages)
     stages = [_Shown(before)]
     if before is not after:
         stages = [_Shown(before, " before", _BEFORE), _Shown(after, " after", _AFTER, "s")]
-    figure, effect = _panels(critique, "", stages, finding)
+    figure, effect = _panels(critique, stages, finding)
     cause = str(finding.details.get("domain", finding.cause))
     draw_effect = _draw_spectrum if finding.domain == "frequency" else _EFFECTS.get(cause, _draw_path)
     # Single samples and frequencies are those of the axis.
@@ -178,7 +171,7 @@ def _draw(critique: Critique, job: _Job, record: Callable[[str, int], Stage]) ->
 
 
 def _panels(
-    critique: Critique, title: str, stages: Sequence[_Shown], finding: Finding | None = None
+    critique: Critique, stages: Sequence[_Shown], finding: Finding | None = None
 ) -> tuple[Figure, Axes]:
     """Figure that pyplot knows nothing of, with both curves; and the last panel.
 
@@ -189,6 +182,7 @@ def _panels(
         key += [draw.line_entry(**stage.points())]
         key += [draw.band_entry(f"95 % of simulations{stage.when}", stage.colour, 0.25)]
     record, lines, sheet = stages[0].record, [], _SHEET
+    title = f"{record.axis.name}: no finding"
     if finding is not None:
         title = f"{', '.join(finding.axes)}: {finding.named(finding.cause)}"
         lines = _description(finding, record.axis)
@@ -207,26 +201,21 @@ def _panels(
 def _draw_curves(panels: Sequence[Axes], stages: Sequence[_Shown], axis: Axis) -> None:
     """Draw both curves of every stage, points being measured and bands simulated."""
     units = (draw.unit_of(axis), density_unit(axis))
-    names = ((draw.CLUSTER_TIME, "Allan deviation"), (draw.FREQUENCY, "one-sided PSD"))
-    for panel, (unit, _), (x_label, y_label) in zip(panels, units, names, strict=True):
-        name = axis.name if panel is panels[0] else ""
-        draw.dress(panel, name, x_label, draw.label_in(y_label, unit), log="xy")
-    medians, points = [], []
-    for stage in stages:
-        look = stage.points()
-        for panel, (_, scale), curve in zip(panels, units, summaries(stage.record), strict=True):
-            x, median, y = curve.place, curve.median / scale, curve.measured / scale
-            panel.fill_between(x, curve.low / scale, curve.high / scale, **draw.band(stage.colour))
-            panel.plot(x, median, color=stage.colour, linewidth=1.0)
-            panel.plot(x, y, zorder=3, **look)
-        medians.append(median)
-        points.append((x, y, look["color"]))
-    # Those of the PSD limit its vertical scale.
+    names = ((axis.name, draw.CLUSTER_TIME, "Allan deviation"), ("", draw.FREQUENCY, "one-sided PSD"))
+    curves = zip(*(summaries(stage.record) for stage in stages), strict=True)
+    for panel, (unit, scale), (name, x, y), shown in zip(panels, units, names, curves, strict=True):
+        draw.dress(panel, name, x, draw.label_in(y, unit), log="xy")
+        own = [Curve(c.place, *(values / scale for values in c[1:])) for c in shown]
+        for stage, c in zip(stages, own, strict=True):
+            panel.fill_between(c.place, c.low, c.high, **draw.band(stage.colour))
+            panel.plot(c.place, c.median, color=stage.colour, linewidth=1.0)
+            panel.plot(c.place, c.measured, zorder=3, **stage.points())
+    # The medians of the PSD limit its vertical scale.
     low, high = panels[1].get_ylim()
-    middle = np.concatenate(medians)
+    middle = np.concatenate([c.median for c in own])
     panels[1].set_ylim(max(low, middle.min() / _BELOW), min(high, middle.max() * _ABOVE))
-    for x, y, shown in points:
-        draw.mark_off_scale(panels[1], x, y, shown)
+    for stage, c in zip(stages, own, strict=True):
+        draw.mark_off_scale(panels[1], c.place, c.measured, stage.points()["color"])
 
 
 def _finish(panel: Axes, y: str, x: str = draw.TIME, log: str = "") -> None:
@@ -266,9 +255,8 @@ def _draw_extremes(panel: Axes, record: Stage, after: Stage, finding: Finding) -
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
     panel.fill_between(time, low, high, color=draw.ink(0.75), linewidth=0.5, label="range of samples")
     panel.plot(time, np.add.reduceat(e, edges) / length, color=_AFTER, linewidth=0.9, label="mean")
-    if "times" in finding.details:
-        t = np.array(values_of(finding.details["times"])[0], float)
-        k = np.clip(np.rint(t * record.rate).astype(int), 0, record.n - 1)
+    if t := numbers_in(finding.details, "times"):
+        k = np.clip(np.rint(np.array(t) * record.rate).astype(int), 0, record.n - 1)
         panel.plot(t, record.whitened[k], "o", mfc="none", mec=_BEFORE, markersize=4.0, label="outliers")
     else:
         _shade(panel, finding.span, duration)

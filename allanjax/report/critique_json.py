@@ -8,7 +8,7 @@ from typing import Any
 
 from allanjax.base.wording import finite_or_none
 from allanjax.critic.finding import Discrepancy, Finding
-from allanjax.critic.parameters import Detail, side_of_limit, values_of
+from allanjax.critic.parameters import Detail, written
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
@@ -20,7 +20,7 @@ SCHEMA_VERSION = 1
 
 def to_dict(critique: Critique) -> dict[str, Any]:
     """The critique as dictionaries, lists, numbers and strings; None for nan and infinite numbers."""
-    n = len(critique.results[0].stages[0].x) if critique.results else 0
+    n = critique.results[0].stages[0].n if critique.results else 0
     rate = float(critique.rate)
     results = {
         "gain_nats": critique.gain,
@@ -58,8 +58,7 @@ def _axis(axis: AxisCritique) -> dict[str, Any]:
     after = {d.statistic: _discrepancy(d) for d in axis.after}
     return {
         "axis": axis.axis.name,
-        "sensor": axis.axis.sensor,
-        "unit": axis.axis.unit,
+        **_fields(axis.axis, "sensor", "unit"),
         "baseline": _model(axis.baseline, axis.axis),
         "baseline_measured": axis.misfit is None or not axis.misfit.excessive,
         "discrepancies": [{**_discrepancy(d), "after": after.get(d.statistic)} for d in axis.before],
@@ -95,10 +94,7 @@ def _head(finding: Finding) -> dict[str, Any]:
     """Properties of every finding."""
     return {
         **_fields(finding, "cause", "axes"),
-        "parameters": {
-            **{name: _parameter(estimate) for name, estimate in finding.parameters.items()},
-            **{name: _detail(detail) for name, detail in finding.details.items()},
-        },
+        "parameters": {k: _parameter(x) for k, x in {**finding.parameters, **finding.details}.items()},
         "p_value": finding.p_value,
         "evidence_nats": finding.evidence,
         "gain_nats": finding.gain,
@@ -108,19 +104,17 @@ def _head(finding: Finding) -> dict[str, Any]:
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
-    drift = None
-    if finding.drift is not None:
-        changed = _fields(finding.drift, "measured", "before", "after", "unit")
-        drift = {"horizon_s": finding.drift.horizon, **changed}
+    drift = finding.drift
     return {
         **_head(finding),
         "coefficients": [_fields(c, "label", "before", "after", "unit") for c in finding.coefficients],
-        "drift": drift,
+        "drift": drift
+        and {"horizon_s": drift.horizon, **_fields(drift, "measured", "before", "after", "unit")},
         "discrepancies": [
             {"before": _discrepancy(before), "after": _discrepancy(after)}
             for before, after in finding.discrepancies
         ],
-        "rest": None if finding.rest is None else _discrepancy(finding.rest),
+        "rest": finding.rest and _discrepancy(finding.rest),
     }
 
 
@@ -132,13 +126,9 @@ def _discrepancy(d: Discrepancy) -> dict[str, Any]:
     }
 
 
-def _parameter(e: Estimate) -> dict[str, Any]:
-    return _plain({**_fields(e, "value", "std", "unit"), "limit": side_of_limit(e) or None})
-
-
-def _detail(detail: Detail) -> dict[str, Any]:
-    values, std, unit = values_of(detail)
-    return {"value": values, "std": std, "unit": unit, "limit": None}
+def _parameter(x: Estimate | Detail) -> dict[str, Any]:
+    value, std, unit, limit = written(x)
+    return {"value": value, "std": std, "unit": unit, "limit": limit or None}
 
 
 def _model(model: Model, axis: Axis) -> dict[str, Any]:

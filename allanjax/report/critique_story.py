@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -14,23 +15,39 @@ from allanjax.base.wording import (
     format_with_error,
     percent,
     plain,
-    times_ten,
     without_error,
 )
-from allanjax.critic.finding import UNEXPLAINED, CoefficientChange, Discrepancy, Finding, cause_title
-from allanjax.critic.parameters import Detail, side_of_limit, values_of
+from allanjax.critic.finding import (
+    UNEXPLAINED,
+    CoefficientChange,
+    Discrepancy,
+    DriftChange,
+    Finding,
+    cause_title,
+)
+from allanjax.critic.parameters import Detail, numbers_in, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.unknown import DOMAINS
 from allanjax.estimate.result import LIMIT
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 
-# Statistics whose two values compare as a ratio: their name, and what stands before a place.
-_RELATIVE = {
-    "allan_deviation": ("Allan deviation", "at τ ="),
-    "drift": ("drift", "over"),
-    "psd": ("PSD", "at"),
-    "window_variance": ("noise power", "around"),
+# Statistics in words. Of those with `off`, the two values compare as a ratio.
+_STATISTICS = {
+    "allan_deviation": "simulated Allan deviation is {off} at τ = {place}",
+    "drift": "simulated drift is {off} over {place}",
+    "psd": "simulated PSD is {off} at {place}",
+    "window_variance": "simulated noise power is {off} around {place}",
+    "psd_line": "spectral line of {measured} at {place} ({simulated} in simulations)",
+    "autocorrelation": "residuals have an autocorrelation of {measured} at a lag of {place}",
+    "skewness": "residuals have a skewness of {measured}",
+    "tails": "residuals have an excess kurtosis of {measured}",
+    "largest_residual": "largest residual of {measured} at {place} ({simulated} in simulations)",
+    "lattice": "all samples are multiples of one step",
+    "repeated_values": "{measured} of the samples repeat the previous one ({simulated} in simulations)",
+    "window_mean": "residuals have a mean of {measured} around {place}",
+    "cross_correlation": "residuals have a correlation of {measured} with those of {channel}",
+    "auxiliary_correlation": "{measured} rms follow {channel} ({simulated} by chance)",
 }
 # Values of a list that are shown; length from which on none is; and details that are never shown.
 _SHOWN, _LONGEST, _OMITTED = 3, 20, frozenset({"axes", "sizes"})
@@ -42,8 +59,11 @@ _EXACT = 1e-5
 _COUNTS = frozenset({"count", "jumps", "order", "longest"})
 # Parameters that are values of samples, and are given in the samples' unit.
 _AS_RECORDED = frozenset({"step", "upper_level", "lower_level"})
-# Parameters that are places in time, whose limits have words of their own.
-_PLACES = frozenset({"start", "end", "time"})
+# Words before a limit, if not its side.
+_BEYOND = {
+    **{label: {"below": "at or before", "above": "at or after"} for label in ("start", "end", "time")},
+    **{label: {"below": "at most", "above": "at least"} for label in _COUNTS},
+}
 # Finer units for small values, the largest first, and their factors.
 _FINER: Mapping[str, tuple[tuple[str, float], ...]] = {
     "g": (("mg", 1e3), ("µg", 1e6)),
@@ -73,26 +93,20 @@ def significance(finding: Finding) -> str:
     """How improbable a finding is by chance: a p-value where there is a test, else the odds."""
     if finding.p_value is not None:
         return format_p_value(finding.p_value)
-    if finding.evidence is None:
-        measured = finding.gain is not None or _is_counted_elsewhere(finding)
+    if (odds := finding.odds) is None:
+        measured = any(f.gain is not None for f in (finding, *finding.members))
         return "" if measured else "visible directly in the samples"
     # Larger odds overflow.
-    known = finding.evidence < 700.0
-    return f"odds {plain(np.exp(finding.evidence), 2) if known else f'above 10{times_ten(300)[3:]}'} : 1"
+    return f"odds {plain(odds, 2) if odds < np.exp(700.0) else 'above 10³⁰⁰'} : 1"
 
 
 def gain_of(finding: Finding) -> str:
     """Gain of a finding in words, e.g. "gain of 1,234 nats on held-out data"."""
     if finding.gain is not None:
         return f"gain of {nats(finding.gain)} on held-out data"
-    if _is_counted_elsewhere(finding):
+    if any(member.gain is not None for member in finding.members):
         return "gain included in that of the other outliers of its axes"
     return "no gain: it cannot be tested on held-out data"
-
-
-def _is_counted_elsewhere(finding: Finding) -> bool:
-    """Whether the gain of a finding is included in that of another one, of which it is a part."""
-    return finding.gain is None and any(member.gain is not None for member in finding.members)
 
 
 def nats(gain: float) -> str:
@@ -102,28 +116,30 @@ def nats(gain: float) -> str:
 
 def amount(e: Estimate) -> str:
     """Value, error and unit of a finding's parameter; counts are whole, shares in per cent."""
-    if limit := side_of_limit(e):
-        unit, factor = suited(e.unit, e.value)
-        number = f"{round(e.value):,}" if e.label in _COUNTS else plain(factor * e.value, 3)
-        return f"{_beyond(limit, e.label)} {number}{f' {unit}' if unit else ''}"
-    if e.label in _COUNTS and np.isfinite(e.value):
-        return f"{round(e.value):,}{'' if e.unit == '1' else f' {e.unit}'}"
+    limit, (value, std, unit) = side_of_limit(e), _suited(e)
+    if e.label in _COUNTS and np.isfinite(value):
+        text = f"{round(value):,}"
+    elif limit or e.label == "fraction":
+        text = plain(value, 3)
+    elif std > _EXACT * abs(value):
+        text = format_with_error(value, std)
+    else:
+        text = plain(value, 6 if std > 0.0 else 4)
+    words = _BEYOND.get(e.label, {}).get(limit, limit)
+    return f"{words} {_with(unit, text)}".lstrip()
+
+
+def _suited(e: Estimate) -> tuple[float, float, str]:
+    """Value and error in the unit in which they are shown, and that: of values of samples the record's."""
+    unit, factor = (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
     if e.label == "fraction":
-        return f"{plain(100.0 * e.value, 3)} %"
-    unit, factor = _unit(e)
-    value, std = factor * e.value, factor * e.std
-    known = std > _EXACT * abs(value)
-    text = format_with_error(value, std) if known else plain(value, 6 if std > 0.0 else 4)
-    return f"{text}{f' {unit}' if unit else ''}"
+        unit, factor = "%", 100.0
+    return factor * e.value, factor * e.std, unit
 
 
-def _beyond(limit: str, name: str) -> str:
-    """Words before a limit, e.g. "below"."""
-    if name in _PLACES:
-        return {"below": "at or before", "above": "at or after"}[limit]
-    if name in _COUNTS:
-        return {"below": "at most", "above": "at least"}[limit]
-    return limit
+def _with(unit: str, number: str) -> str:
+    """Number with its unit; a ratio has none."""
+    return number if unit in ("", "1") else f"{number} {unit}"
 
 
 def several(detail: Detail) -> str:
@@ -133,15 +149,13 @@ def several(detail: Detail) -> str:
     unit, factor = suited(unit, max(numbers, key=abs, default=0.0))
     shown = [v if isinstance(v, str) else plain(factor * v, 4) for v in values[:_SHOWN]]
     more = f", … ({len(values)} in all)" if len(values) > _SHOWN else ""
-    return f"{', '.join(shown)}{f' {unit}' if unit else ''}{more}"
+    return _with(unit, ", ".join(shown)) + more
 
 
 def suited(unit: str, value: float) -> tuple[str, float]:
-    """Unit in which a small value is easy to read, and the factor to it; a ratio has an empty name."""
-    if unit in ("", "1"):
-        return "", 1.0
-    known = (name for name in _FINER if unit == name or unit.startswith((f"{name}/[", f"{name}/√")))
-    base = max(known, key=len, default="")
+    """Unit in which a small value is easy to read, and the factor to it."""
+    # Without what it is per: a unit of a channel, or a root.
+    base = re.split(r"/[\[√]", unit)[0]
     name, factor = base, 1.0
     for finer, times in _FINER.get(base, ()):
         if not 0.0 < factor * abs(value) < _SMALL:
@@ -157,25 +171,13 @@ def describe(d: Discrepancy) -> str:
 
 def what(d: Discrepancy) -> str:
     """Discrepancy in words, without its p-value."""
-    place = f"{plain(d.where, 3)} {d.where_unit}"
-    if d.statistic in _RELATIVE:
-        name, before = _RELATIVE[d.statistic]
-        return f"simulated {name} is {factor_off(d.size)} {before} {place}"
     unit, factor = suited(d.unit, d.measured)
-    value, simulated = (plain(factor * x, 2) for x in (d.measured, d.simulated))
-    return {
-        "psd_line": f"spectral line of {value} {unit} at {place} ({simulated} {unit} in simulations)",
-        "autocorrelation": f"residuals have an autocorrelation of {value} at a lag of {place}",
-        "skewness": f"residuals have a skewness of {value}",
-        "tails": f"residuals have an excess kurtosis of {value}",
-        "largest_residual": f"largest residual of {value} σ at {place} ({simulated} σ in simulations)",
-        "lattice": "all samples are multiples of one step",
-        "repeated_values": f"{percent(d.measured)} of the samples repeat the previous one "
-        f"({percent(d.simulated)} in simulations)",
-        "window_mean": f"residuals have a mean of {value} σ around {place}",
-        "cross_correlation": f"residuals have a correlation of {value} with those of {d.channel}",
-        "auxiliary_correlation": f"{value} {unit} rms follow {d.channel} ({simulated} {unit} by chance)",
-    }.get(d.statistic, f"{d.statistic.replace('_', ' ')} is {value} {unit} ({simulated} in simulations)")
+    if d.statistic == "repeated_values":
+        unit, factor = "%", 100.0
+    measured, simulated = (_with(unit, plain(factor * x, 2)) for x in (d.measured, d.simulated))
+    numbers = {"measured": measured, "simulated": simulated, "off": factor_off(d.size)}
+    place = _with(d.where_unit, plain(d.where, 3))
+    return _STATISTICS[d.statistic].format(**numbers, place=place, channel=d.channel)
 
 
 def factor_off(size: float) -> str:
@@ -194,13 +196,11 @@ def factor_off(size: float) -> str:
 #: Most findings that a printed critique lists.
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
-# An empty cell of the table.
-_NONE = "–"
+# An empty cell of the table, and the place of what has no other.
+_NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
-    "frequency": "{}",
-    "bandwidth": "{}",
-    "time": "{}",
+    **dict.fromkeys(("frequency", "bandwidth", "time"), "{}"),
     "time_constant": "T = {}",
     "count": "{} samples",
     "exponent": "α = {}",
@@ -243,23 +243,27 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
 
 def place(finding: Finding) -> str:
     """Where a finding is, in time or frequency, e.g. "7.3 Hz, × 2, × 3" or "12.5 … 14 s"."""
-    if "start" in finding.parameters and "end" in finding.parameters:
-        start, end = (plain(finding.parameters[name].value, 4) for name in ("start", "end"))
-        return f"{start} … {end} s"
-    if "lowest" in finding.parameters:
-        lowest, highest = (plain(finding.parameters[name].value, 4) for name in ("lowest", "highest"))
-        return f"{lowest} … {highest} Hz"
+    if ends := _ends(finding):
+        return ends
     if isinstance(channel := finding.details.get("channel"), str):
         return channel
-    label = next((label for label in _WHERE if label in finding.parameters), None)
-    if label is None:
-        return "whole record"
-    e = finding.parameters[label]
-    text = plain(e.value, 6 if label == "count" else 4) + ("" if e.unit == "1" else f" {e.unit}")
-    places = [_LIMIT[side_of_limit(e)] + _WHERE[label].format(text)]
+    e = next((finding.parameters[label] for label in _WHERE if label in finding.parameters), None)
+    if e is None:
+        return _EVERYWHERE
+    text = _with(e.unit, plain(e.value, 6 if e.label == "count" else 4))
+    places = [_LIMIT[side_of_limit(e)] + _WHERE[e.label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
-        places += [f"{sign}{plain(float(x), 4)}" for x in values_of(finding.details.get(name, ()))[0]]
+        places += [f"{sign}{plain(x, 4)}" for x in numbers_in(finding.details, name)]
     return ", ".join([*places[:_SHOWN], "…"] if len(places) > _SHOWN else places)
+
+
+def _ends(finding: Finding) -> str:
+    """Part of the record or of the spectrum that a finding is in; "" if it has no ends."""
+    for names in (("start", "end"), ("lowest", "highest")):
+        ends = [finding.parameters[name] for name in names if name in finding.parameters]
+        if len(ends) == 2:
+            return f"{plain(ends[0].value, 4)} … {plain(ends[1].value, 4)} {ends[0].unit}"
+    return ""
 
 
 def size(finding: Finding) -> str:
@@ -282,15 +286,14 @@ def changed(finding: Finding, brief: bool) -> str:
         at = "" if brief else f" at {plain(impact.time, 3)} s"
         return f"Allan deviation{at} by {percent(impact.size)}"
     if impact.quantity == "drift" and finding.drift is not None:
-        drift = finding.drift
-        numbers = f"{plain(drift.before, 3)} → {plain(drift.after, 3)} {drift.unit}"
-        return f"drift {'' if brief else f'in {duration(drift.horizon)} '}{numbers}"
+        within = "" if brief else f"in {duration(impact.time)} "
+        return f"drift {within}{_before_and_after(finding.drift)}"
     own = next(c for c in finding.coefficients if c.label == impact.quantity)
     return f"{_SYMBOLS[own.label]} {_before_and_after(own)}"
 
 
-def _before_and_after(c: CoefficientChange) -> str:
-    """Values of a coefficient, e.g. "2.53 → 1.46 deg/√h"; "none" where its term is not in the model."""
+def _before_and_after(c: CoefficientChange | DriftChange) -> str:
+    """Values of a change, e.g. "2.53 → 1.46 deg/√h"; "none" where a coefficient is not in the model."""
     before, after = (plain(x, 3) if np.isfinite(x) else "none" for x in (c.before, c.after))
     return f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
 
@@ -298,31 +301,19 @@ def _before_and_after(c: CoefficientChange) -> str:
 def _names(axes: Iterable[str]) -> str:
     """Names of axes, those of one sensor together, e.g. "accel_xyz"."""
     words: list[str] = []
-    former = ""
-    for axis in axes:
-        sensor, _, own = axis.rpartition("_")
-        if sensor and sensor == former and len(own) == 1:
-            words[-1] += own
-        else:
-            words.append(axis)
-        former = sensor
+    for sensor, group in itertools.groupby(axes, lambda axis: axis.rpartition("_")[0]):
+        same = [*group]
+        own = [axis.removeprefix(f"{sensor}_") for axis in same]
+        words += [f"{sensor}_{''.join(own)}"] if sensor and {*map(len, own)} == {1} else same
     return ", ".join(words)
-
-
-def _unit(e: Estimate) -> tuple[str, float]:
-    """Unit in which a value is shown, and the factor to it: of values of samples that of the record."""
-    if e.label == "fraction":
-        return "%", 100.0
-    return (e.unit, 1.0) if e.label in _AS_RECORDED else suited(e.unit, e.value)
 
 
 def _short(e: Estimate) -> str:
     """Value of a parameter with the digits that its error bears, four at most, but without the error."""
-    unit, factor = _unit(e)
-    value, std = factor * e.value, factor * e.std
+    value, std, unit = _suited(e)
     known = std > _EXACT * abs(value)
     text = without_error(value, max(std, 0.01 * abs(value))) if known else plain(value, 3)
-    return f"{_LIMIT[side_of_limit(e)]}{'× ' if e.label == 'ratio' else ''}{text}{f' {unit}' if unit else ''}"
+    return f"{_LIMIT[side_of_limit(e)]}{'× ' if e.label == 'ratio' else ''}{_with(unit, text)}"
 
 
 # --- A line for each axis -----------------------------------------------------------------------------------
@@ -335,8 +326,8 @@ _NOTABLE = 0.05
 # The best-known statistic comes first, unless another one improved by this many times as many nats.
 _KNOWN, _CLEARER = "allan_deviation", 3.0
 _BETWEEN = DOMAINS["channels"]
-# Most failed tests of an axis and most notes: on a screen, and in full.
-_BRIEF, _FULL = 1, 3
+# Most failed tests of an axis that are described in full.
+_MOST_TESTS = 3
 
 
 def story(critique: Critique) -> str:
@@ -347,7 +338,7 @@ def story(critique: Critique) -> str:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
         lines.append(f"and {len(causes) - MOST} more: critique.details()")
-    return printable("\n".join([*lines, "", *_end(critique, _BRIEF)]))
+    return printable("\n".join([*lines, "", *_end(critique, brief=True)]))
 
 
 def details(critique: Critique) -> str:
@@ -357,7 +348,7 @@ def details(critique: Critique) -> str:
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
             lines.append(wrapped(f"Changes: {text}.", first="  "))
-    return "\n".join([*lines, "", *_end(critique, _FULL)])
+    return "\n".join([*lines, "", *_end(critique, brief=False)])
 
 
 def _causes(findings: Iterable[Finding]) -> list[Finding]:
@@ -367,8 +358,8 @@ def _causes(findings: Iterable[Finding]) -> list[Finding]:
 
 def _likeness(finding: Finding) -> list[str]:
     """Usual names of the causes that an unexplained finding resembles."""
-    words = values_of(finding.details.get("resembles", ()))[0]
-    return [finding.named(cause) for cause in words if isinstance(cause, str)]
+    causes = finding.details.get("resembles", ())
+    return [finding.named(cause) for cause in causes if isinstance(cause, str)]
 
 
 def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
@@ -383,46 +374,42 @@ def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
     return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}{more}"
 
 
-def _end(critique: Critique, most: int) -> list[str]:
+def _end(critique: Critique, brief: bool) -> list[str]:
     """How well each axis is simulated now, axes that were not compared, warnings and notes."""
     shared = {name for f in critique.shared_findings for name in f.axes}
-    lines = [_verdict(axis, shared, most) for axis in critique.results]
+    lines = [_verdict(axis, shared, brief) for axis in critique.results]
     lines += [f"{dead.axis.name}: not compared: {dead.reason}" for dead in critique.dead]
     remarks = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
-    notes = critique.notes[:_BRIEF] if most == _BRIEF else critique.notes
+    notes = critique.notes[:1] if brief else critique.notes
     remarks += [f"note: {note}" for note in notes]
     if more := len(critique.notes) - len(notes):
         remarks.append(f"and {more} more note{'s' if more > 1 else ''}: see details() or the JSON file")
     return [*map(wrapped, lines), *([""] if remarks else []), *map(wrapped, remarks)]
 
 
-def _verdict(axis: AxisCritique, shared: set[str], most: int) -> str:
-    """Which tests of an axis fail with all that was found in it, and `most` of them in words."""
+def _verdict(axis: AxisCritique, shared: set[str], brief: bool) -> str:
+    """Which tests of an axis fail with all that was found in it, and how."""
     name, count = axis.axis.name, len(axis.before)
-    causes = _causes(axis.findings)
-    before = _failed(axis.before)
+    causes, before = _causes(axis.findings), _failed(axis.before)
     after = _failed(axis.after) if causes else before
     # What axes have in common is among the findings.
     own = [d for d in after if not (name in shared and d.statistic in _BETWEEN)]
-    if own:
-        tests = f"{len(own)} of {count} tests {'fails' if len(own) == 1 else 'fail'}"
-        earlier = "" if most == _BRIEF else f" ({len(before)} before)"
-        then = f"after the findings{earlier}" if causes else "and no cause was found"
-        words = what(own[0]) if most == _BRIEF else "; ".join(map(describe, own[:most]))
-        bare = [f for f in axis.findings if f not in causes]
-        if most == _BRIEF and bare:
-            worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
-            where = f"{_DOMAINS[str(worst.details['domain'])][0]} ({_extent(worst)})"
-            words = f"{where}: {what(worst.discrepancies[0][0])}"
-        more = f"; and {len(own) - most} more" if len(own) > most else ""
-        return f"{name}: {tests} {then}: {words}{more}"
-    if after:
+    if after and not own:
         return f"{name}: the simulation reproduces the record except for the noise that axes share"
-    text = f"{name}: the simulation reproduces the record in all {count} tests"
-    if causes:
-        return f"{text} after the findings ({len(before) or 'none'} failed before)"
-    smallest = min((d.p_value for d in axis.before), default=1.0)
-    return f"{text} (smallest p-value {plain(smallest, 2)})"
+    if not own:
+        smallest = min((d.p_value for d in axis.before), default=1.0)
+        then = f"after the findings ({len(before) or 'none'} failed before)"
+        then = then if causes else f"(smallest p-value {plain(smallest, 2)})"
+        return f"{name}: the simulation reproduces the record in all {count} tests {then}"
+    tests = f"{len(own)} of {count} tests {'fails' if len(own) == 1 else 'fail'}"
+    then = f"after the findings{'' if brief else f' ({len(before)} before)'}"
+    shown = own[: 1 if brief else _MOST_TESTS]
+    words = "; ".join(map(what if brief else describe, shown))
+    if brief and (bare := [f for f in axis.findings if f not in causes]):
+        worst = min(bare, key=lambda f: f.discrepancies[0][0].p_value)
+        words = f"{_where(worst)}: {what(worst.discrepancies[0][0])}"
+    more = f"; and {len(own) - len(shown)} more" if len(own) > len(shown) else ""
+    return f"{name}: {tests} {then if causes else 'and no cause was found'}: {words}{more}"
 
 
 def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
@@ -433,9 +420,7 @@ def _failed(tests: Iterable[Discrepancy]) -> list[Discrepancy]:
 def unmeasured(critique: Critique) -> tuple[str, ...]:
     """Warnings about axes whose baseline does not fit the data, and what to do about it."""
     warnings = []
-    for axis in critique.results:
-        if axis.misfit is None or not axis.misfit.excessive:
-            continue
+    for axis in (axis for axis in critique.results if axis.misfit is not None and axis.misfit.excessive):
         left = [d.size for d in axis.after if d.statistic == _KNOWN and d.p_value < SIGNIFICANT]
         # Whether what is left is beyond what coefficients may have, in either direction.
         far = any(not abs(np.log(max(1.0 + x, 1e-300))) < np.log(1.0 + LIMIT) for x in left)
@@ -474,8 +459,8 @@ def sentence(finding: Finding) -> str:
         return _without_a_cause(finding)
     cause = ", ".join([f"{axes}: {finding.named(finding.cause)}", *parameters(finding)])
     if finding.members and (sizes := finding.amplitudes):
-        remarks = {axis: f" ({e.remark})" if e.remark else "" for axis, e in sizes.items()}
-        cause += f"; {', '.join(f'{axis} {_short(e)}{remarks[axis]}' for axis, e in sizes.items())}"
+        each = (f"{axis} {_short(e)}{f' ({e.remark})' if e.remark else ''}" for axis, e in sizes.items())
+        cause += f"; {', '.join(each)}"
     pair, gain = headline_discrepancy(finding), gain_of(finding)
     if pair is None:
         test = significance(finding)
@@ -493,23 +478,21 @@ def sentence(finding: Finding) -> str:
 
 def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
-    domain = str(finding.details["domain"])
-    places = [_extent(finding), *([f"{e.label} {amount(e)}"] if (e := finding.size) else [])]
-    text = f"{', '.join(finding.axes)}: unexplained, {_DOMAINS[domain][0]} ({', '.join(places)})"
-    if (worst := finding.discrepancies[0][0]).p_value < SIGNIFICANT:
-        text += f": {describe(worst)}"
-    text += "."
+    amounts = f", {e.label} {amount(e)}" if (e := finding.size) else ""
+    worst = finding.discrepancies[0][0]
+    test = f": {describe(worst)}" if worst.p_value < SIGNIFICANT else ""
+    text = f"{', '.join(finding.axes)}: unexplained, {_where(finding, amounts)}{test}."
     if like := _likeness(finding):
         text += (
             f" The extended model describes it as {', '.join(like)} ({gain_of(finding)}), which is not "
             f"taken for its cause: {finding.details['reason']}."
         )
-    return f"{text} {_DOMAINS[domain][1]}"
+    return f"{text} {_DOMAINS[str(finding.details['domain'])][1]}"
 
 
-def _extent(finding: Finding) -> str:
-    """Part of the record or of the spectrum that something unexplained is in."""
-    return place(finding) if {"start", "lowest"} & set(finding.parameters) else "whole record"
+def _where(finding: Finding, more: str = "") -> str:
+    """Where something unexplained shows, e.g. "in the spectrum (11 … 14 Hz)"."""
+    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or _EVERYWHERE}{more})"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:
@@ -535,7 +518,7 @@ def _mended(pair: tuple[Discrepancy, Discrepancy]) -> float:
 
 def format_remainder(before: Discrepancy, after: Discrepancy) -> str:
     """Remainder of a discrepancy in words, e.g. "within 0.5 %"."""
-    if before.statistic in _RELATIVE and np.isfinite(after.size):
+    if "{off}" in _STATISTICS[before.statistic] and np.isfinite(after.size):
         if after.p_value < SIGNIFICANT:
             return factor_off(after.size)
         return f"within {percent(max(abs(after.size), 1e-3))}"
@@ -551,10 +534,9 @@ def changes(finding: Finding, axis: Axis) -> list[str]:
     ]
     drift = finding.drift
     if drift is not None and _notable(drift.before, drift.after):
-        measured, before, after = (plain(x, 3) for x in (drift.measured, drift.before, drift.after))
         texts.append(
-            f"drift over {duration(drift.horizon)} in simulations {before} → {after} {drift.unit}, "
-            f"in the record {measured} {drift.unit}"
+            f"drift over {duration(drift.horizon)} in simulations {_before_and_after(drift)}, "
+            f"in the record {plain(drift.measured, 3)} {drift.unit}"
         )
     return texts
 
