@@ -211,16 +211,16 @@ def _left(domain: str, made: Comparison) -> _Left | None:
     """What remains beyond doubt after the last finding in a domain, if anything."""
     mine = [d for d in made.after if d.statistic in DOMAINS[domain]]
     sure = [d for d in mine if d.p_value < CERTAIN]
-    free = made.free[-1].get(domain)
-    gain = 0.0 if free is None else free.total
+    # Windows of a free level are as narrow as needed. A free spectrum would also find a stop band's ends.
+    free = made.free[-1].get("level") if domain == "level" else None
+    gain = max(free.total, 0.0) if free else 0.0
     if not sure and gain < _SURE:
         return None
     # A part of the spectrum is placed best by statistics of it.
     narrow = [d for d in sure if d.statistic in ("psd", "psd_line")]
     worst = min(narrow or sure or mine, key=lambda d: (d.p_value, DOMAINS[domain].index(d.statistic)))
-    if free is not None and gain >= _SURE and not narrow:
-        return _Left(worst, free.place(), gain)
-    return _Left(worst, _span(worst, made.last.get(worst.statistic)), max(gain, 0.0))
+    place = free.place() if free and gain >= _SURE else _span(worst, made.last.get(worst.statistic))
+    return _Left(worst, place, gain)
 
 
 def _span(d: Discrepancy, profile: Profile | None) -> tuple[float, float] | None:

@@ -159,3 +159,49 @@ def test_a_telegraph_is_followed_to_the_end_of_the_record():
     found = aj.critique(x, rate=rate, gyro_unit="deg/s", names=["gyro_x"])
     assert [f.cause for f in found.findings] == ["telegraph"]
     assert found.findings[0].parameters["jumps"].value == len(jumps)
+
+
+@pytest.mark.parametrize("step", [0.1, 0.2, 0.3])
+def test_harmless_rounding_is_nothing(step):
+    """A resolution below a third of the deviation adds less than 1 % to the variance: Sheppard's step²/12."""
+    found = aj.critique(np.rint(white(9) / step) * step, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
+    assert found.findings == ()
+
+
+def test_shocks_that_decay_are_no_telegraph():
+    """The levels of a telegraph stay until the next jump."""
+    shocks = np.zeros(N)
+    shocks[[int(t * RATE) for t in (41.0, 102.0, 167.0, 247.0, 339.0, 453.0, 548.0)]] = 0.8
+    found = aj.critique(
+        white(10) + lfilter([1.0], [1.0, -np.exp(-1.0 / (20.0 * RATE))], shocks), rate=RATE, gyro_unit="deg/s"
+    )
+    causes = [f.cause for f in found.findings]
+    assert "unexplained" in causes
+    assert "telegraph" not in causes
+
+
+def test_a_level_that_is_raised_in_many_short_bursts_has_no_outliers():
+    rng, level = np.random.default_rng(11), np.ones(N)
+    for start in rng.integers(0, N - 200, 25):
+        level[start : start + 200] = 2.0
+    found = aj.critique(level * white(12), rate=RATE, gyro_unit="deg/s")
+    assert {f.cause for f in found.findings} == {"unexplained"}
+    (levels,) = [f for f in found.findings if f.details["domain"] == "level"]
+    assert levels.span[1] - levels.span[0] > 0.7 * T[-1]
+
+
+def test_large_values_that_come_in_groups_are_no_outliers():
+    """A shocked oscillator rings down, in several samples each time."""
+    shocks = np.zeros(N)
+    shocks[np.random.default_rng(13).integers(0, N, 20)] = 7.0
+    pole = np.exp(2.0 * np.pi * 17.0 / RATE * (1j - 0.5 / 20.0))
+    ringing = lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], shocks)
+    found = aj.critique(white(14) + ringing, rate=RATE, gyro_unit="deg/s")
+    assert "outliers" not in [f.cause for f in found.findings]
+
+
+def test_a_power_law_beside_a_larger_change_of_the_bias_is_a_part_of_it():
+    """What drifts in an unknown way has a spectrum that falls with some power."""
+    u = (T - 330.0) / 15.0
+    found = aj.critique(white(15) + 0.6 * np.exp(-0.5 * u**2), rate=RATE, gyro_unit="deg/s")
+    assert {f.cause for f in found.findings} == {"unexplained"}
