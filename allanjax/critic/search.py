@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,9 @@ from allanjax.noise.model import Model
 _ODDS, _MOST, _CERTAIN, _CLEARLY, _TOO_MANY = (
     judged("search", name) for name in ("rivals", "most", "certain", "clearly", "imputed")
 )
+
+# An effect whose test has a larger p-value than this gains no more than so much [nats]; 80 were seen.
+_CHANCE, _SMALL = 1e-3, 100.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,15 +84,21 @@ def search(
 ) -> Search:
     """Search for effects in one axis; `tell` is called with a text that describes the step."""
     state = prepared(view, effects, rule)
-    tests = {c.name: p for c in _sought(state.end, effects) if (p := c.p_value(state.end)) is not None}
-    return going_on(dataclasses.replace(state, tests=tests), effects, rule, tell)
+    tested = [(c, p) for c in _sought(state.end, effects) if (p := c.p_value(state.end)) is not None]
+    tests = {effect.name: p for effect, p in tested}
+    promised = {effect: _SMALL for effect, p in tested if p > _CHANCE}
+    return going_on(dataclasses.replace(state, tests=tests), effects, rule, tell, promised)
 
 
 def going_on(
-    state: Search, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
+    state: Search,
+    effects: Sequence[Effect],
+    rule: AcceptanceRule,
+    tell: Callable[[str], None],
+    promised: Mapping[Effect, float] = MappingProxyType({}),
 ) -> Search:
-    """Continued search, with effects that have not been tried yet."""
-    effects, promised = _sought(state.end, effects), dict[Effect, float]()
+    """Continued search, with effects that have not been tried yet; some are `promised` to gain so much."""
+    effects = _sought(state.end, effects)
     # Findings that are dropped again count too.
     for _ in range(2 * int(_MOST)):
         if len(state.steps) >= _MOST:

@@ -241,7 +241,7 @@ class View:
         imputed: Bool[np.ndarray, " n"] | None = None,
         coefficients: Float[np.ndarray, " n-1"] | None = None,
     ) -> View:
-        """View of other samples, with these coefficients if they are known, of which some are newly `imputed`."""
+        """View of other samples, of which these are newly `imputed`; their coefficients may be known."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
         like = self._like or self.model_evidence
         kept = {"factor": self.factor, "_like": like, "coefficients": coefficients}
