@@ -139,14 +139,15 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
         power = 0.5 * float(level) * width / np.pi
         new = now.structure.plus(resonance(angle, 2.0 * angle / width, power, inside))
         finer = record.binned(new)
-        found, before = finer.fit(new), finer.fit(now.structure)
+        found = finer.fit(new)
         own, first = found.structure.components[k], found.structure.first[k]
-        if own.power <= 0.0:
+        if own.power <= 0.0 or not low <= own.frequency <= high:
             continue
+        before = finer.fit(now.structure)
         std = float(np.sqrt(found.covariance[first, first]))
         share = max(width / angle * len(places), np.sqrt(2.0 * np.pi) * std)
         gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / share))
-        if gain > 0.0 and low <= own.frequency <= high:
+        if gain > 0.0:
             spectrum, now, total = finer, found, total + gain
     return (view.with_structure(now.structure), total) if total > 0.0 else None
 
