@@ -208,7 +208,10 @@ class Bank:
         # Seven digits suffice for draws, at half the work.
         rng = np.random.default_rng([len(v), *(int(level) % 2**32 for level in coarse)])
         draws = rng.standard_normal((len(v), _DRAWS), np.float32)
-        outputs = matched.rows().astype(np.float32) @ draws
+        shapes, common, nuisances, root = (
+            x.astype(np.float32) for x in (self.shapes, matched.common, matched.nuisances, matched.root)
+        )
+        outputs = shapes @ (draws / root[:, None]) - common @ (nuisances.T @ draws)
         return np.max(abs(outputs) / matched.lengths[:, None], axis=0)
 
 
@@ -251,11 +254,12 @@ def any_of(p: float, count: float) -> float:
     return float(-np.expm1(count * np.log1p(-min(p, 1.0 - 1e-16))))
 
 
-@functools.lru_cache(maxsize=2)
-def step_bank(n: int) -> tuple[Bank, np.ndarray]:
-    """Bank of steps at `SLOW`/4 places, and the places [samples]."""
+@functools.lru_cache(maxsize=4)
+def step_bank(n: int, every: int = 1) -> tuple[Bank, np.ndarray]:
+    """Bank of steps at `SLOW`/4 places, or at `every` so many of these, and the places [samples]."""
     J = min(SLOW, n - 1)
     places = np.unique(np.rint(np.linspace(0.0, n, min(SLOW // 4, n // 4) + 2)[1:-1]))
+    places = places[every // 2 :: every]
     return Bank(step_coefficients(places, n, J)), places
 
 

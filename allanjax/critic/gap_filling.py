@@ -29,25 +29,27 @@ def impute_gaussian(view: View, missing: Bool[np.ndarray, " n"]) -> View:
     fresh, known = np.flatnonzero(missing & ~view.imputed), np.flatnonzero(~missing)
     x = view.samples.copy()
     x[fresh] = np.interp(fresh, known, x[known])
-    model = view.with_samples(x, missing).variance()
-    v, changed = _own_variance(x, model), np.inf
+    first = view.with_samples(x, missing)
+    c, model = first.coefficients, first.variance()
+    v, changed = _own_variance(c, model), np.inf
     for _ in range(_DRAWS):
         draw = in_time(np.sqrt(v) * rng.standard_normal(view.n - 1)) + x.mean()
         x = np.where(missing, draw + predicted(x - draw, missing, v), x)
-        before, v = v, _own_variance(x, model)
+        c = centred(x)
+        before, v = v, _own_variance(c, model)
         last, changed = changed, float(np.max(abs(np.log(v / before))))
         # A change no smaller than the last one is chance, e.g. from redrawing a long gap.
         if changed < _SETTLED or changed > last:
             break
-    return view.with_samples(x, missing)
+    return view.with_samples(x, missing, c)
 
 
-def _own_variance(x: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
+def _own_variance(c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n-1"]:
     """Expected squared coefficients: a model's, or the record's own in bins where it differs beyond chance.
 
     This allows for effects that have not been found yet, such as a filter.
     """
-    n = len(x)
+    n = len(c) + 1
     octaves = np.append(2 ** np.arange(int(np.log2(n - 1)) + 1) - 1, n - 1)
     parts = [
         np.linspace(low, high, int(np.clip((high - low) // _LEAST, 1, _PARTS)) + 1)
@@ -55,7 +57,7 @@ def _own_variance(x: Float[np.ndarray, " n"], v: Float[np.ndarray, " n-1"]) -> F
     ]
     first = np.unique(np.concatenate(parts).astype(int))
     count = np.diff(first)
-    level = np.log(np.maximum(np.add.reduceat(centred(x) ** 2 / v, first[:-1]), 1e-300) / count)
+    level = np.log(np.maximum(np.add.reduceat(c**2 / v, first[:-1]), 1e-300) / count)
     # Gradually, as bins at the edge of chance would otherwise switch from draw to draw.
     level *= np.clip(abs(level) / np.sqrt(2.0 / count) - _CHANCE, 0.0, 1.0)
     middle = 0.5 * (first[:-1] + first[1:] - 1)

@@ -71,10 +71,27 @@ class ModelEvidence:
         """Evidence of few subsets, given the coefficients of a similar record."""
         return dataclasses.replace(self._given(c, self.like or self), near=_FEW)
 
+    def of_rest(self, c: Float[np.ndarray, " n-1"], lowest: Float[np.ndarray, " slow"]) -> ModelEvidence:
+        """Evidence of few subsets, given the coefficients of this record less these lowest ones."""
+        # Only the bins of these change.
+        count = int(np.searchsorted(self.family.bins.edges, len(lowest) + 1))
+        rest = c[: self.family.bins.edges[count] - 1].copy()
+        rest[: len(lowest)] -= lowest
+        old, new = self.levels, self._statistics(rest, count)
+        squares, cross = (np.append(few, all_[count:]) for few, all_ in zip(new[:2], old[:2], strict=True))
+        levels = SpectralStatistics(squares, cross, old.gram)
+        return dataclasses.replace(self, levels=levels, like=self.like or self, near=_FEW, known={})
+
     def _given(self, c: Float[np.ndarray, " n-1"], like: ModelEvidence | None) -> ModelEvidence:
-        weighted, sums = _weighted(c, self.factor, self.fold), self.family.bins.sums
-        levels = SpectralStatistics(sums(weighted * c), sums(weighted * self.family.ramp), self.levels.gram)
-        return dataclasses.replace(self, levels=levels, like=like, known={})
+        return dataclasses.replace(self, levels=self._statistics(c), like=like, known={})
+
+    def _statistics(self, c: Float[np.ndarray, " some"], count: int | None = None) -> SpectralStatistics:
+        """Statistics of the coefficients in the first `count` bins, or in all."""
+        own, first = slice(len(c)), self.family.bins.edges[:-1][:count] - 1
+        factor, fold = (None if x is None else x[own] for x in (self.factor, self.fold))
+        weighted = _weighted(c, factor, fold)
+        squares, cross = (np.add.reduceat(weighted * x, first) for x in (c, self.family.ramp[own]))
+        return SpectralStatistics(squares, cross, self.levels.gram)
 
     def best(
         self,

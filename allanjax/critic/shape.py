@@ -21,7 +21,7 @@ from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
 from allanjax.estimate.spectral.model import Component, response_of
-from allanjax.estimate.structure.search import Record, at_all, completed, narrow, refitted, searched
+from allanjax.estimate.structure.search import Record, at_all, at_some, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import (
     FIXED,
     FREQUENCIES,
@@ -134,19 +134,20 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
     for place in places:
         low, high = (2.0 * np.pi * f / record.rate for f in place[1:])
         angle, width = 0.5 * (low + high), high - low
-        level = at_all(spectrum, now)[int(np.clip(angle / np.pi * record.n, 1, record.n - 1)) - 1]
+        level = at_some(spectrum, now, np.clip(angle / np.pi * record.n, 1.0, record.n - 1.0))
         k, inside = len(now.structure.components), now.structure.kind != NONE
         power = 0.5 * float(level) * width / np.pi
         new = now.structure.plus(resonance(angle, 2.0 * angle / width, power, inside))
         finer = record.binned(new)
-        found, before = finer.fit(new), finer.fit(now.structure)
+        found = finer.fit(new)
         own, first = found.structure.components[k], found.structure.first[k]
-        if own.power <= 0.0:
+        if own.power <= 0.0 or not low <= own.frequency <= high:
             continue
+        before = finer.fit(now.structure)
         std = float(np.sqrt(found.covariance[first, first]))
         share = max(width / angle * len(places), np.sqrt(2.0 * np.pi) * std)
         gain = found.evidence - before.evidence + float(np.log(np.log(record.n / FREQUENCIES) / share))
-        if gain > 0.0 and low <= own.frequency <= high:
+        if gain > 0.0:
             spectrum, now, total = finer, found, total + gain
     return (view.with_structure(now.structure), total) if total > 0.0 else None
 

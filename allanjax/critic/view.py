@@ -236,22 +236,24 @@ class View:
         return in_time(self.residual / v) / precision, float(1.0 / np.sqrt(precision))
 
     def with_samples(
-        self, samples: Float[np.ndarray, " n"], imputed: Bool[np.ndarray, " n"] | None = None
+        self,
+        samples: Float[np.ndarray, " n"],
+        imputed: Bool[np.ndarray, " n"] | None = None,
+        coefficients: Float[np.ndarray, " n-1"] | None = None,
     ) -> View:
-        """View of other samples, of which these are newly `imputed`."""
+        """View of other samples, of which these are newly `imputed`; their coefficients may be known."""
         imputed = self.imputed if imputed is None else self.imputed | imputed
-        kept = {"factor": self.factor, "_like": self._like or self.model_evidence}
+        like = self._like or self.model_evidence
+        kept = {"factor": self.factor, "_like": like, "coefficients": coefficients}
         return self._changed(kept, samples=samples, imputed=imputed)
 
     def noise_without(self, lowest: Float[np.ndarray, " slow"]) -> Noise:
         """Approximately most probable noise without an effect that has these lowest coefficients."""
-        c = self.coefficients.copy()
-        c[: len(lowest)] -= lowest
-        return (self._like or self.model_evidence).of_similar(c).best(self.allowed)
+        return self.model_evidence.of_rest(self.coefficients, lowest).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
         """View whose spectrum has this structure."""
-        return self._changed({"coefficients": self.coefficients}, structure=structure)
+        return self._changed(self._known("coefficients"), structure=structure)
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View with these effects found, keeping everything computed for it.
@@ -266,11 +268,15 @@ class View:
         """View in which all subsets of terms compete, not only those that were likely before."""
         if self._like is None:
             return self
-        return self._changed({name: vars(self).get(name) for name in ("factor", "coefficients")})
+        return self._changed(self._known("factor", "coefficients"))
 
     def without_caches(self) -> View:
         """View without cached values, except its noise."""
-        return self._changed({"noise": dataclasses.replace(self.noise), "factor": vars(self).get("factor")})
+        return self._changed({"noise": dataclasses.replace(self.noise), **self._known("factor")})
+
+    def _known(self, *names: str) -> dict[str, Any]:
+        """Cached values of these names; None for what has not been computed."""
+        return {name: vars(self).get(name) for name in names}
 
     def _changed(self, kept: Mapping[str, Any], **changes: Any) -> View:
         """View with changes, and with these cached values, except those that are None."""
@@ -287,7 +293,9 @@ class View:
 
     def allowing(self, terms: Collection[str]) -> View:
         """View in which the noise may have these basic terms."""
-        return dataclasses.replace(self, allowed=tuple(terms))
+        # In a view of similar samples only few subsets were compared.
+        kept = self._known("coefficients", *(("factor", "model_evidence") if self._like is None else ()))
+        return self._changed(kept, allowed=tuple(terms))
 
     def recoloured(self, whitened: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Samples with these whitened residuals and the ramp of this view's samples."""

@@ -46,13 +46,12 @@ class Match(NamedTuple):
         return self.noise.log_evidence - view.noise.log_evidence - self.scan.log_price
 
     @classmethod
-    def of(cls, bank: Bank, view: View, noise: Noise, without: Callable[[int, float], Noise]) -> Match:
-        """Match found from a first guess of the noise; `without` estimates it without a shape.
+    def of(cls, bank: Bank, view: View, scan: Scan, without: Callable[[int, float], Noise]) -> Match:
+        """Match found from a scan in a first guess of the noise; `without` estimates it without a shape.
 
         The shape and the noise are estimated in turn. All results are from the same round, even if the shape
         still changes in the last one.
         """
-        scan = bank.scan(view, noise)
         for _ in range(_ROUNDS):
             k = scan.best
             a = float(scan.amplitude[k])
@@ -96,8 +95,9 @@ def additive(
     """
     # The noise without a shape as in the bank is approximate, but costs no transform.
     noises = view.noises if coarse is None else (coarse.after.noise,)
+    scans = (bank.scan(view, noise) for noise in noises)
     rough = (
-        Match.of(bank, view, noise, lambda k, a: view.noise_without(a * bank.shapes[k])) for noise in noises
+        Match.of(bank, view, scan, lambda k, a: view.noise_without(a * bank.shapes[k])) for scan in scans
     )
     first = max(rough, key=lambda match: match.gain(view))
     if first.gain(view) - log_trials < HOPELESS:
@@ -108,7 +108,7 @@ def additive(
         after[:] = [view.with_samples(view.samples - a * shape(k))]
         return after[0].noise
 
-    match = Match.of(bank, view, first.noise, exact)
+    match = Match.of(bank, view, first.scan, exact)
     gain = after[0].log_evidence - view.log_evidence - match.scan.log_price - log_trials
     if not gain > 0.0:
         return None

@@ -86,7 +86,7 @@ class BiasStep(Effect):
 
     def _two(self, view: View, least: float) -> Candidate | None:
         """Two steps, if they gain more than the `least`, and each has a gain given the other."""
-        bank, places = step_bank(view.n)
+        bank, places = step_bank(view.n, _COARSER)
         found = [_pair(view, bank, noise) for noise in view.noises]
         both = max(found, key=lambda pair: pair.gain)
         if both.gain < least + HOPELESS:
@@ -123,27 +123,27 @@ class _Pair(NamedTuple):
 
 
 def _pair(view: View, bank: Bank, noise: Noise) -> _Pair:
-    """Best two of every eighth step of a bank; they and the noise without them are estimated in turn."""
-    some = np.arange(_COARSER // 2, len(bank.shapes), _COARSER)
-    i, j = np.triu_indices(len(some), 1)
-    members = (-1, -1)
+    """Best two steps of a bank; they and the noise without them are estimated in turn."""
+    i, j = np.triu_indices(len(bank.shapes), 1)
+    best = -1
     for _ in range(_ROUNDS):
         matched = bank.matched(view, noise)
-        p, rows = matched.products(matched.whitened)[some], matched.rows(some)
+        p, rows = matched.products(matched.whitened), matched.rows()
         gram = rows @ rows.T
         own = np.diag(gram)
         det = np.maximum(own[i] * own[j] - gram[i, j] ** 2, 1e-9 * own[i] * own[j])
         gains = 0.5 * (p[i] ** 2 * own[j] + p[j] ** 2 * own[i] - 2.0 * p[i] * p[j] * gram[i, j]) / det
-        best = int(np.argmax(gains))
+        before, best = best, int(np.argmax(gains))
         pair = [i[best], j[best]]
         covariance = np.linalg.pinv(gram[np.ix_(pair, pair)])
         amplitude = covariance @ p[pair]
-        before, members = members, (int(some[pair[0]]), int(some[pair[1]]))
-        noise = view.noise_without(amplitude @ bank.shapes[list(members)])
-        if members == before:
+        noise = view.noise_without(amplitude @ bank.shapes[pair])
+        if best == before:
             break
     price = log_trials_factor(gains) + np.sum(log_occam_factor(amplitude / np.sqrt(np.diag(covariance))))
-    return _Pair(members, amplitude, noise.log_evidence - view.noise.log_evidence - float(price))
+    return _Pair(
+        (int(i[best]), int(j[best])), amplitude, noise.log_evidence - view.noise.log_evidence - float(price)
+    )
 
 
 def _parameters(

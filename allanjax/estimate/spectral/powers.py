@@ -91,11 +91,11 @@ def power_fits(
     scale = 1.0 / np.sqrt(np.maximum((unit / rough) ** 2 @ shape, 1e-300))
     power, loss, going = np.where(used, start, 0.0), np.full(len(unit), np.inf), np.arange(len(unit))
     trial, damping, gradient = power.copy(), np.full(len(unit), _DAMPING), np.zeros(power.shape)
-    curvature = np.zeros((*power.shape, power.shape[1]))
+    curvature, own_unit = np.zeros((*power.shape, power.shape[1])), unit
     for _ in range(steps):
         own = ramps and ramps._replace(present=ramps.present[going])
         data = level if level.ndim == 1 else level[going]
-        value, *slopes = _likelihood(data, shape, trial[going], unit[going], own)
+        value, *slopes = _likelihood(data, shape, trial[going], own_unit, own)
         better = value < loss[going]
         best = (power, loss, gradient, curvature)
         for state, new in zip(best, (trial[going], value, *slopes), strict=True):
@@ -106,9 +106,11 @@ def power_fits(
         bent = curvature[going] * reach[:, :, None] * reach[:, None]
         move, gain = _move(uphill * reach, bent, damping[going])
         trial[going] = np.maximum((p + s) * np.exp(np.clip(move, -_LONGEST, _LONGEST)) - s, 0.0)
-        going = going[(gain > tolerance) & (loss[going] - _GAINS * gain < loss.min() + far)]
-        if not len(going):
+        still = (gain > tolerance) & (loss[going] - _GAINS * gain < loss.min() + far)
+        if not still.any():
             break
+        if not still.all():
+            going, own_unit = going[still], own_unit[still]
     return power, loss
 
 

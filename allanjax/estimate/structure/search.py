@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.estimate.spectral import components as kinds
@@ -636,6 +636,11 @@ def with_process(spectrum: Spectrum, structure: Structure) -> list[Fitted]:
 
 def at_all(spectrum: Spectrum, fitted: Fitted) -> Float[np.ndarray, " n-1"]:
     """Expected squares of all coefficients, interpolated between the bins."""
+    return at_some(spectrum, fitted, np.arange(1.0, spectrum.n))
+
+
+def at_some(spectrum: Spectrum, fitted: Fitted, places: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:
+    """Expected squares of the coefficients at these places, from 1."""
     edges = spectrum.bins.edges
     middle = np.log(0.5 * (edges[:-1] + edges[1:] - 1))
-    return np.exp(np.interp(np.log(np.arange(1.0, spectrum.n)), middle, np.log(fitted.mean)))
+    return np.exp(np.interp(np.log(places), middle, np.log(fitted.mean)))
