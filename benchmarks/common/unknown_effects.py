@@ -361,16 +361,80 @@ def dead_zone(s: Scene) -> Made:
     return s.bent(lambda x, a: x - a * x * np.exp(-(x**2)), 0.16), "values", (0.0, s.duration), ()
 
 
+def siren(s: Scene) -> Made:
+    f, reach, period = s.rng.uniform(8.0, 35.0), s.rng.uniform(0.5, 3.0), s.rng.uniform(20.0, 60.0)
+    phase = 2.0 * np.pi * f * s.t - reach * period * np.cos(2.0 * np.pi * s.t / period)
+    near = ("sinusoid", "resonance")
+    return s.noise + s.path(np.sin(phase)), "frequency", (f - reach, f + reach), near
+
+
+def ticks(s: Scene) -> Made:
+    period = int(s.rng.uniform(3.0, 20.0) * s.rate)
+    near = ("outliers", "sinusoid")
+    return s.noise + s.path(1.0 * (np.arange(s.n) % period == 0)), "values", (0.0, s.duration), near
+
+
+def three_levels(s: Scene) -> Made:
+    jumps = np.cumsum(s.rng.random(s.n) < s.rng.uniform(10.0, 25.0) / s.n)
+    level = np.cumsum(np.append(0, s.rng.integers(1, 3, jumps[-1]))) % 3
+    return s.noise + s.path(1.0 * level[jumps]), "time", (0.0, s.duration), ("bias_step",)
+
+
+def rippled_codes(s: Scene) -> Made:
+    return s.bent(lambda x, a: x + a * np.sin(3.0 * x), 2.5), "values", (0.0, s.duration), ()
+
+
+def two_pieces(s: Scene) -> Made:
+    # The mean explains a third of it.
+    return s.bent(lambda x, a: x * (1.0 + a * np.sign(x)), 0.68), "values", (0.0, s.duration), ()
+
+
+def kink(s: Scene) -> Made:
+    start = s.rng.uniform(0.3, 0.8) * s.duration
+    return s.noise + s.path(np.maximum(s.t - start, 0.0)), "time", (start, s.duration), ("drift_ramp",)
+
+
+def damped_swing(s: Scene) -> Made:
+    start, length = s.rng.uniform(0.1, 0.7) * s.duration, s.rng.uniform(0.02, 0.06) * s.duration
+    u = np.maximum(s.t - start, 0.0) / length
+    shape = np.exp(-u) * np.sin(2.0 * np.pi * u / 1.5)
+    return s.noise + s.path(shape), "time", (start, start + 3.0 * length), ()
+
+
+def swelling(s: Scene) -> Made:
+    middle, width = s.rng.uniform(0.25, 0.75) * s.duration, s.rng.uniform(0.03, 0.1) * s.duration
+    log = np.exp(-0.5 * ((s.t - middle) / width) ** 2)
+    near = ("variance_change", "disturbance")
+    return s.louder(log), "level", (middle - 2.0 * width, middle + 2.0 * width), near
+
+
+def ac_coupled(s: Scene) -> Made:
+    f = s.rng.uniform(2.0, 8.0)
+    share = f / (0.5 * s.rate)
+    # As of a notch: of the lowest band, whose power is 1−d of what it was.
+    depth = brentq(lambda d: -0.5 * share * s.n / 2.0 * (d + np.log1p(-d)) - DETECTABLE_LLR, 1e-6, 1.0 - 1e-9)
+    ba, mixed = butter(2, f, "highpass", fs=s.rate), min(1.0, s.multiple * depth)
+    return s.noise + mixed * (lfilter(*ba, s.white) - s.white), "frequency", (0.0, f), ()
+
+
+def keyed_line(s: Scene) -> Made:
+    f = s.rng.uniform(3.0, 40.0)
+    on = np.cumsum(s.rng.random(s.n) < s.rng.uniform(40.0, 200.0) / s.n) % 2
+    near = ("sinusoid", "resonance")
+    return s.noise + s.path(on * np.sin(2.0 * np.pi * f * s.t)), "frequency", (f - 0.2, f + 0.2), near
+
+
 #: Kinds on which the critic's rules were made, and kinds kept for reports.
 MADE_ON = (
     *(ramped_step, chirp, sawtooth, sigma_delta, band_noise, notch, modulated_line, breathing, skewed),
     *(soft_clipping, bump, relaxations, tone_burst, echo, shelf, wandering_line, gated, growing),
     *(heavy_tails, crossover, square_wave, broken_line, fading_line, ring_downs, plateau, settling_level),
-    *(wandering_level, switching_level, one_sided, light_tails),
+    *(wandering_level, switching_level, one_sided, light_tails, staircase, s_shape, pulse_train, doublet),
+    *(hopping_line, repeating_noise, tilt, bursts, ramping_level, dead_zone),
 )
 KEPT = (
-    *(staircase, s_shape, pulse_train, doublet, hopping_line, repeating_noise, tilt, bursts, ramping_level),
-    dead_zone,
+    *(siren, ticks, three_levels, rippled_codes, two_pieces, kink, damped_swing, swelling, ac_coupled),
+    keyed_line,
 )
 KINDS: dict[str, Callable[[Scene], Made]] = {f.__name__: f for f in (*MADE_ON, *KEPT, nothing)}
 

@@ -2,7 +2,7 @@
 
 `critique(recording)` of 20 minutes of a 100 Hz gyro in which an effect outside the vocabulary is hidden
 (benchmarks/common/unknown_effects.py), at multiples of the amplitude that a detector which knows everything
-else just finds. On the first thirty kinds the rules were made; the last ten were kept for this report.
+else just finds. On the first forty kinds the rules were made; the last ten were kept for this report.
 
 *Wrong*: a named cause that is not there, unless it is said to explain its place in part. *Near*: a cause of
 the vocabulary that describes the effect rightly, as a line does whose amplitude varies. *Placed*: something
