@@ -79,9 +79,13 @@ def reported(
     doubts = _doubted(findings, reasons, made.free)
     named = [f for f in findings if not any(f is d.finding for d in doubts)]
     for domain in DOMAINS:
-        mine = sorted((d for d in doubts if d.domain == domain), key=lambda d: -(d.finding.gain or 0.0))
+        mine = [d for d in doubts if d.domain == domain]
+        # Those that are about this domain come first, the largest of them before the others.
+        mine.sort(key=lambda d: (_domains(d.finding)[0] != domain, -(d.finding.gain or 0.0)))
         left = None if domain in ignored else _left(domain, made)
-        if mine or left:
+        # Values of noise whose level varies have long tails.
+        varies = any(f.details.get("domain") == "level" for f in named)
+        if mine or (left and not (varies and left.worst.statistic in ("tails", "largest_residual"))):
             named.append(_unexplained(stage, domain, made, mine, left))
     return named
 
@@ -103,8 +107,8 @@ def _doubted(
     """
     each = []
     for f, doubt in zip(findings, reasons, strict=True):
-        reason = doubt or _of_several(f, findings) or _beside(f, free[0], free[-1])
-        each.append(_Doubted(f, _domains(f)[0], reason))
+        domain, reason = _beside(f, free[0], free[-1])
+        each.append(_Doubted(f, domain, doubt or _of_several(f, findings) or reason))
     found = [d for d in each if d.reason]
     while part := _part(each, found, free):
         found.append(part)
@@ -128,15 +132,18 @@ def _domains(f: Finding) -> tuple[str, ...]:
     return _OF_CAUSES.get(f.cause, ("bias",))
 
 
-def _beside(f: Finding, before: Mapping[str, Free], after: Mapping[str, Free]) -> str:
-    """Why a finding is hardly the cause, from what descriptions that name nothing gain beside it."""
+def _beside(f: Finding, before: Mapping[str, Free], after: Mapping[str, Free]) -> tuple[str, str]:
+    """Domain in which a description that names nothing gains much beside a finding, and the reason for doubt.
+
+    The domain is the finding's own and the reason "" if there is none.
+    """
     own, *others = _domains(f)
-    if own in after and after[own].within(*f.span) > max(_NATS, _LEFT * before[own].within(*f.span)):
-        return "much of what is there remains"
     # Where the level varies, some stretch has another level, and large values are more frequent.
     if "level" in (own, *others) and after["level"].total > max(_SURE, f.gain or 0.0):
-        return "the level varies in another way"
-    return ""
+        return "level", "the level varies in another way"
+    if own in after and after[own].within(*f.span) > max(_NATS, _LEFT * before[own].within(*f.span)):
+        return own, "much of what is there remains"
+    return own, ""
 
 
 def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
@@ -188,8 +195,8 @@ def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[floa
 
 def _whole(doubts: Sequence[_Doubted]) -> tuple[float, float]:
     """From the first start to the last end of these findings; a power law is beside a change of the bias."""
-    own = [d.finding for d in doubts if _domains(d.finding)[0] == d.domain]
-    starts, ends = zip(*(f.span for f in own), strict=True)
+    own = [d.finding.span for d in doubts if _domains(d.finding)[0] == d.domain]
+    starts, ends = zip(*(own or [d.finding.span for d in doubts]), strict=True)
     return min(starts), max(ends)
 
 
@@ -275,7 +282,7 @@ def _unexplained(
         known | {f.size.label: f.size for f in members if len(members) == 1 and f.size is not None},
         members[0].p_value if members else min(worst.p_value, float(np.exp(-0.5 * gain))),
         sum((f.evidence or 0.0 for f in members), 0.0),
-        sum((f.gain or 0.0 for f in members), gain),
+        sum((f.gain or 0.0 for f in members), 0.0),
         (),
         place or (0.0, stage.n / stage.rate if in_time else 0.5 * stage.rate),
         "time" if in_time else "frequency",

@@ -448,6 +448,8 @@ _DOMAINS = {
     "bias": ("in the bias over time", "See the record there, and repeat the recording."),
     "channels": ("in common with another channel", "See both channels: a coupling, or a common cause."),
 }
+# The same if the values are outliers of some kind.
+_OF_OUTLIERS = "See the record at these times: shocks or interference."
 
 # --- A finding in full --------------------------------------------------------------------------------------
 
@@ -480,14 +482,19 @@ def _without_a_cause(finding: Finding) -> str:
     """What is known of something unexplained: where, how large, what it resembles, and where to look next."""
     amounts = f", {e.label} {amount(e)}" if (e := finding.size) else ""
     worst = finding.discrepancies[0][0]
-    test = f": {describe(worst)}" if worst.p_value < SIGNIFICANT else ""
+    domain = str(finding.details["domain"])
+    if worst.p_value < SIGNIFICANT:
+        test = f": {describe(worst)}"
+    else:
+        # A free level shows what windows of fixed lengths do not.
+        test = f": it varies ({significance(finding)})" if domain == "level" else ""
     text = f"{', '.join(finding.axes)}: unexplained, {_where(finding, amounts)}{test}."
     if like := _likeness(finding):
         text += (
             f" The extended model describes it as {', '.join(like)} ({gain_of(finding)}), which is not "
             f"taken for its cause: {finding.details['reason']}."
         )
-    return f"{text} {_DOMAINS[str(finding.details['domain'])][1]}"
+    return f"{text} {_OF_OUTLIERS if domain == 'values' and like else _DOMAINS[domain][1]}"
 
 
 def _where(finding: Finding, more: str = "") -> str:
