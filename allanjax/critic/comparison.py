@@ -22,6 +22,7 @@ from allanjax.critic.profiles import (
     profiles_of,
 )
 from allanjax.critic.stage import Stage, narrow_bins
+from allanjax.inspection.plausible import lattice
 
 # Order of the discrepancies in a critique.
 _ORDER = (
@@ -76,7 +77,8 @@ def compared(
         others: other axes by name, at their first stage and at their last.
         auxiliary: other channels by name.
     """
-    channels = _varying(auxiliary)
+    channels, step = _varying(auxiliary), lattice(raw[0])
+    steps = step, step if raw[1] is raw[0] else lattice(raw[1])
     profiles: list[Profile] = []
     pairs, drifts, free, ends = [], [], [], []
     for k, stage in enumerate(stages):
@@ -89,9 +91,9 @@ def compared(
             drifts.append(_drift_change(stages[k - 1], stage))
             stages[k - 1].forget(*(_SHARED if k == 1 else ()))
         if k in (0, len(stages) - 1):
-            free.append(descriptions(stage, raw[min(k, 1)]))
+            free.append(descriptions(stage, steps[min(k, 1)]))
             worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
-            ends.append([*worst, *of_samples(stage, raw[min(k, 1)])])
+            ends.append([*worst, *of_samples(stage, raw[min(k, 1)], steps[min(k, 1)])])
     stages[-1].forget(*_SHARED)
     before, after = (
         sorted(

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from scipy.special import ndtr
 
 from allanjax.critic.stage import Stage
-from allanjax.inspection.plausible import lattice
 
 # Ordinates of one half in the narrowest window of a free level, number of intervals of a free distribution.
 _NARROWEST, _INTERVALS = 16, 24
@@ -43,12 +42,12 @@ class Free(NamedTuple):
         return float(np.sum(self.gain[first : max(last, first + 1)]))
 
 
-def descriptions(stage: Stage, raw: Float[np.ndarray, " recorded"]) -> dict[str, Free]:
+def descriptions(stage: Stage, step: float | None) -> dict[str, Free]:
     """Descriptions of an axis at one stage, by the domain that they describe: one window for the values.
 
-    The resolution of the samples as recorded, `raw`, is not described: it is a finding if it matters.
+    The `step` between the values as recorded, if any, is not described: it is a finding if it matters.
     """
-    e, rate, step = stage.whitened, stage.rate, lattice(raw)
+    e, rate = stage.whitened, stage.rate
     width = 0.0 if step is None else step * float(np.exp(-0.5 * np.mean(np.log(stage.variance))))
     return {
         "spectrum": free_level(stage.whitened_coefficients**2, rate / (2.0 * stage.n)),

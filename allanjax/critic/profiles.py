@@ -24,7 +24,6 @@ from allanjax.critic.effects.rounding import HARMLESS
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.law import Law, allan_weights
 from allanjax.critic.stage import Stage, narrow_bins, octave_bins
-from allanjax.inspection.plausible import lattice
 from allanjax.record.completion import in_time
 from allanjax.record.units import unit_scale
 
@@ -310,19 +309,18 @@ def _matched(stage: Stage, filters: Mapping[str, Float[np.ndarray, " n-1"]]) -> 
 
 
 def of_samples(
-    stage: Stage, raw: Float[np.ndarray, " recorded"], seed: int = 0
+    stage: Stage, raw: Float[np.ndarray, " recorded"], step: float | None, seed: int = 0
 ) -> tuple[Discrepancy, Discrepancy]:
-    """Discrepancies of the samples as recorded: of a lattice that they are on, and of their repetitions.
+    """Discrepancies of the samples as recorded: of a lattice of this `step`, if any, and of repetitions.
 
     The first is the share of the samples on a lattice; one finer than the noise only reflects the number
     format of the file. The second is the share of samples equal to the one before; simulations have the
     recording's resolution.
     """
-    step = lattice(raw)
     coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
     on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", _TINY if coarse else 1.0)
     count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
-    if np.ptp(raw) > 0.0:
+    if count and np.ptp(raw) > 0.0:
         x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
         x += np.mean(raw)
         x /= step or np.min(np.diff(np.unique(raw)))
