@@ -276,7 +276,8 @@ def _kind(f: Finding) -> tuple[str, str]:
     """Rule of a finding, and what else findings must have in common to be one: a sensor or a channel."""
     if f.cause in _STRETCHES:
         return "stretch", ""
-    is_narrow = f.cause == "resonance" and _value(f, "quality_factor")[0] > _NARROW
+    quality, error = _value(f, "quality_factor")
+    is_narrow = f.cause == "resonance" and quality - _SHAPE * error > _NARROW
     if "frequency" in f.parameters and (f.cause == "sinusoid" or is_narrow):
         return "line", ""
     if f.cause in ("low_pass", OUTLIERS):

@@ -139,11 +139,17 @@ def _beside(f: Finding, before: Mapping[str, Free], after: Mapping[str, Free]) -
     """
     own, *others = _domains(f)
     # Where the level varies, some stretch has another level, and large values are more frequent.
-    if "level" in (own, *others) and after["level"].total > max(_SURE, f.gain or 0.0):
+    if "level" in (own, *others) and _level_left(before, after) > (f.gain or 0.0):
         return "level", "the level varies in another way"
     if own in after and after[own].within(*f.span) > max(_NATS, _LEFT * before[own].within(*f.span)):
         return own, "much of what is there remains"
     return own, ""
+
+
+def _level_left(before: Mapping[str, Free], after: Mapping[str, Free]) -> float:
+    """Gain of a free level after the last finding [nats]; 0 unless beyond doubt and much of that before."""
+    gain = after["level"].total
+    return gain if gain > max(_SURE, _LEFT * before["level"].total) else 0.0
 
 
 def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
@@ -165,7 +171,7 @@ def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
 def _continues(f: Finding, other: Finding) -> bool:
     """Whether the level of the noise is higher, or lower, in a stretch that follows another such stretch."""
     (start, end), (begin, stop) = f.span, other.span
-    louder = f.parameters["ratio"].value > 1.0, other.parameters["ratio"].value > 1.0
+    louder = [each.size is not None and each.size.value > 1.0 for each in (f, other)]
     return louder[0] == louder[1] and end <= begin < end + _BESIDE * max(end - start, stop - begin)
 
 
@@ -219,14 +225,13 @@ def _left(domain: str, made: Comparison) -> _Left | None:
     mine = [d for d in made.after if d.statistic in DOMAINS[domain]]
     sure = [d for d in mine if d.p_value < CERTAIN]
     # Windows of a free level are as narrow as needed. A free spectrum would also find a stop band's ends.
-    free = made.free[-1].get("level") if domain == "level" else None
-    gain = max(free.total, 0.0) if free else 0.0
-    if not sure and gain < _SURE:
+    gain = _level_left(made.free[0], made.free[-1]) if domain == "level" else 0.0
+    if not (sure or gain):
         return None
     # A part of the spectrum is placed best by statistics of it.
     narrow = [d for d in sure if d.statistic in ("psd", "psd_line")]
     worst = min(narrow or sure or mine, key=lambda d: (d.p_value, DOMAINS[domain].index(d.statistic)))
-    place = free.place() if free and gain >= _SURE else _span(worst, made.last.get(worst.statistic))
+    place = made.free[-1][domain].place() if gain else _span(worst, made.last.get(worst.statistic))
     return _Left(worst, place, gain)
 
 
