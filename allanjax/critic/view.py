@@ -310,14 +310,10 @@ class View:
 
     def once(self, work: Callable[..., _T], *arguments: Hashable) -> _T:
         """Result of work on this view with arguments, which is small and is kept for the next time."""
-        key = work, *arguments
-        if key not in self._results:
-            self._results[key] = work(self, *arguments)
-        return self._results[key]
-
-    @functools.cached_property
-    def _results(self) -> dict[tuple[Any, ...], Any]:
-        return {}
+        results: dict[tuple[Hashable, ...], Any] = vars(self).setdefault("_results", {})
+        if (key := (work, *arguments)) not in results:
+            results[key] = work(self, *arguments)
+        return results[key]
 
     def estimate(self, label: str, value: float, std: float, unit: str, limit: Limit = "") -> Estimate:
         """Parameter of a finding in this axis, see `parameter_estimate`."""
