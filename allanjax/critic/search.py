@@ -217,8 +217,11 @@ def _promised(
 def _undecided(candidate: Candidate, view: View) -> str:
     """Note on a candidate that is about as probable as basic terms, if chance is unlikely."""
     sensor = view.axis.sensor
+    if candidate.chance > _CERTAIN:
+        return ""
+    # The noise without the candidate is estimated only now.
     instead = [cause_title(t, sensor) for t in view.noise.terms if t not in candidate.after.noise.terms]
-    if candidate.chance > _CERTAIN or not instead:
+    if not instead:
         return ""
     name, odds = cause_title(candidate.cause, sensor), np.exp(min(candidate.gain, 700.0))
     return f"{' and '.join(instead)} may actually be {name} (odds {plain(odds, 2)} : 1)"

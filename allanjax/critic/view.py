@@ -5,8 +5,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import functools
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -22,6 +22,8 @@ from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.completion import in_time, widening
 from allanjax.record.recording import Axis
+
+_T = TypeVar("_T")
 
 # Steadier subsets of the terms, which are also searched, as drifting noise may be a disguised effect.
 _STEADY: tuple[tuple[str, ...], ...] = (
@@ -133,7 +135,7 @@ class View:
         """Most probable subset of the allowed basic terms."""
         return self.model_evidence.best(self.allowed)
 
-    @property
+    @functools.cached_property
     def slope(self) -> float:
         """Slope of the ramp in the noise [rate/s], 0 if there is none."""
         return self.family.slope(self.coefficients, self.variance())[0] if self.noise.ramp else 0.0
@@ -271,8 +273,9 @@ class View:
         return self._changed(self._known("factor", "coefficients"))
 
     def without_caches(self) -> View:
-        """View without cached values, except its noise."""
-        return self._changed({"noise": dataclasses.replace(self.noise), **self._known("factor")})
+        """View without cached values, except its noise and the slope of that."""
+        kept = {"noise": dataclasses.replace(self.noise), "slope": self.slope}
+        return self._changed(kept | self._known("factor"))
 
     def _known(self, *names: str) -> dict[str, Any]:
         """Cached values of these names; None for what has not been computed."""
@@ -297,13 +300,20 @@ class View:
         kept = self._known("coefficients", *(("factor", "model_evidence") if self._like is None else ()))
         return self._changed(kept, allowed=tuple(terms))
 
-    def recoloured(self, whitened: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Samples with these whitened residuals and the ramp of this view's samples."""
+    def recoloured(self, whitened: Float[np.ndarray, " n"]) -> View:
+        """View of samples with these whitened residuals and the ramp of this view's samples."""
         c = dct(whitened, norm="ortho", workers=-1)
         c[1:] *= np.sqrt(self.variance())
         c[1:] += self.coefficients - self.residual
         c[0] = np.sqrt(self.n) * self.samples.mean()
-        return idct(c, norm="ortho", workers=-1)
+        return self.with_samples(idct(c, norm="ortho", workers=-1), coefficients=c[1:])
+
+    def once(self, work: Callable[..., _T], *arguments: Hashable) -> _T:
+        """Result of work on this view with arguments, which is small and is kept for the next time."""
+        results: dict[tuple[Hashable, ...], Any] = vars(self).setdefault("_results", {})
+        if (key := (work, *arguments)) not in results:
+            results[key] = work(self, *arguments)
+        return results[key]
 
     def estimate(self, label: str, value: float, std: float, unit: str, limit: Limit = "") -> Estimate:
         """Parameter of a finding in this axis, see `parameter_estimate`."""

@@ -64,8 +64,9 @@ class Disturbance(Effect):
         quiet = view
         # The first noise was estimated with the motion in it and contains part of it: repeated without.
         for _ in range(2):
-            e = in_time(view.coefficients / np.sqrt(view.variance(quiet.noise)))
-            e /= bulk_std(e)
+            v = view.variance(quiet.noise)
+            e = view.whitened if quiet is view else in_time(view.residual / np.sqrt(v))
+            e = e / bulk_std(e)
             # Imputed samples are not part of a disturbance.
             squares = np.where(view.imputed, 1.0, e**2)
             if (stretch := known or _searched(e, squares, block)) is None:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.fft import dct, rfft
+from scipy.fft import dct, dst
 from scipy.optimize import minimize
 from scipy.stats import binom, norm
 
@@ -15,6 +15,7 @@ from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import PARTS, any_of, owners
 from allanjax.critic.effect import Effect
 from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.noise import Noise
 from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
@@ -48,14 +49,16 @@ class Outliers(Effect):
     refit = "at last"
 
     def p_value(self, view: View) -> float:
-        return _p_value(_scores(view, view.loo_residuals[1]))
+        left, scale = view.loo_residuals
+        return _p_value(_scores(view, left / scale))
 
     def detect(self, view: View) -> Candidate | None:
         # A robust scale: that of the fit includes the outliers.
-        bulk = bulk_std(view.loo_residuals[0])
+        left = view.loo_residuals[0]
+        bulk = bulk_std(left)
         if bulk == 0.0:
             return None
-        z = _scores(view, bulk)
+        z = _scores(view, left / bulk)
         bins = _binned(z)
         mixture = _mixture(*bins.sum(axis=-1))
         if mixture.gain < _WORTH:
@@ -122,7 +125,10 @@ def _found(
         each = (inverse @ part for inverse, part in zip(inverses(times, lags), parts, strict=True))
         excess[times] = np.concatenate([*each])
         c = dct(excess, norm="ortho", workers=-1)[1:]
-        z = _scores(view, bulk, c, view.variance(view.noise_without(c)))
+        noise = view.noise_without(c)
+        v = view.variance(noise)
+        left = in_time((view.residual - c) / v) / (float(np.mean(1.0 / v)) * bulk)
+        z = _scores(view, left, noise)
         z[times] = 0.0
     return scores, impute_gaussian(view, scores != 0.0) if scores.any() else view
 
@@ -236,27 +242,27 @@ def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float,
     return shape_parameter(log, np.exp(total - total.max()))
 
 
-def _scores(
-    view: View,
-    scale: float,
-    less: Float[np.ndarray, " n-1"] | float = 0.0,
-    v: Float[np.ndarray, " n-1"] | None = None,
-) -> Float[np.ndarray, " n"]:
+def _scores(view: View, left: Float[np.ndarray, " n"], noise: Noise | None = None) -> Float[np.ndarray, " n"]:
     """Leave-one-out residuals over their scale, zero where samples were imputed.
 
-    They are those of a record `less` some coefficients, in noise v. Those that stand out at the ends are
-    compared with the scatter there: quantization noise at the ends differs from that of the mirrored record,
-    so residuals scatter more.
+    Those that stand out at the ends are compared with the scatter there.
     """
-    n, v = view.n, view.variance() if v is None else v
-    left = in_time((view.residual - less) / v) / (float(np.mean(1.0 / v)) * scale)
     z = np.where(view.imputed, 0.0, left)
-    for k in (*range(_END), *range(n - _END, n)):
+    for k in (*range(_END), *range(view.n - _END, view.n)):
         if abs(z[k]) > _NOTICED:
-            sample = np.zeros(n)
-            sample[k] = 1.0
-            weight = in_time(dct(sample, norm="ortho", workers=-1)[1:] / v) / float(np.mean(1.0 / v))
-            # Its variance from the density, in a record so long that the ends do not interact.
-            response = np.abs(rfft(weight, 2 * n, workers=-1)[1:n]) ** 2
-            z[k] /= max(1.0, np.sqrt(float(response @ v) / n * np.mean(1.0 / v)))
+            z[k] /= view.once(_excess_scatter, k) if noise is None else _excess_scatter(view, k, noise)
     return z
+
+
+def _excess_scatter(view: View, place: int, noise: Noise | None = None) -> float:
+    """Scatter of the leave-one-out residual of a sample near an end, over that of others; 1 at least.
+
+    Quantization noise at the ends differs from that of the mirrored record, so residuals scatter more.
+    """
+    v, sample = view.variance(noise), np.zeros(view.n)
+    sample[place] = 1.0
+    even = dct(sample, norm="ortho", workers=-1)[1:] / v
+    odd = dst(in_time(even), norm="ortho", workers=-1)[:-1]
+    # Its variance from the density, in a record so long that the ends do not interact.
+    response = 0.5 * float((even**2 + odd**2) @ v)
+    return max(1.0, float(np.sqrt(response / np.mean(1.0 / v))))

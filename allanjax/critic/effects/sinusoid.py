@@ -62,11 +62,11 @@ class Sinusoid(Effect):
         return Sinusoid(places)
 
     def p_value(self, view: View) -> float:
-        line = _strongest(view, self._places)
+        line = view.once(_strongest, self._places)
         return 1.0 if line is None else _line_p_value(line.gain, view, self._places)
 
     def detect(self, view: View) -> Candidate | None:
-        line = _strongest(view, self._places)
+        line = view.once(_strongest, self._places)
         band = sum(place.end - place.start for place in self._places) or 0.5 * view.rate
         if line is None or line.gain - line.log_price(band) < _HOPELESS:
             return None

@@ -187,9 +187,12 @@ class VarianceChange(Effect):
         # The ratio of the squares has the relative scatter √(2/m₁ + 2/m₂).
         m = kind.worth * np.array([b - a, view.n - b + a])
         scatter = kind.excess(1.0 + ratio * float(np.sqrt(np.sum(2.0 / m))))
-        variance = view.variance() * (1.0 + max(found, _LEAST) * kind.share)
+        growth = 1.0 + max(found, _LEAST) * kind.share
         whitened = view.whitened.copy()
-        whitened[a:b] = in_time(view.residual / np.sqrt(variance))[a:b]
+        if isinstance(growth, float):
+            whitened[a:b] /= np.sqrt(growth)
+        else:
+            whitened[a:b] = in_time(view.residual / np.sqrt(view.variance() * growth))[a:b]
         return Candidate(
             self.name,
             [
@@ -199,7 +202,7 @@ class VarianceChange(Effect):
             ],
             gain,
             _p_value(kinds),
-            view.with_samples(view.recoloured(whitened)),
+            view.recoloured(whitened),
             lambda: _held_out(kind),
             (a / view.rate, b / view.rate),
             details={"noise": kind.name},
