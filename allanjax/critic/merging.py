@@ -55,7 +55,7 @@ def _families(findings: Sequence[Finding], duration: float) -> Iterator[Finding]
     """Findings, with those that are one joined."""
     kinds: dict[tuple[str, str], list[Finding]] = {}
     for f in findings:
-        kinds.setdefault(_kind(f), []).append(f)
+        kinds.setdefault(_kind(f, findings), []).append(f)
     for (name, _), alike in kinds.items():
         rule = RULES.get(name, _ALONE)
         # The strongest finding comes first, but of lines the lowest, which may be the fundamental of others.
@@ -272,13 +272,17 @@ class Rule(NamedTuple):
     grows: bool = False
 
 
-def _kind(f: Finding) -> tuple[str, str]:
+def _kind(f: Finding, findings: Sequence[Finding]) -> tuple[str, str]:
     """Rule of a finding, and what else findings must have in common to be one: a sensor or a channel."""
     if f.cause in _STRETCHES:
         return "stretch", ""
-    quality, error = _value(f, "quality_factor")
-    is_narrow = f.cause == "resonance" and quality - _SHAPE * error > _NARROW
-    if "frequency" in f.parameters and (f.cause == "sinusoid" or is_narrow):
+    if f.cause == "resonance" and "quality_factor" in f.parameters:
+        # How narrow resonances at one place are is known best from the strongest of them.
+        there = [g for g in findings if g.cause == f.cause and _agree(f, g, "frequency", 0.5 * _width(f))]
+        is_line = _value(max(there, key=_weight), "quality_factor")[0] > _NARROW
+    else:
+        is_line = f.cause == "sinusoid" and "frequency" in f.parameters
+    if is_line:
         return "line", ""
     if f.cause in ("low_pass", OUTLIERS):
         return f.cause, next((e.axis.sensor for e in f.parameters.values()), "")
