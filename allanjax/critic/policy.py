@@ -261,6 +261,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ),
     ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
     ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
+    ("warm_up", "clearly"): Judgement(
+        3.0, "nats by which a slope that begins or ends must explain more than settling, of 48 compared"
+    ),
     ("warm_up", "same"): Judgement(2.0, "factor within which time constants of two axes are the same"),
 }
 

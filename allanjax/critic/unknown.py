@@ -43,7 +43,7 @@ _OF_CAUSES: Mapping[str, tuple[str, ...]] = {
 # Causes that tell all of what they are about: the law of the spectrum, of the values, or of the bias.
 _WHOLE = ("power_law", "outliers", "telegraph")
 # Causes of a bias that change it at some place.
-_PLACED = ("bias_step", "disturbance")
+_PLACED = ("bias_step", "disturbance", "warm_up")
 # Score of neighbouring places that belong to a discrepancy, as a share of the largest.
 _BESIDE = 0.3
 # The Allan deviation at τ is that of the noise in this band, times 1/τ.
@@ -185,7 +185,7 @@ def _is_part(f: Finding, others: Sequence[_Doubted], before: Mapping[str, Free])
     # Nothing else is beside what tells all, or within a change of the bias.
     least = _LEFT if f.cause in _WHOLE or (in_bias and inside) else 1.0
     larger = sum(other.finding.gain or 0.0 for other in others) > least * (f.gain or 0.0)
-    return larger and (inside or f.cause in (*_WHOLE, "bias_step"))
+    return larger and (inside or f.cause in (*_WHOLE, "bias_step", "warm_up"))
 
 
 def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[float, float] | None:

@@ -205,3 +205,9 @@ def test_a_power_law_beside_a_larger_change_of_the_bias_is_a_part_of_it():
     u = (T - 330.0) / 15.0
     found = aj.critique(white(15) + 0.6 * np.exp(-0.5 * u**2), rate=RATE, gyro_unit="deg/s")
     assert {f.cause for f in found.findings} == {"unexplained"}
+
+
+def test_a_slope_that_begins_within_the_record_is_no_warm_up():
+    found = aj.critique(white(16) + 0.01 * np.maximum(T - 400.0, 0.0), rate=RATE, gyro_unit="deg/s")
+    (one,) = found.findings
+    assert (one.cause, one.details["domain"]) == ("unexplained", "bias")

@@ -22,6 +22,8 @@ from allanjax.noise.estimate import Estimate
 _LENGTHS, _PER_LENGTH = 2.0 ** -np.arange(2.0, 7.0), 4
 # Lengths of the changes that are compared with a step, and places of their middles, in lengths.
 _SUDDEN, _MIDDLES = np.geomspace(4e-3, 0.5, 10), (-0.25, 0.0, 0.25, 0.5)
+# Places at which a slope may begin or end.
+_BREAKS = np.arange(0.04, 0.98, 0.04)
 # Points of a record at which courses are evaluated, and number of their coefficients that are compared.
 _POINTS, _COUNT = 4096, 512
 
@@ -45,6 +47,8 @@ class Course(NamedTuple):
         u = (time - self.place) / self.length
         if self.kind == "transition":
             return np.clip(u + 0.5, 0.0, 1.0)
+        if self.kind in ("rise", "fall"):
+            return np.maximum(u, 0.0) if self.kind == "rise" else np.minimum(u, 0.0)
         if self.kind == "decay":
             return np.where(u >= 0.0, np.exp(-np.maximum(u, 0.0)), 0.0)
         bump = 0.5 + 0.5 * np.cos(2.0 * np.pi * u)
@@ -109,3 +113,12 @@ def is_slow(view: View, noise: Noise, place: float) -> bool:
     step = Course("transition", share, 1.0 / view.n)
     slow, sudden = (_bank_of(each, view.n).scan(view, noise).snr ** 2 for each in (courses, [step]))
     return bool(0.5 * (slow.max() - sudden[0]) > judged("bias_step", "clearly"))
+
+
+def is_broken(view: View, noise: Noise, settling: Bank) -> bool:
+    """Whether a slope that begins or ends at some time explains more than a bank of `settling` courses."""
+    courses = [Course(kind, float(place), 1.0) for kind in ("rise", "fall") for place in _BREAKS]
+    broken, settled = (
+        0.5 * bank.scan(view, noise).snr ** 2 for bank in (_bank_of(courses, view.n), settling)
+    )
+    return bool(broken.max() - settled.max() > judged("warm_up", "clearly"))

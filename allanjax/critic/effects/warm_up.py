@@ -11,6 +11,7 @@ from jaxtyping import Float
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.effect import TIMES, Effect
+from allanjax.critic.effects.slow_change import is_broken
 from allanjax.critic.parameters import Limit
 from allanjax.critic.view import Candidate, View
 from allanjax.critic.waveform import additive, spaced_parameter
@@ -45,7 +46,7 @@ class WarmUp(Effect):
                 amplitude = view.amplitude_estimate("amplitude", least, np.nan, limit=side)
             return [amplitude, view.log_estimate("time_constant", log_time, spread, limit, "s")]
 
-        return additive(
+        found = additive(
             view,
             self.name,
             bank,
@@ -54,6 +55,8 @@ class WarmUp(Effect):
             lambda k: (0.0, min(3.0 * times[k], view.duration)),
             term=lambda k, a: terms.WarmUp(abs(a), float(times[k]), sign=int(np.copysign(1.0, a))),
         )
+        broken = found is not None and is_broken(view, found.after.noise, bank)
+        return found and found.doubted("a slope that begins or ends explains more" if broken else "")
 
 
 @functools.lru_cache(maxsize=2)
