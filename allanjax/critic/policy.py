@@ -174,7 +174,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ),
     ("outliers", "apart"): Judgement(8, "samples within which prediction errors may have one cause"),
     ("outliers", "chance"): Judgement(
-        1e-5, "p-value of the gaps between outliers below which they are not independent; ten are compared"
+        1e-5,
+        "p-value of the gaps between outliers below which they are not independent; ten are compared, and "
+        "none of 2,000 random sets had so small a one",
     ),
     ("outliers", "groups"): Judgement(3, "groups of outliers up to which they may be knocks"),
     ("outliers", "longest"): Judgement(48, "samples: a longer train of large errors is not an outlier"),
@@ -233,7 +235,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
         0.0001, "p-value of the rest of a spectrum below which it is searched again"
     ),
     ("telegraph", "clearly"): Judgement(
-        4.0, "nats by which levels that decay must explain more than levels that stay, of forty compared"
+        4.0,
+        "nats by which levels that decay must explain more than levels that stay, of forty compared; −3 at "
+        "most for 24 hidden telegraphs, 2 to 280 for 13 hidden series of shocks that decay",
     ),
     ("telegraph", "jumps"): Judgement(3, "one or two jumps are steps; hidden telegraphs have three or more"),
     ("telegraph", "regular"): Judgement(
@@ -262,7 +266,9 @@ JUDGEMENTS: Mapping[tuple[str, str], Judgement] = {
     ("variance_change", "price"): Judgement(3.0, "log Occam factor of the ratio [nats]: twenty values"),
     ("variance_change", "shortest"): Judgement(0.01, "share of the record; a shorter change is an event"),
     ("warm_up", "clearly"): Judgement(
-        3.0, "nats by which a slope that begins or ends must explain more than settling, of 48 compared"
+        3.0,
+        "nats by which a slope that begins or ends must explain more than settling, of 48 compared; 1 at "
+        "most for 23 hidden warm-ups, 1 to 16 for eight hidden slopes",
     ),
     ("warm_up", "same"): Judgement(2.0, "factor within which time constants of two axes are the same"),
 }

@@ -2,10 +2,11 @@
 
 Every finding competes with a description that names nothing: a free level of the spectrum, a free level of
 the noise over time, a free distribution of the values. Each is estimated from one half of the data and judged
-on the other. A finding keeps its name if little is left for such a description at its place, and if its
-effect has no doubt about it, for instance because a filter's spectrum does not fall above its corner.
-Otherwise it stays in the extended model as a description, and is reported as unexplained: where it is in time
-or frequency, how large and how significant it is, and what it resembles.
+on the other. A finding keeps its name if little is left for such a description at its place, if it is no part
+of something larger that is unexplained, and if its effect has no doubt about it, for instance because a
+filter's spectrum does not fall above its corner. Otherwise it stays in the extended model as a description,
+and is reported as unexplained: where it is in time or frequency, how large and how significant it is, and
+what it resembles.
 """
 
 from __future__ import annotations
@@ -161,11 +162,15 @@ def _of_several(f: Finding, findings: Sequence[Finding]) -> str:
             return "the level changes more often than twice"
         if any(_continues(f, other) or _continues(other, f) for other in alike):
             return "the level changes step by step"
-    if f.cause == "resonance":
-        broad = [other.parameters["quality_factor"].value < _BROAD for other in (f, *alike)]
-        if broad[0] and sum(broad[1:]) > _MOST_BROAD:
-            return "the spectrum has many broad peaks"
+    if _is_broad(f) and sum(map(_is_broad, alike)) > _MOST_BROAD:
+        return "the spectrum has many broad peaks"
     return ""
+
+
+def _is_broad(f: Finding) -> bool:
+    """Whether a finding is a broad resonance."""
+    quality = f.parameters.get("quality_factor")
+    return quality is not None and quality.value < _BROAD
 
 
 def _continues(f: Finding, other: Finding) -> bool:
