@@ -141,13 +141,17 @@ def _p_value(z: Float[np.ndarray, " n"]) -> float:
 def _doubt(times: Int[np.ndarray, " k"], n: int) -> str:
     """Why large errors at these samples are hardly outliers: they come in groups, unlike independent ones.
 
-    A few groups may be knocks.
+    A few groups may be knocks, and what lasts a few samples is one outlier.
     """
-    gaps = np.diff(times)
-    for longest in _APART * 2.0 ** np.arange(np.log2(n / _APART)):
+    starts = times[:1].tolist()
+    for time in times.tolist():
+        if time - starts[-1] > _APART:
+            starts.append(time)
+    gaps = np.diff(starts)
+    for longest in _APART * 2.0 ** np.arange(1.0, np.log2(n / _APART)):
         near = gaps <= longest
         # Of independent outliers, the next one is so near with this probability.
-        chance = binom.sf(np.count_nonzero(near) - 1, len(gaps), -np.expm1(-len(times) * longest / n))
+        chance = binom.sf(np.count_nonzero(near) - 1, len(gaps), -np.expm1(-len(starts) * longest / n))
         groups = np.count_nonzero(np.diff(near.astype(int), prepend=0) > 0)
         if chance < _CHANCE and groups > _GROUPS:
             return "they come in groups"
