@@ -119,7 +119,7 @@ def bins_around(resonances: Sequence[tuple[float, float]], n: int, rate: float) 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
-    (spectrum, now), edited = refitted(record, start), None
+    (spectrum, now), edited, best = refitted(record, start), None, -np.inf
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
     while True:
@@ -128,6 +128,10 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         if now is edited:
             return spectrum, now
         now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
+        # Editing may take back what growing added, again and again.
+        if now.evidence <= best:
+            return spectrum, now
+        best = now.evidence
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
