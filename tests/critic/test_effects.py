@@ -7,6 +7,8 @@ from golden_records import UNITS
 from scipy.stats import norm
 
 import allanjax as aj
+from benchmarks.common.hidden_effects import draw
+from benchmarks.common.hidden_verdict import recording_of
 
 #: Coefficients in time have dimensions, parameters of shape these.
 TIMES = ("time", "start", "end", "lag", "time_constant", "dwell_time", "correlation_time")
@@ -153,3 +155,9 @@ def test_the_gain_on_held_out_data_is_that_of_the_truth(name, hidden: Hidden):
     expected = {"variance_change": louder, "outliers": spotted}.get(hidden.cause, worth)(hidden, axis)
     least, most = SHARES.get(hidden.cause, (0.97, 1.03))
     assert least * expected - 6.0 < axis.findings[0].gain < most * expected + 4.0
+
+
+def test_the_search_for_a_structure_ends():
+    """Growing added a component of this record's spectrum that editing took back, again and again."""
+    found = aj.critique(recording_of(draw(9209, ["low_pass"], 2.0, duration=600.0, rate=50.0)))
+    assert [f.cause for f in found.findings] == ["low_pass"]

@@ -177,9 +177,3 @@ def test_errors_are_as_large_as_is_said(name):
         # Deviations that count a grid's spacing are a little too large.
         assert chi2.cdf(square, len(errors)) < 0.9995, place
         assert chi2.sf(2.0 * square, len(errors)) < 0.9995, place
-
-
-def test_the_search_for_a_structure_ends():
-    """Growing added a component of this record's spectrum that editing took back, again and again."""
-    found = aj.critique(recording_of(draw(9209, ["low_pass"], 2.0, duration=600.0, rate=50.0)))
-    assert [f.cause for f in found.findings] == ["low_pass"]
