@@ -28,6 +28,8 @@ _SHARED = (
     *("frequency", "quality_factor", "bandwidth", "order"),
     *("time", "time_constant", "lag", "start", "end"),
 )
+# Parameters of something unexplained that tell its place and a discrepancy there.
+_PLACES = ("where", "measured", "simulated", "start", "end", "lowest", "highest")
 # Standard deviations within which values count as the same: frequencies and times, and shapes.
 _PLACE, _SHAPE = 4.0, 3.0
 _ODDS = judged("search", "rivals")
@@ -284,6 +286,9 @@ def _kind(f: Finding, findings: Sequence[Finding]) -> tuple[str, str]:
         is_line = f.cause == "sinusoid" and "frequency" in f.parameters
     if is_line:
         return "line", ""
+    if f.cause == UNEXPLAINED:
+        sensors = {e.axis.sensor for e in f.parameters.values()}
+        return f.cause, str((f.details["domain"], f.details.get("resembles"), *sensors))
     if f.cause in ("low_pass", OUTLIERS):
         return f.cause, next((e.axis.sensor for e in f.parameters.values()), "")
     return f.cause, str(f.details.get("channel", ""))
@@ -402,12 +407,23 @@ def _stretch(members: Sequence[Finding]) -> Finding:
     )
 
 
+def _unexplained(members: Sequence[Finding]) -> Finding:
+    """What is unexplained at one place on several axes, described as on the most affected one."""
+    whole = together(members)
+    own = whole.strongest
+    places = {name: e for name, e in own.parameters.items() if name in _PLACES}
+    return dataclasses.replace(
+        whole, parameters=places, discrepancies=own.discrepancies, details=own.details, span=own.span
+    )
+
+
 #: Rules for findings that are reported once for several axes.
 RULES: Mapping[str, Rule] = {
     "line": Rule(_same_line, _line),
     "stretch": Rule(_same_stretch, _stretch, grows=True),
     "low_pass": Rule(lambda one, other, _: _similar(one, other, "bandwidth", 1.0 + _FILTER)),
     "resonance": Rule(_same_resonance),
+    UNEXPLAINED: Rule(lambda one, other, _: _overlap(one, other) > _SAME, _unexplained),
     "bias_step": Rule(lambda one, other, T: _agree(one, other, "time", _AT_ONCE * T, _APART * T)),
     "warm_up": Rule(lambda one, other, _: _similar(one, other, "time_constant", _WARMING)),
     **dict.fromkeys(("temperature", OUTLIERS, "rounding", "saturation", "repeated_samples"), Rule()),

@@ -484,7 +484,7 @@ def _without_a_cause(finding: Finding) -> str:
     worst = finding.discrepancies[0][0]
     domain = str(finding.details["domain"])
     if worst.p_value < SIGNIFICANT:
-        test = f": {describe(worst)}"
+        test = f": {f'in {finding.shown}, ' if finding.members else ''}{describe(worst)}"
     else:
         # A free level shows what windows of fixed lengths do not.
         test = f": it varies ({significance(finding)})" if domain == "level" else ""

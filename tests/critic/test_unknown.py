@@ -211,3 +211,13 @@ def test_a_slope_that_begins_within_the_record_is_no_warm_up():
     found = aj.critique(white(16) + 0.01 * np.maximum(T - 400.0, 0.0), rate=RATE, gyro_unit="deg/s")
     (one,) = found.findings
     assert (one.cause, one.details["domain"]) == ("unexplained", "bias")
+
+
+def test_what_is_unexplained_on_several_axes_at_one_place_is_one_finding():
+    sos = butter(4, (11.0, 14.0), "bandstop", fs=RATE, output="sos")
+    x = np.column_stack([sosfilt(sos, white(seed)) for seed in (17, 18)])
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x", "gyro_y"])
+    (one,) = found.findings
+    assert (one.cause, one.axes, one.details["domain"]) == ("unexplained", ("gyro_x", "gyro_y"), "spectrum")
+    assert one.gain == pytest.approx(sum(f.gain for axis in found.values() for f in axis.findings))
+    assert f"in {one.shown}, simulated PSD" in " ".join(found.details().split())
