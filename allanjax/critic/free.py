@@ -95,8 +95,9 @@ def free_distribution(values: Float[np.ndarray, " n"], width: float) -> float:
     The shares of intervals that are equally probable under the normal law come from every other pair, the
     gain from the rest. Values rounded to this width are drawn within it by the normal law.
     """
-    # The variance without that of rounding (Sheppard).
-    deviation = np.sqrt(np.var(values) - width**2 / 12.0)
+    # The variance without that of rounding (Sheppard), which does not hold if it is most of it.
+    variance = np.var(values)
+    deviation = np.sqrt(max(variance - width**2 / 12.0, 0.1 * variance))
     low, high = (ndtr((values - values.mean() + side * width) / deviation) for side in (-0.5, 0.5))
     share = low + (high - low) * np.random.default_rng(0).random(len(values))
     place = np.minimum((share * _INTERVALS).astype(int), _INTERVALS - 1)

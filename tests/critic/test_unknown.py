@@ -221,3 +221,12 @@ def test_what_is_unexplained_on_several_axes_at_one_place_is_one_finding():
     assert (one.cause, one.axes, one.details["domain"]) == ("unexplained", ("gyro_x", "gyro_y"), "spectrum")
     assert one.gain == pytest.approx(sum(f.gain for axis in found.values() for f in axis.findings))
     assert f"in {one.shown}, simulated PSD" in " ".join(found.details().split())
+
+
+@pytest.mark.parametrize("step", [3.5, 8.0])
+def test_rounding_far_coarser_than_the_noise_is_rounding_alone(step):
+    """Two or three values occur."""
+    found = aj.critique(
+        np.rint(white(19) / step + 0.3) * step, rate=RATE, gyro_unit="deg/s", names=["gyro_x"]
+    )
+    assert [f.cause for f in found.findings] == ["rounding"]
