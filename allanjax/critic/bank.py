@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
-from scipy.fft import idct
+from scipy.fft import dct, idct
 from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
@@ -149,6 +149,10 @@ class Bank:
         projected, norms = matched.products(matched.whitened), matched.lengths
         return Scan(projected / norms, projected / norms**2, 1.0 / norms)
 
+    def gain(self, view: View, noise: Noise) -> float:
+        """Gain in log-likelihood of the best shape in a noise [nats]."""
+        return 0.5 * float(np.max(self.scan(view, noise).snr ** 2))
+
     def held_out(self, view: View, after: View, noise: Noise | None = None) -> float:
         """Gain in log-likelihood on held-out data by the effect that is missing in `after` [nats].
 
@@ -261,6 +265,15 @@ def step_bank(n: int, every: int = 1) -> tuple[Bank, np.ndarray]:
     places = np.unique(np.rint(np.linspace(0.0, n, min(SLOW // 4, n // 4) + 2)[1:-1]))
     places = places[every // 2 :: every]
     return Bank(step_coefficients(places, n, J)), places
+
+
+def sampled_bank(shapes: Float[np.ndarray, "shapes points"], n: int, most: int | None = None) -> Bank:
+    """Bank for records of n samples, of shapes given at fewer points that are evenly spaced.
+
+    `most` is the number of lowest coefficients that are compared; all by default.
+    """
+    scale = np.sqrt(n / shapes.shape[1])
+    return Bank(scale * dct(shapes, norm="ortho", axis=1)[:, 1 : most and most + 1])
 
 
 def step_coefficients(places: np.ndarray, n: int, J: int) -> np.ndarray:

@@ -43,8 +43,8 @@ _OF_CAUSES: Mapping[str, tuple[str, ...]] = {
 }
 # Causes that tell all of what they are about: the law of the spectrum, of the values, or of the bias.
 _WHOLE = ("power_law", "outliers", "telegraph")
-# Causes of a bias that change it at some place.
-_PLACED = ("bias_step", "disturbance", "warm_up")
+# Causes that may be a part of a larger description wherever they are.
+_ANYWHERE = (*_WHOLE, "bias_step", "warm_up")
 # Score of neighbouring places that belong to a discrepancy, as a share of the largest.
 _BESIDE = 0.3
 # The Allan deviation at τ is that of the noise in this band, times 1/τ.
@@ -119,7 +119,7 @@ def _doubted(
 def _part(
     each: Sequence[_Doubted], found: Sequence[_Doubted], free: Sequence[Mapping[str, Free]]
 ) -> _Doubted | None:
-    """A further finding that is a part of what is doubted, if there is one."""
+    """Another finding that is part of something that doubted findings describe; None if there is none."""
     for finding in (d.finding for d in each):
         for domain in () if any(finding is d.finding for d in found) else _domains(finding):
             others = [d for d in found if d.domain == domain]
@@ -183,14 +183,14 @@ def _continues(f: Finding, other: Finding) -> bool:
 def _is_part(f: Finding, others: Sequence[_Doubted], before: Mapping[str, Free]) -> bool:
     """Whether a finding is a part of a larger description of one domain, at its place."""
     in_bias = others[0].domain == "bias"
-    if in_bias and f.cause not in (*_WHOLE, *_PLACED):
+    if in_bias and f.cause not in (*_ANYWHERE, "disturbance"):
         return False
     start, end = _place(others, before) or (0.0, np.inf)
     inside = start <= (f.span[0] if in_bias else 0.5 * sum(f.span)) <= end
     # Nothing else is beside what tells all, or within a change of the bias.
     least = _LEFT if f.cause in _WHOLE or (in_bias and inside) else 1.0
     larger = sum(other.finding.gain or 0.0 for other in others) > least * (f.gain or 0.0)
-    return larger and (inside or f.cause in (*_WHOLE, "bias_step", "warm_up"))
+    return larger and (inside or f.cause in _ANYWHERE)
 
 
 def _place(doubts: Sequence[_Doubted], before: Mapping[str, Free]) -> tuple[float, float] | None:

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import dct
 
-from allanjax.critic.bank import Bank
+from allanjax.critic.bank import Bank, sampled_bank
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import judged
@@ -101,8 +100,7 @@ def _bank(n: int) -> tuple[list[Course], Bank]:
 def _bank_of(courses: Sequence[Course], n: int) -> Bank:
     """Lowest coefficients of courses for records of n samples."""
     time = (np.arange(_POINTS) + 0.5) / _POINTS
-    shapes = dct(np.stack([course.at(time) for course in courses]), norm="ortho", axis=1)
-    return Bank(shapes[:, 1 : min(_COUNT, n - 1) + 1] * np.sqrt(n / _POINTS))
+    return sampled_bank(np.stack([course.at(time) for course in courses]), n, min(_COUNT, n - 1))
 
 
 def is_slow(view: View, noise: Noise, place: float) -> bool:
@@ -111,14 +109,16 @@ def is_slow(view: View, noise: Noise, place: float) -> bool:
     courses = [Course("decay", share, length) for length in _SUDDEN]
     courses += [Course("transition", share + m * length, length) for length in _SUDDEN for m in _MIDDLES]
     step = Course("transition", share, 1.0 / view.n)
-    slow, sudden = (_bank_of(each, view.n).scan(view, noise).snr ** 2 for each in (courses, [step]))
-    return bool(0.5 * (slow.max() - sudden[0]) > judged("bias_step", "clearly"))
+    slow, sudden = (_bank_of(each, view.n).gain(view, noise) for each in (courses, [step]))
+    return slow - sudden > judged("bias_step", "clearly")
 
 
 def is_broken(view: View, noise: Noise, settling: Bank) -> bool:
     """Whether a slope that begins or ends at some time explains more than a bank of `settling` courses."""
-    courses = [Course(kind, float(place), 1.0) for kind in ("rise", "fall") for place in _BREAKS]
-    broken, settled = (
-        0.5 * bank.scan(view, noise).snr ** 2 for bank in (_bank_of(courses, view.n), settling)
-    )
-    return bool(broken.max() - settled.max() > judged("warm_up", "clearly"))
+    return _breaks(view.n).gain(view, noise) - settling.gain(view, noise) > judged("warm_up", "clearly")
+
+
+@functools.lru_cache(maxsize=2)
+def _breaks(n: int) -> Bank:
+    """Slopes that begin or end within records of n samples."""
+    return _bank_of([Course(kind, float(k), 1.0) for kind in ("rise", "fall") for k in _BREAKS], n)

@@ -10,12 +10,11 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.fft import dct
 from scipy.signal import lfilter
 from scipy.special import expit, logit
 from scipy.stats import chi2
 
-from allanjax.critic.bank import Bank, folds
+from allanjax.critic.bank import Bank, folds, sampled_bank
 from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.noise import Noise, centred
 from allanjax.critic.parameters import Limit
@@ -116,10 +115,9 @@ def _decays(view: View, noise: Noise, path: Float[np.ndarray, " blocks"]) -> boo
     jumps = np.diff(path, prepend=path[0])
     some = jumps, np.maximum(jumps, 0.0), np.minimum(jumps, 0.0)
     kept = np.exp(-1.0 / np.geomspace(_SHORTEST, len(path) / _SHORTEST, _DWELLS))
-    paths = [path, *(lfilter([1.0], [1.0, -k], each) for each in some for k in kept)]
-    shapes = dct(np.stack(paths), norm="ortho", axis=1)[:, 1:] * np.sqrt(view.n / len(path))
-    gain = 0.5 * Bank(shapes).scan(view, noise).snr ** 2
-    return bool(gain[1:].max() - gain[0] > _CLEARLY)
+    decays = np.stack([lfilter([1.0], [1.0, -k], each) for each in some for k in kept])
+    decaying, staying = (sampled_bank(each, view.n).gain(view, noise) for each in (decays, path[None]))
+    return decaying - staying > _CLEARLY
 
 
 def _scatter(dwell: Float[np.ndarray, "*draws jumps"]) -> Float[np.ndarray, "*draws"]:
