@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from allanjax import report  # noqa: F401 - gives results their methods, wherever these are imported from
+from allanjax import presentation  # noqa: F401 - gives results their methods, wherever these are imported from
 from allanjax.base.late import LateNames
 
 # Allan variances of a long record span ten decades: single precision cannot hold them. Importing JAX takes

@@ -79,6 +79,12 @@ from allanjax.posterior.result import AxisPosterior as AxisPosterior
 from allanjax.posterior.result import Posterior as Posterior
 from allanjax.posterior.result import PosteriorWarning as PosteriorWarning
 from allanjax.posterior.sample import sample as sample
+from allanjax.presentation.allan_figure import plot_allan as plot_allan
+from allanjax.presentation.export.exporting import export as export
+from allanjax.presentation.files import write_coefficients_csv as write_coefficients_csv
+from allanjax.presentation.files import write_curve_csv as write_curve_csv
+from allanjax.presentation.files import write_json as write_json
+from allanjax.presentation.spectrum_figure import plot_psd as plot_psd
 from allanjax.record.io import read as read
 from allanjax.record.io import write as write
 from allanjax.record.io.assembly import ChunkedRecording as ChunkedRecording
@@ -86,12 +92,6 @@ from allanjax.record.io.assembly import read_chunks as read_chunks
 from allanjax.record.recording import Axis as Axis
 from allanjax.record.recording import Recording as Recording
 from allanjax.record.units import convert as convert
-from allanjax.report.allan_figure import plot_allan as plot_allan
-from allanjax.report.export.exporting import export as export
-from allanjax.report.files import write_coefficients_csv as write_coefficients_csv
-from allanjax.report.files import write_curve_csv as write_curve_csv
-from allanjax.report.files import write_json as write_json
-from allanjax.report.spectrum_figure import plot_psd as plot_psd
 from allanjax.spectrum.autocorrelation import Autocorrelation as Autocorrelation
 from allanjax.spectrum.autocorrelation import autocorrelation as autocorrelation
 from allanjax.spectrum.psd import PowerSpectrum as PowerSpectrum

@@ -122,7 +122,7 @@ def _read(
 
 def _write(result: "Calibration", directory: Path, figure_format: str) -> list[Path]:
     """Write calibration.json and the figure beside it, and return their paths."""
-    from allanjax.report.files import write_document
+    from allanjax.presentation.files import write_document
 
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]

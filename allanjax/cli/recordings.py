@@ -102,7 +102,7 @@ def characterize(
             fit = _accumulate_and_fit(file, options)
         else:
             check, spectrum, fit = read_and_fit(file, options)
-        from allanjax.report.files import with_check, write_results
+        from allanjax.presentation.files import with_check, write_results
 
         paths: tuple[Path, ...] = ()
         if directory is not None:
@@ -197,7 +197,7 @@ def critique(
     critique), the output for one file is its document; with several files, or if none could be read, it is
     {schema_version, critiques, errors}.
     """
-    from allanjax.report.critique_json import SCHEMA_VERSION, to_dict
+    from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
         result = _read_and_criticize(file, reading, vibrating)
@@ -226,9 +226,9 @@ def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "
 
 def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> list[Path]:
     """Write the JSON file and the figures, and return their paths."""
-    from allanjax.report.critique_figure import critique_figures
-    from allanjax.report.critique_json import to_dict
-    from allanjax.report.files import write_document
+    from allanjax.presentation.critique_figure import critique_figures
+    from allanjax.presentation.critique_json import to_dict
+    from allanjax.presentation.files import write_document
 
     named = dataclasses.replace(critique, name=file.name)
     with stage(f"{file.label}: writing results"):

@@ -70,7 +70,7 @@ def export(
     """Write noise parameters for an estimator, autopilot or simulator, from a result, a data sheet or
     another target's file.
     """
-    from allanjax.report.export.targets import TARGETS
+    from allanjax.presentation.export.targets import TARGETS
 
     if show_list:
         for target in TARGETS.values():
@@ -79,7 +79,7 @@ def export(
         return
     if to is None:
         raise typer.BadParameter("give a target, e.g. kalibr; --list shows them all", param_hint="--to")
-    from allanjax.report.export.exporting import converted, exported
+    from allanjax.presentation.export.exporting import converted, exported
 
     with user_errors():
         if source is None:
@@ -284,6 +284,6 @@ def schema(
     ],
 ) -> None:
     """Print the JSON schema of what check, characterize, critique, fleet or horizon writes."""
-    from allanjax.report.schemas import schema
+    from allanjax.presentation.schemas import schema
 
     print_json(schema(name))

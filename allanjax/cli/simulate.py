@@ -111,8 +111,8 @@ def demo(
         from allanjax.base.earth import STANDARD_GRAVITY
         from allanjax.noise.notation import parse_model
         from allanjax.noise.simulate import simulate_recording
+        from allanjax.presentation.files import write_results
         from allanjax.record.io import write
-        from allanjax.report.files import write_results
     with user_errors():
         out.mkdir(parents=True, exist_ok=True)
         file = out / "demo.csv"

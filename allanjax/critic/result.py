@@ -224,7 +224,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
         A finding in several axes is drawn in the most affected one, `Finding.shown`.
 
-        See `report.critique_figure`.
+        See `presentation.critique_figure`.
         """
         raise NotImplementedError
 

@@ -253,7 +253,7 @@ class AxisPosterior(ByValue, AxisEstimates):
 
     @presented
     def plot_corner(self, path: str | os.PathLike[str] | None = None) -> Figure:
-        """Draw the marginal and joint posteriors; see `report.posterior_figure.plot_corner`."""
+        """Draw the marginal and joint posteriors; see `presentation.posterior_figure.plot_corner`."""
         raise NotImplementedError
 
 
@@ -291,7 +291,7 @@ class Posterior(ByValue, PerAxis[AxisPosterior]):
         path: str | os.PathLike[str] | None = None,
         spectrum: Any = None,
     ) -> Figure:
-        """Draw Allan deviation and PSD with bands; see `report.posterior_figure.plot_posterior`."""
+        """Draw Allan deviation and PSD with bands; see `presentation.posterior_figure.plot_posterior`."""
         raise NotImplementedError
 
     def _title(self) -> str:

@@ -7,7 +7,7 @@ from places import ROOT
 
 PACKAGES = (
     *("base", "record", "inspection", "noise", "allan", "spectrum", "wavelets", "kalman", "estimate"),
-    *("posterior", "critic", "fleet", "calibration", "navigation", "report", "cli"),
+    *("posterior", "critic", "fleet", "calibration", "navigation", "comparison", "presentation", "cli"),
 )
 ALLANJAX = ROOT / "allanjax"
 

@@ -20,9 +20,9 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.estimate import Estimate
 from allanjax.posterior.priors import Prior
 from allanjax.posterior.result import AxisPosterior, Posterior
+from allanjax.presentation import draw
+from allanjax.presentation.draw import Heading, Sheet
 from allanjax.record.units import unit_scale
-from allanjax.report import draw
-from allanjax.report.draw import Heading, Sheet
 from allanjax.spectrum.psd import density_unit
 
 _COLOUR = draw.COLOURS[0]

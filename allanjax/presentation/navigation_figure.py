@@ -13,9 +13,9 @@ from allanjax.base.wording import duration, format_p_value
 from allanjax.calibration.result import Calibration
 from allanjax.kalman.filtering import Adapted, AdaptedAxis, BiasTracks, FilteredAxis
 from allanjax.navigation.navigator import SHOWN, ErrorGrowth, Navigation
+from allanjax.presentation import draw
+from allanjax.presentation.draw import Heading, Sheet
 from allanjax.record.units import Sensor, rate_unit_of, unit_scale
-from allanjax.report import draw
-from allanjax.report.draw import Heading, Sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,8 +17,8 @@ from allanjax.base.wording import plain
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
-from allanjax.report import draw
-from allanjax.report.draw import Heading, Sheet
+from allanjax.presentation import draw
+from allanjax.presentation.draw import Heading, Sheet
 
 _BLUE, _ORANGE, _GREEN, _RED, _PURPLE, _SKY = draw.COLOURS
 _MEDIAN, _OUTLYING = _BLUE, _RED

@@ -18,10 +18,10 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms.deterministic import Transient
+from allanjax.presentation import draw
+from allanjax.presentation.draw import Heading, KeyEntry, Panel, Points, Residual
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import Sensor
-from allanjax.report import draw
-from allanjax.report.draw import Heading, KeyEntry, Panel, Points, Residual
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,8 +18,8 @@ from allanjax.base.wording import plain
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.parameter import Parametrized
-from allanjax.report import draw
-from allanjax.report.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
+from allanjax.presentation import draw
+from allanjax.presentation.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
 from allanjax.spectrum.autocorrelation import Autocorrelation, square_unit
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.tables import ERRORS, wrapped
+from allanjax.presentation.export.targets import Key, Syntax, Target
 from allanjax.record.units import NUMBER
-from allanjax.report.export.targets import Key, Syntax, Target
 
 _WIDTH = 110
 

@@ -26,9 +26,8 @@ from allanjax.critic.merging import EVENT, OUTLIERS
 from allanjax.critic.parameters import numbers_in
 from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
-from allanjax.record.recording import Axis
-from allanjax.report import draw
-from allanjax.report.critique_story import (
+from allanjax.presentation import draw
+from allanjax.presentation.critique_story import (
     SIGNIFICANT,
     changes,
     format_remainder,
@@ -36,7 +35,8 @@ from allanjax.report.critique_story import (
     significance,
     what,
 )
-from allanjax.report.draw import Heading, Sheet
+from allanjax.presentation.draw import Heading, Sheet
+from allanjax.record.recording import Axis
 from allanjax.spectrum.psd import density_unit
 
 

@@ -104,7 +104,7 @@ def write_results(
 
     Without a spectrum, as for a recording read in chunks, there is no NAME_psd.png.
     """
-    from allanjax.report.spectrum_figure import plot_psd
+    from allanjax.presentation.spectrum_figure import plot_psd
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)

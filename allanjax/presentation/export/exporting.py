@@ -16,9 +16,9 @@ from allanjax.base.wording import format_interval, significant
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.noise.datasheet import NOT_GIVEN, REMEDY, DataSheet
 from allanjax.noise.estimate import Estimate
+from allanjax.presentation.export.syntax import Entry, by_axis, values_in, written
+from allanjax.presentation.export.targets import Key, Target, Text, target_of
 from allanjax.record.units import SENSORS, Sensor
-from allanjax.report.export.syntax import Entry, by_axis, values_in, written
-from allanjax.report.export.targets import Key, Target, Text, target_of
 
 # Noise quantities that targets take, of each axis of a fit and of three axes together.
 #

@@ -1,0 +1,1 @@
+"""Pages of HTML: one self-contained file that needs no network."""
