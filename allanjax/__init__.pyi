@@ -84,6 +84,8 @@ from allanjax.presentation.export.exporting import export as export
 from allanjax.presentation.files import write_coefficients_csv as write_coefficients_csv
 from allanjax.presentation.files import write_curve_csv as write_curve_csv
 from allanjax.presentation.files import write_json as write_json
+from allanjax.presentation.page.page import Page as Page
+from allanjax.presentation.page.report import report as report
 from allanjax.presentation.spectrum_figure import plot_psd as plot_psd
 from allanjax.record.io import read as read
 from allanjax.record.io import write as write

@@ -169,6 +169,14 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         notes = (f"{axes}: not simulated: {causes.replace('_', ' ')}" for causes, axes in lacking)
         return dataclasses.replace(simulated, notes=(*simulated.notes, *notes))
 
+    def recording(self, stage: int = 0) -> Recording:
+        """The recording that was criticized, or with stage −1 the same less the findings."""
+        stages = [(a.stages[stage], a.given) for a in self.results]
+        values = np.column_stack([s.x if given is None else s.x + given for s, given in stages])
+        drawn, axes = np.column_stack([s.drawn for s, _ in stages]), tuple(a.axis for a in self.results)
+        missing = drawn if drawn.any() else None
+        return Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
+
     def refit(self) -> Fit:
         """Fit the samples less the findings: coefficients with intervals, see `fit`.
 
@@ -179,11 +187,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
         """
         from allanjax.estimate.fit import fit_inspected
 
-        last = [(a.stages[-1], a.given) for a in self.results]
-        values = np.column_stack([s.x if given is None else s.x + given for s, given in last])
-        drawn, axes = np.column_stack([s.drawn for s, _ in last]), tuple(a.axis for a in self.results)
-        missing = drawn if drawn.any() else None
-        recording = Recording(values, self.rate, axes, name=self.name, dead=self.dead, missing=missing)
+        recording = self.recording(-1)
         # The facts are those of the original recording, except for lines, which may have been removed.
         seen = inspect(recording, as_is=True, may_move=True)
         lines = [fact for fact in seen.facts if fact.kind == "lines"]

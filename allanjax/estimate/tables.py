@@ -99,13 +99,13 @@ def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -
 
 def all_coefficients(results: Sequence[Any], estimate: str = "estimate") -> list[list[Column]]:
     """Table of all coefficients of these axes, one row each, if there are any."""
-    rows = [_detail(c) for r in results for c in r.coefficients.values()]
+    rows = [detail(c) for r in results for c in r.coefficients.values()]
     return [columns_from(("axis", "coefficient", f"{estimate} ± 1σ", "95 % interval"), rows)] if rows else []
 
 
-def _detail(estimate: Estimate) -> tuple[str, str, str, str]:
-    """Row of a coefficient in the table of details; without an interval, the reason in its place."""
-    c = estimate.in_unit()
+def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, str, str]:
+    """Axis, title, value and interval of a coefficient; without an interval, the reason in its place."""
+    c = estimate.in_unit(in_unit)
     number, reason = c.number, ""
     if c.held:
         text, reason = plain(c.value), "held"

@@ -150,8 +150,8 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
         draw_slopes(panel)
         write_values(panel, result.coefficients, lines, total)
 
-    residual = _residual(fit, k)
-    return Panel(name, label, points, fill, [*entries, verdict], residual, draw.worst_place(result, "s"))
+    strip = residual(fit, k)
+    return Panel(name, label, points, fill, [*entries, verdict], strip, draw.worst_place(result, "s"))
 
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
@@ -170,7 +170,7 @@ def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[d
     return lines, panel.plot(time, np.sqrt(total) / scale, **draw.model_line())[0]
 
 
-def _residual(fit: Fit, k: int) -> Residual:
+def residual(fit: Fit, k: int) -> Residual:
     """Measured deviations over the model's."""
     curve, result = fit.curve, fit.results[k]
     model = fit.model_deviation(result.axis.name, curve.cluster_time)

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from allanjax.base.tables import WIDTH, as_text, columns_from, printable, width_of, wrapped
+from allanjax.base.tables import WIDTH, Column, as_text, columns_from, printable, width_of, wrapped
 from allanjax.base.wording import (
     duration,
     format_p_value,
@@ -212,16 +212,17 @@ _LIMIT = {"above": "> ", "below": "< ", "": ""}
 _SYMBOLS = {"angle_random_walk": "N", "rate_random_walk": "K"}
 
 
-def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
-    """Table with a row for each of these findings, and what its columns are, at most `WIDTH` wide.
+def findings_columns(critique: Critique, findings: Sequence[Finding], brief: bool = False) -> list[Column]:
+    """Table with a row for each of these findings; a brief one is without the times of drifts."""
+    rows = [(str(k), *_row(f, critique, brief)) for k, f in enumerate(findings, 1)]
+    return columns_from(_HEADINGS, rows)
 
-    Where that is too narrow, times of drifts are left out, and at last cells are cut.
-    """
-    for brief in (False, True):
-        rows = [(str(k), *_row(f, critique, brief)) for k, f in enumerate(findings, 1)]
-        columns = columns_from(_HEADINGS, rows)
-        if width_of(columns) <= WIDTH:
-            break
+
+def findings_table(critique: Critique, findings: Sequence[Finding]) -> str:
+    """Table of these findings, and what its columns are, at most `WIDTH` wide; at last cells are cut."""
+    columns = findings_columns(critique, findings)
+    if width_of(columns) > WIDTH:
+        columns = findings_columns(critique, findings, brief=True)
     about = f"nats: log-likelihood gained on held-out data; {_NONE}: not applicable"
     if any(len(f.axes) > 1 for f in findings):
         about = f"size: of the most affected axis; {about}"
@@ -332,8 +333,8 @@ _MOST_TESTS = 3
 
 def story(critique: Critique) -> str:
     """Table of the findings that change most, a line for each axis, warnings and notes, for `print`."""
-    causes = _causes(critique.findings)
-    lines = [wrapped(_headline(critique, causes))]
+    causes = causes_of(critique.findings)
+    lines = [wrapped(headline(critique))]
     if causes:
         lines += ["", findings_table(critique, causes[:MOST])]
     if len(causes) > MOST:
@@ -343,7 +344,7 @@ def story(critique: Critique) -> str:
 
 def details(critique: Critique) -> str:
     """A paragraph for each finding, one for each axis, all warnings and notes."""
-    lines = [wrapped(_headline(critique, _causes(critique.findings)))]
+    lines = [wrapped(headline(critique))]
     for k, finding in enumerate(critique.findings, 1):
         lines += ["", wrapped(f"{k}. {sentence(finding)}")]
         if text := "; ".join(changes(finding, critique[finding.shown].axis)):
@@ -351,7 +352,7 @@ def details(critique: Critique) -> str:
     return "\n".join([*lines, "", *_end(critique, brief=False)])
 
 
-def _causes(findings: Iterable[Finding]) -> list[Finding]:
+def causes_of(findings: Iterable[Finding]) -> list[Finding]:
     """Findings with a cause, and those without one that the extended model describes."""
     return [f for f in findings if f.cause != UNEXPLAINED or _likeness(f)]
 
@@ -362,8 +363,9 @@ def _likeness(finding: Finding) -> list[str]:
     return [finding.named(cause) for cause in causes if isinstance(cause, str)]
 
 
-def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
+def headline(critique: Critique) -> str:
     """How many findings there are, and what they gain together."""
+    causes = causes_of(critique.findings)
     count = f"{len(causes) or 'no'} finding{'' if len(causes) == 1 else 's'}"
     left = len(critique.findings) - len(causes)
     axes = "1 axis" if len(critique) == 1 else f"{len(critique)} axes"
@@ -374,23 +376,28 @@ def _headline(critique: Critique, causes: Sequence[Finding]) -> str:
     return f"{critique.name or 'recording'}: {count} in {axes}{order}{gain}{more}"
 
 
-def _end(critique: Critique, brief: bool) -> list[str]:
-    """How well each axis is simulated now, axes that were not compared, warnings and notes."""
+def axis_lines(critique: Critique, brief: bool) -> list[str]:
+    """How well each axis is simulated now, and axes that were not compared."""
     shared = {name for f in critique.shared_findings for name in f.axes}
     lines = [_verdict(axis, shared, brief) for axis in critique.results]
-    lines += [f"{dead.axis.name}: not compared: {dead.reason}" for dead in critique.dead]
+    return lines + [f"{dead.axis.name}: not compared: {dead.reason}" for dead in critique.dead]
+
+
+def _end(critique: Critique, brief: bool) -> list[str]:
+    """Lines of the axes, warnings and notes."""
     remarks = [f"warning: {text}" for text in (*critique.warnings, *unmeasured(critique))]
     notes = critique.notes[:1] if brief else critique.notes
     remarks += [f"note: {note}" for note in notes]
     if more := len(critique.notes) - len(notes):
         remarks.append(f"and {more} more note{'s' if more > 1 else ''}: see details() or the JSON file")
+    lines = axis_lines(critique, brief)
     return [*map(wrapped, lines), *([""] if remarks else []), *map(wrapped, remarks)]
 
 
 def _verdict(axis: AxisCritique, shared: set[str], brief: bool) -> str:
     """Which tests of an axis fail with all that was found in it, and how."""
     name, count = axis.axis.name, len(axis.before)
-    causes, before = _causes(axis.findings), _failed(axis.before)
+    causes, before = causes_of(axis.findings), _failed(axis.before)
     after = _failed(axis.after) if causes else before
     # What axes have in common is among the findings.
     own = [d for d in after if not (name in shared and d.statistic in _BETWEEN)]

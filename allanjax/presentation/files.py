@@ -1,6 +1,7 @@
 """Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
 
 import csv
+import io
 import json
 import math
 import os
@@ -47,8 +48,8 @@ def with_check(fit: Fit, check: Check | None) -> dict[str, Any]:
     return to_dict(fit) if check is None else {**to_dict(fit), "check": check.to_dict()}
 
 
-def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write the Allan deviations with 68 % intervals and those of the model, one row per cluster time.
+def curve_csv(fit: Fit) -> str:
+    """CSV of the Allan deviations with 68 % intervals and those of the model, one row per cluster time.
 
     The header states the unit of each axis: that of the recording, or rad/s or m/s² for increments. The
     model's column is empty for an axis without a result.
@@ -65,11 +66,11 @@ def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             parts["model"] = fit.model_deviation(name, curve.cluster_time)
         columns |= {f"{name} {kind} [{unit}]": part / scale for kind, part in parts.items()}
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-    _write_csv(path, list(columns), [dict(zip(columns, row, strict=True)) for row in rows])
+    return _csv(list(columns), [dict(zip(columns, row, strict=True)) for row in rows])
 
 
-def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
-    """Write one row per coefficient in its usual unit, and one row with the reason per axis without a result.
+def coefficients_csv(fit: Fit) -> str:
+    """CSV of one row per coefficient in its usual unit, and one with the reason per axis without a result.
 
     A coefficient that is not a measurement (see `AxisFit.measured`) has a reason but no error or interval.
     """
@@ -82,7 +83,17 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
             flags = {name: str(getattr(c, name)).lower() for name in ("detected", "held", "measured")}
             rows.append({**c.row(), **flags, "reason": "" if c.measured else result.verdict})
     rows += [{"axis": dead.axis.name, "reason": dead.reason} for dead in fit.dead]
-    _write_csv(path, _COEFFICIENT_COLUMNS, rows)
+    return _csv(_COEFFICIENT_COLUMNS, rows)
+
+
+def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Write the Allan deviations and those of the model to a file; see `curve_csv`."""
+    _write(curve_csv(fit), path)
+
+
+def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
+    """Write the coefficients to a file, one row each; see `coefficients_csv`."""
+    _write(coefficients_csv(fit), path)
 
 
 #: What is written of every fit beside its JSON: the end of the file's name, and what writes it.
@@ -121,16 +132,19 @@ def write_results(
     return tuple(paths)
 
 
-def _write_csv(
-    path: str | os.PathLike[str], header: Sequence[str], rows: Sequence[Mapping[str, Any]]
-) -> None:
-    """Write columns of rows; a number that is missing or not finite is an empty cell."""
-    with open(path, "w", encoding="utf-8", errors="backslashreplace", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(header)
-        for row in rows:
-            cells = map(row.get, header)
-            table.writerow(None if isinstance(x, float) and not math.isfinite(x) else x for x in cells)
+def _csv(header: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Columns of rows; a number that is missing or not finite is an empty cell."""
+    text = io.StringIO(newline="")
+    table = csv.writer(text)
+    table.writerow(header)
+    for row in rows:
+        cells = map(row.get, header)
+        table.writerow(None if isinstance(x, float) and not math.isfinite(x) else x for x in cells)
+    return text.getvalue()
+
+
+def _write(text: str, path: str | os.PathLike[str]) -> None:
+    Path(path).write_text(text, encoding="utf-8", errors="backslashreplace", newline="")
 
 
 _MATRICES = ("A", "H", "Q", "R", "P0")

@@ -117,7 +117,7 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, has_band: bool, k: int) -> 
         *(name, label, points),
         lambda panel: _draw_model(panel, spectrum, own, result, scale),
         [*entries, verdict],
-        _residual(spectrum, k, result),
+        residual(spectrum, k, result),
         draw.worst_place(result, "Hz"),
     )
 
@@ -143,7 +143,7 @@ def _random_walk(spectrum: PowerSpectrum, name: str) -> Estimate | None:
 def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit, scale: float) -> None:
     rate = spectrum.rate
     model = result.model.sampled(rate)
-    frequency = _frequencies(spectrum, model)
+    frequency = frequencies(spectrum, model)
     total, styles = np.zeros(len(frequency)), draw.term_styles(fit, result)
     for label, term in zip(result.term_labels, model.processes, strict=True):
         name, look = title_of(label, result.axis.sensor), styles.get(label)
@@ -158,7 +158,7 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     panel.plot(frequency, total / scale, **draw.model_line())
 
 
-def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
+def frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"]:
     """Frequencies at which the model is drawn [Hz], dense enough for the peak of a resonance."""
     lowest, highest = spectrum.frequency[[0, -1]]
     parts = [np.geomspace(lowest, highest, 400)]
@@ -170,7 +170,7 @@ def _frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f
     return f[(lowest <= f) & (f <= highest)]
 
 
-def _residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
+def residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     """Mean residual of each group of points; single points of few degrees of freedom would only clutter."""
     starts = _residual_groups(spectrum)
     model = _mean_density(spectrum, result.model)
@@ -198,7 +198,7 @@ def _mean_density(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " 
     last = np.cumsum(spectrum.count)
     spacing = 2.0 * spectrum.frequency[0] / (1.0 + spectrum.count[0])
     edges = spacing * (np.append(0.0, last) + 0.5)
-    f = np.unique(np.concatenate([_frequencies(spectrum, model), edges, spectrum.frequency]))
+    f = np.unique(np.concatenate([frequencies(spectrum, model), edges, spectrum.frequency]))
     density = 2.0 * np.asarray(model.sampled(spectrum.rate).sampled_psd(f, spectrum.rate))
     total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
     mean = np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)

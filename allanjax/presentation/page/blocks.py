@@ -1,0 +1,236 @@
+"""What a page consists of: texts, tables, charts and exports, as data."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, ClassVar, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.tables import Column
+
+# Significant digits of the numbers in a page: more than a screen or a hover shows.
+_DIGITS = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class Text:
+    """A paragraph, with the class by which the style sheet marks a verdict or a warning."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    style: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Cell:
+    """Text of a cell in usual units, the same in SI, a remark below, and the target of a link."""
+
+    text: str
+    si: str = ""
+    remark: str = ""
+    si_remark: str = ""
+    link: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class Table:
+    """A table; the first column has the names of the rows."""
+
+    kind: ClassVar[str] = "table"
+    heads: Sequence[Cell]
+    rows: Sequence[Sequence[Cell]]
+    caption: str = ""
+
+    @classmethod
+    def of(cls, columns: Sequence[Column], caption: str = "") -> Table:
+        """The table that a result prints."""
+        shown = [c for c in columns if any(c.cells)]
+        rows = zip(*(c.cells for c in shown), strict=True)
+        heads = [Cell(c.head.replace("\n", " ")) for c in shown]
+        return cls(heads, [[Cell(cell.strip()) for cell in row] for row in rows], caption)
+
+
+@dataclasses.dataclass(frozen=True)
+class Units:
+    """A long table that the browser sorts and filters, with some hundred rows at a time.
+
+    Attributes:
+        heads: heads of the columns.
+        rows: texts or numbers; the first cell of a row may be a pair of a text and the target of its link.
+        marked: numbers of the rows that are marked.
+    """
+
+    kind: ClassVar[str] = "units"
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    marked: Sequence[int] = ()
+
+    def data(self) -> dict[str, Any]:
+        """The table for the page's script."""
+        return {
+            "heads": list(self.heads),
+            "rows": [list(row) for row in self.rows],
+            "marked": list(self.marked),
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Exports:
+    """Texts to copy, by the names under which they are chosen."""
+
+    kind: ClassVar[str] = "exports"
+    texts: Sequence[tuple[str, str]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fold:
+    """Blocks that are shown at a click."""
+
+    kind: ClassVar[str] = "fold"
+    title: str
+    blocks: Sequence[Block]
+    is_open: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """Blocks side by side where the screen is wide enough."""
+
+    kind: ClassVar[str] = "row"
+    blocks: Sequence[Block]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """A curve of a chart, in SI.
+
+    Attributes:
+        group: number of the axis or recording that it belongs to.
+        layer: what it is, e.g. "measured" or "model"; layers are shown and hidden together.
+        x, y: the points.
+        low, high: ends of their intervals.
+        look: "dots", "line" or "dashes".
+        labels: what hovering adds for each point, as numbers of `names`.
+        names: texts for `labels`.
+    """
+
+    group: int
+    layer: str
+    x: Float[np.ndarray, " m"]
+    y: Float[np.ndarray, " m"]
+    low: Float[np.ndarray, " m"] | None = None
+    high: Float[np.ndarray, " m"] | None = None
+    look: str = "dots"
+    labels: Sequence[int] = ()
+    names: Sequence[str] = ()
+
+    def data(self) -> dict[str, Any]:
+        """The trace for the page's script."""
+        ends = {"low": self.low, "high": self.high}
+        numbers = {
+            name: rounded(v) for name, v in {"x": self.x, "y": self.y, **ends}.items() if v is not None
+        }
+        own = {"group": self.group, "layer": self.layer, "look": self.look}
+        return (
+            own | numbers | ({"labels": list(self.labels), "names": list(self.names)} if self.names else {})
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Mark:
+    """A named point of a chart in SI, or without y a line at x; of a group, or of all."""
+
+    text: str
+    x: float
+    y: float | None = None
+    group: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Span:
+    """A named part of the x axis."""
+
+    text: str
+    start: float
+    stop: float
+    group: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """One of the pictures that a chart switches between.
+
+    Attributes:
+        name: its name, e.g. "Allan deviation".
+        x, y: labels of the axes; x_unit is the unit of x.
+        units: units of y, usual and SI, with their sizes in SI.
+        groups: names of the axes or recordings.
+        traces, marks, spans: what is drawn.
+        log: which scales are logarithmic: "xy", "x", "y" or "".
+        interval: what the intervals of the traces are.
+        hidden: layers that are hidden at first.
+    """
+
+    name: str
+    x: str
+    x_unit: str
+    y: str
+    units: Sequence[tuple[str, float]]
+    groups: Sequence[str]
+    traces: Sequence[Trace]
+    marks: Sequence[Mark] = ()
+    spans: Sequence[Span] = ()
+    log: str = "xy"
+    interval: str = "95 %"
+    hidden: Sequence[str] = ()
+
+    def data(self) -> dict[str, Any]:
+        """The view for the page's script."""
+        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return own | {
+            "traces": [trace.data() for trace in self.traces],
+            "marks": [dataclasses.asdict(mark) for mark in self.marks],
+            "spans": [dataclasses.asdict(span) for span in self.spans],
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Chart:
+    """A chart with one or more views.
+
+    Attributes:
+        title: its title.
+        views: what it switches between.
+        summary: what it shows, for those who do not see it.
+        slider: what a slider below it chooses on the x axis, e.g. "horizon"; "" for none.
+    """
+
+    kind: ClassVar[str] = "chart"
+    title: str
+    views: Sequence[View]
+    summary: str = ""
+    slider: str = ""
+
+    def data(self) -> dict[str, Any]:
+        """The chart for the page's script."""
+        return {"title": self.title, "slider": self.slider, "views": [view.data() for view in self.views]}
+
+
+Block: TypeAlias = Text | Table | Units | Exports | Fold | Row | Chart
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """A part of a page with its heading."""
+
+    title: str
+    blocks: Sequence[Block]
+
+
+def rounded(values: Iterable[float]) -> list[float | None]:
+    """Numbers to a few digits; None for those that are not finite."""
+    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values).tolist()]

@@ -1,0 +1,343 @@
+"""Charts of a fit for a page: Allan deviation, spectrum, residuals, the record over time, predicted drift."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.allan.deviation import rate_unit
+from allanjax.base.wording import percent
+from allanjax.critic.finding import Finding
+from allanjax.critic.parameters import numbers_in
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.navigation.likely import sensors_of
+from allanjax.noise.datasheet import MINIMUM
+from allanjax.noise.estimate import title_of
+from allanjax.noise.model import Model
+from allanjax.presentation import allan_figure, spectrum_figure
+from allanjax.presentation.draw import SENSORS, Residual
+from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import SI, Sensor, rate_unit_of
+from allanjax.spectrum.psd import PowerSpectrum, density_unit
+
+# Points at which models are drawn, every how many of them its terms are, and blocks of the record over time.
+_POINTS, _EVERY, _BLOCKS = 160, 2, 1000
+# Horizons of the predicted drift [s], and their number.
+_HORIZONS, _COUNT = (1.0, 36_000.0), 55
+# Share of the record from which on a span is not marked, and most marks of single outliers.
+_EVERYWHERE, _MOST = 0.95, 200
+_ANGLES: dict[Sensor, tuple[tuple[str, float], ...]] = {
+    "gyro": (("deg", np.pi / 180.0), ("rad", 1.0)),
+    "accel": (("m/s", 1.0),),
+}
+
+
+class Own(NamedTuple):
+    """An axis of a chart: its number in the fit, and in the chart."""
+
+    k: int
+    group: int
+    axis: Axis
+
+
+def by_sensor(axes: Sequence[Axis]) -> Iterator[tuple[Sensor, list[Own]]]:
+    """The axes of each sensor that there is, gyros first."""
+    for sensor in SENSORS:
+        own = [(k, axis) for k, axis in enumerate(axes) if axis.sensor == sensor]
+        if own:
+            yield sensor, [Own(k, group, axis) for group, (k, axis) in enumerate(own)]
+
+
+def _units(usual: tuple[str, float], si: str) -> tuple[tuple[str, float], ...]:
+    return (usual, (si, 1.0)) if usual[0] != si else (usual,)
+
+
+def curves(fit: Fit, spectrum: PowerSpectrum | None, findings: Sequence[Finding]) -> dict[Sensor, Chart]:
+    """Allan deviations of each sensor, and their spectra as a second view."""
+    charts = {}
+    for sensor, own in by_sensor([r.axis for r in fit.results]):
+        views = [_allan(fit, own)]
+        if spectrum is not None:
+            views.append(density(fit, spectrum, own, findings))
+        names = ", ".join(axis.name for *_, axis in own)
+        summary = (
+            f"Allan deviation against cluster time, logarithmic, {names}; the table has the coefficients."
+        )
+        charts[sensor] = Chart(SENSORS[sensor].capitalize(), views, summary)
+    return charts
+
+
+def _allan(fit: Fit, own: Sequence[Own]) -> View:
+    """Allan deviations with 95 % intervals, models, terms, and the points at which coefficients are read."""
+    curve, axis = fit.curve, own[0].axis
+    low, high = curve.confidence_interval(0.95)
+    time = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _POINTS))) / curve.rate
+    traces, marks = list[Trace](), list[Mark]()
+    for k, group, _ in own:
+        result, names, labels = fit.results[k], list[str](), list[int]()
+        if result.converged:
+            of_terms = functools.partial(_term_variances, result, curve.rate)
+            names, labels = _dominant(result, *of_terms(curve.cluster_time))
+            traces += _model_traces(group, time, *of_terms(time), np.sqrt)
+            marks += _marks(fit, k, group)
+        points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
+        traces.append(Trace(group, "measured", *points, labels=labels, names=names))
+    return View(
+        *("Allan deviation σ(τ)", "cluster time τ", "s", "σ"),
+        units=_units(rate_unit(axis), SI[axis.sensor]["rate"]),
+        groups=[a.name for *_, a in own],
+        traces=traces,
+        marks=marks,
+        hidden=[] if len(own) == 1 else ["terms"],
+    )
+
+
+def _term_variances(
+    result: AxisFit, rate: float, time: Float[np.ndarray, " m"]
+) -> tuple[list[str], Float[np.ndarray, "terms m"]]:
+    """Labels of the terms that have an Allan variance, and these."""
+    model = result.model.sampled(rate)
+    pairs = [
+        (label, np.asarray(term.allan_variance(time)))
+        for label, term in zip(result.term_labels, model.processes, strict=True)
+        if not isinstance(term, allan_figure.Transient)
+    ]
+    return [label for label, _ in pairs], np.reshape([variance for _, variance in pairs], (-1, len(time)))
+
+
+def _dominant(
+    result: AxisFit, labels: Sequence[str], powers: Float[np.ndarray, "terms m"]
+) -> tuple[list[str], list[int]]:
+    """What the largest term is at each place with its share, e.g. "mostly angle random walk (93 %)"."""
+    if not len(labels):
+        return [], []
+    largest = np.argmax(powers, axis=0)
+    share = np.take_along_axis(powers, largest[None], 0)[0] / np.maximum(powers.sum(axis=0), 1e-300)
+    words = [
+        f"mostly {title_of(labels[k], result.axis.sensor)} ({percent(float(s))})"
+        for k, s in zip(largest, share, strict=True)
+    ]
+    names = list(dict.fromkeys(words))
+    return names, [names.index(word) for word in words]
+
+
+def _model_traces(
+    group: int,
+    x: Float[np.ndarray, " m"],
+    labels: Sequence[str],
+    powers: Float[np.ndarray, "terms m"],
+    shown: np.ufunc,
+) -> Iterator[Trace]:
+    """Lines of the model and of its terms."""
+    yield Trace(group, "model", x, shown(powers.sum(axis=0)), look="line")
+    for _, power in zip(labels, powers, strict=True):
+        yield Trace(group, "terms", x[::_EVERY], shown(power[::_EVERY]), look="dashes")
+
+
+def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
+    """N at 1 s, K at 3 s, the minimum of the curve, and 0.664 B."""
+    curve, result = fit.curve, fit.results[k]
+    known = {c.label: c for c in result.coefficients.values() if c.detected and c.measured and not c.held}
+    for label, at in (("angle_random_walk", 1.0), ("rate_random_walk", 3.0)):
+        if (c := known.get(label)) is not None:
+            yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
+    lowest = int(np.argmin(curve.deviation[:, k]))
+    at = float(curve.cluster_time[lowest])
+    yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
+    if (c := known.get("bias_instability")) is not None:
+        yield Mark("0.664·B", at, MINIMUM * c.value, group)
+
+
+def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Sequence[Finding]) -> View:
+    """One-sided PSD with 95 % intervals, models, terms, and the findings that are in the spectrum."""
+    low, high = spectrum.confidence_interval(0.95)
+    traces, names = list[Trace](), [a.name for *_, a in own]
+    for _, group, axis in own:
+        k, result = spectrum.names.index(axis.name), fit[axis.name]
+        words, labels = list[str](), list[int]()
+        if result.converged:
+            f = spectrum_figure.frequencies(spectrum, result.model)
+            words, labels = _dominant(result, *_term_densities(result, spectrum.rate, spectrum.frequency))
+            traces += _model_traces(group, f, *_term_densities(result, spectrum.rate, f), np.positive)
+        x, y = spectrum.frequency, spectrum.density[:, k]
+        traces.append(Trace(group, "measured", x, y, low[:, k], high[:, k], labels=labels, names=words))
+    unit = SI[own[0].axis.sensor]["rate"]
+    return View(
+        *("PSD S(f)", "frequency f", "Hz", "S"),
+        units=(density_unit(own[0].axis), (f"({unit})²/Hz", 1.0)),
+        groups=names,
+        traces=traces,
+        spans=[_span(f, names) for f in findings if f.domain == "frequency" and {*f.axes} & {*names}],
+        hidden=[] if len(own) == 1 else ["terms"],
+    )
+
+
+def _term_densities(
+    result: AxisFit, rate: float, frequency: Float[np.ndarray, " m"]
+) -> tuple[list[str], Float[np.ndarray, "terms m"]]:
+    """Labels of the terms that have a density, and their one-sided densities."""
+    model: Model = result.model.sampled(rate)
+    pairs = [
+        (label, 2.0 * np.asarray(term.sampled_psd(frequency, rate)))
+        for label, term in zip(result.term_labels, model.processes, strict=True)
+        if not term.deterministic
+    ]
+    return [label for label, _ in pairs], np.reshape([psd for _, psd in pairs], (-1, len(frequency)))
+
+
+def _span(finding: Finding, names: Sequence[str]) -> Span:
+    """Where a finding is; of one axis, or of all that the chart shows."""
+    own = [names.index(name) for name in finding.axes if name in names]
+    start, stop = (float(x) for x in finding.span)
+    return Span(finding.named(finding.cause), start, stop, own[0] if len(own) == 1 < len(names) else None)
+
+
+def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
+    """Measured over model minus one, of Allan deviations and of the spectra."""
+    charts = []
+    for sensor, every in by_sensor([r.axis for r in fit.results]):
+        own = [one for one in every if fit.results[one.k].converged]
+        if not own:
+            continue
+        names = [axis.name for *_, axis in own]
+        of = [allan_figure.residual(fit.as_for(axis.name), k) for k, _, axis in own]
+        views = [_residual_view("Allan deviation", ("cluster time τ", "s"), names, of)]
+        if spectrum is not None:
+            place = {name: k for k, name in enumerate(spectrum.names)}
+            of = [spectrum_figure.residual(spectrum, place[name], fit[name]) for name in names]
+            views.append(_residual_view("PSD", ("frequency f", "Hz"), names, of))
+        charts.append(Chart(f"{SENSORS[sensor].capitalize()}: measured over model", views))
+    return charts
+
+
+def _residual_view(
+    name: str, x: tuple[str, str], names: Sequence[str], residuals: Sequence[Residual]
+) -> View:
+    """Residuals of axes with their 68 % intervals, and where 95 % of each lie by chance."""
+    traces, chance = list[Trace](), "95 % by chance"
+    for group, residual in enumerate(residuals):
+        p = residual.points
+        traces.append(Trace(group, "residual", p.x, p.y, p.y - p.spread[0], p.y + p.spread[1]))
+        low, high = residual.chance
+        traces.append(Trace(group, chance, p.x, np.zeros_like(p.y), low, high, look="dashes"))
+    hidden = [chance] if len(names) > 1 else []
+    labels = (name, *x, "measured/model − 1")
+    return View(
+        *labels, units=[("%", 1.0)], groups=names, traces=traces, log="x", interval="68 %", hidden=hidden
+    )
+
+
+class Series(NamedTuple):
+    """An axis of a record over time, less its mean: ends and means of blocks."""
+
+    time: Float[np.ndarray, " blocks"]
+    low: Float[np.ndarray, " blocks"]
+    mean: Float[np.ndarray, " blocks"]
+    high: Float[np.ndarray, " blocks"]
+
+
+def thinned(x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Series:
+    """Least, mean and largest sample of each of some blocks, so that no sample is missed."""
+    edges = np.unique(np.linspace(0, len(x), min(most, len(x)) + 1).astype(int))
+    first, length = edges[:-1], np.diff(edges)
+    x = np.ascontiguousarray(x) - np.mean(x)
+    time = (first + 0.5 * (length - 1)) / rate
+    return Series(
+        time, np.minimum.reduceat(x, first), np.add.reduceat(x, first) / length, np.maximum.reduceat(x, first)
+    )
+
+
+def over_time(recording: Recording, fit: Fit, findings: Sequence[Finding]) -> list[Chart]:
+    """The samples over time with gaps, parts that were left out, facts, and findings that have a place."""
+    charts = []
+    for sensor, own in by_sensor(recording.axes):
+        names, traces, marks = [axis.name for *_, axis in own], list[Trace](), list[Mark]()
+        for k, group, _ in own:
+            s = thinned(recording.values[:, k], recording.rate)
+            traces.append(Trace(group, "mean of blocks", s.time, s.mean, s.low, s.high, look="line"))
+            marks += _outliers(findings, names[group], group, s)
+        unit = rate_unit_of(own[0].axis.unit, sensor)
+        views = [
+            View(
+                *("samples", "time", "s", "samples − mean"),
+                units=_units(unit, SI[sensor]["rate"]),
+                groups=names,
+                traces=traces,
+                marks=marks,
+                spans=[*_gaps(recording, fit), *_places(fit, findings, names, recording.duration)],
+                log="",
+                interval="least … largest",
+            )
+        ]
+        summary = f"Least and largest sample of each of {len(traces[0].x)} blocks."
+        charts.append(Chart(f"{SENSORS[sensor].capitalize()} over time", views, summary))
+    return charts
+
+
+def _gaps(recording: Recording, fit: Fit) -> Iterator[Span]:
+    """Gaps of the record, and what was left out of the fit."""
+    for gap in recording.gaps or ():
+        yield Span("gap", gap.first / recording.rate, (gap.first + gap.samples) / recording.rate)
+    edges = [0.0, *(t for part in fit.parts for t in part), recording.duration] if fit.parts else []
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start > 1.0 / recording.rate:
+            yield Span("left out", start, stop)
+
+
+def _places(fit: Fit, findings: Sequence[Finding], names: Sequence[str], total: float) -> Iterator[Span]:
+    """Facts and findings of these axes that are at some time."""
+    for fact in fit.facts:
+        for start, stop in fact.spans if {*fact.axes} & {*names} else ():
+            yield Span(fact.kind, start, stop)
+    for finding in findings:
+        if finding.domain == "time" and {*finding.axes} & {*names}:
+            span = _span(finding, names)
+            if span.stop - span.start < _EVERYWHERE * total and not numbers_in(finding.details, "times"):
+                yield span
+
+
+def _outliers(findings: Sequence[Finding], name: str, group: int, s: Series) -> Iterator[Mark]:
+    """Single samples that were found to be outliers."""
+    for finding in (member for f in findings for member in (f.members or (f,))):
+        if name in finding.axes and finding.domain == "time":
+            for time in numbers_in(finding.details, "times")[:_MOST]:
+                k = int(np.clip(np.searchsorted(s.time, time), 0, len(s.time) - 1))
+                near = slice(max(k - 1, 0), k + 1)
+                y = max((*s.low[near], *s.high[near]), key=abs)
+                yield Mark("", float(time), float(y), group)
+
+
+def drifts(fit: Fit) -> list[Chart]:
+    """Predicted error of the integrated rate over a horizon, with its interval; √2·t·σ_A(t).
+
+    The bias is taken to be the mean over an equally long time before; see `AxisPosterior.predicted_drift`.
+    """
+    noise, length = sensors_of(fit, None, 0), fit.curve.n / fit.curve.rate
+    time = np.geomspace(max(_HORIZONS[0], 2.0 / fit.curve.rate), _HORIZONS[1], _COUNT)
+    charts = []
+    for sensor, own in by_sensor([of.axis for of in noise.axes.values()]):
+        traces = []
+        for _, group, axis in own:
+            drawn = noise.axes[axis.name].drawn(lambda model: _drift_variance(model, fit.curve.rate, time))
+            low, high = (np.sqrt(end) for end in noise.ends(drawn))
+            traces.append(Trace(group, "drift", time, np.sqrt(drawn.total), low, high))
+        word = "angle" if sensor == "gyro" else "velocity"
+        beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
+        view = View(
+            *("drift", "horizon t", "s", f"{word} error (1σ)"),
+            units=_ANGLES[sensor],
+            groups=[axis.name for *_, axis in own],
+            traces=traces,
+            spans=[beyond] if beyond.start < beyond.stop else [],
+        )
+        charts.append(Chart(f"{SENSORS[sensor].capitalize()}: predicted drift", [view], slider="Horizon"))
+    return charts
+
+
+def _drift_variance(model: Model, rate: float, time: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+    return 2.0 * time**2 * np.asarray(model.sampled(rate).allan_variance(time))

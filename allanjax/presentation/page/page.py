@@ -1,0 +1,126 @@
+"""`report`: results as one self-contained page of HTML."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import functools
+import hashlib
+import html
+import itertools
+import json
+import os
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.presentation.page.blocks import Block, Chart, Fold, Row, Section, Units
+
+# Scripts and styles in the order in which the page has them.
+_SCRIPTS, _STYLES = ("uPlot.iife.min.js", "page.js"), ("uPlot.min.css", "page.css")
+# Height of a page in a notebook [pixels].
+_NOTEBOOK_HEIGHT = 800
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Page(ByValue):
+    """A page of HTML that needs no other file and no network.
+
+    Attributes:
+        title: its title.
+        html: the document.
+    """
+
+    title: str
+    html: str
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the page to a file, and return its path.
+
+        Raises:
+            AllanjaxError: the file is named neither .html nor .htm.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in (".html", ".htm"):
+            raise AllanjaxError(f"{str(path)!r}: a page is saved as .html")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # A name may come from a file name that is no text.
+        path.write_text(self.html, encoding="utf-8", errors="backslashreplace")
+        return path
+
+    def _repr_html_(self) -> str:
+        # In a frame of its own, without access to the notebook.
+        look = f'style="width:100%;height:{_NOTEBOOK_HEIGHT}px;border:0"'
+        frame = (
+            f'sandbox="allow-scripts allow-popups allow-downloads" title="{html.escape(self.title)}" {look}'
+        )
+        return f'<iframe srcdoc="{html.escape(self.html)}" {frame}></iframe>'
+
+    def __repr__(self) -> str:
+        return f"<Page {self.title!r}, {len(self.html) / 1e6:.2f} MB>"
+
+
+def page_of(title: str, sections: Sequence[Section]) -> Page:
+    """The page of these sections, the first of which is what one sees first."""
+    assets = {name: _asset(name) for name in (*_SCRIPTS, *_STYLES)}
+    text = _template().render(
+        title=title,
+        sections=sections,
+        # Charts are numbered as they come.
+        number=itertools.count().__next__,
+        data=_as_json([block.data() for block in _drawn(sections)]),
+        scripts=[assets[name] for name in _SCRIPTS],
+        styles=[assets[name] for name in _STYLES],
+        policy=_policy([assets[name] for name in _SCRIPTS], [assets[name] for name in _STYLES]),
+    )
+    return Page(title, text)
+
+
+def _drawn(sections: Sequence[Section]) -> Iterator[Chart | Units]:
+    """All blocks that the page's script draws, in the order of the page."""
+
+    def of(blocks: Sequence[Block]) -> Iterator[Chart | Units]:
+        for block in blocks:
+            if isinstance(block, Fold | Row):
+                yield from of(block.blocks)
+            elif isinstance(block, Chart | Units):
+                yield block
+
+    return itertools.chain.from_iterable(of(section.blocks) for section in sections)
+
+
+@functools.cache
+def _template() -> Any:
+    """The template of all pages, which escapes every text."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    loader = PackageLoader("allanjax.presentation.page", "assets")
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template("page.html")
+
+
+@functools.cache
+def _asset(name: str) -> str:
+    return files(__package__).joinpath("assets", name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
+    """Content-security policy that allows these scripts and styles by their hashes, and nothing else."""
+
+    def hashes(texts: Sequence[str]) -> str:
+        digests = (hashlib.sha256(text.encode()).digest() for text in texts)
+        return " ".join(f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests)
+
+    allowed = f"script-src {hashes(scripts)}; style-src {hashes(styles)}"
+    return f"default-src 'none'; {allowed}; base-uri 'none'; form-action 'none'"
+
+
+def _as_json(data: Any) -> str:
+    """JSON that cannot end the element of the page that holds it."""
+    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,0 +1,263 @@
+"""Sections of a page about one recording: verdict, coefficients, curves, the critic's story, origin."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+from allanjax.allan.deviation import rate_unit
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.wording import record_size
+from allanjax.critic.finding import UNEXPLAINED, Finding
+from allanjax.critic.law import Curve, summaries
+from allanjax.critic.result import AxisCritique, Critique
+from allanjax.critic.stage import Stage
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.tables import MAIN, SYMBOLS, detail
+from allanjax.inspection.facts import listed
+from allanjax.noise.estimate import Estimate
+from allanjax.presentation import critique_story as story
+from allanjax.presentation.draw import SENSORS
+from allanjax.presentation.export.exporting import exported
+from allanjax.presentation.export.targets import TARGETS
+from allanjax.presentation.files import coefficients_csv, curve_csv
+from allanjax.presentation.page import charts
+from allanjax.presentation.page.blocks import (
+    Block,
+    Cell,
+    Chart,
+    Exports,
+    Fold,
+    Row,
+    Section,
+    Table,
+    Text,
+    Trace,
+    View,
+)
+from allanjax.record.recording import Recording
+from allanjax.record.units import SI, Sensor, rate_unit_of
+from allanjax.spectrum.psd import PowerSpectrum, density_unit
+
+# Blocks of the record in the evidence of a finding, and most findings that are open at first.
+_BLOCKS, _OPEN = 300, 1
+
+
+def of_record(
+    fit: Fit,
+    recording: Recording | None,
+    spectrum: PowerSpectrum | None,
+    critique: Critique | None,
+    origin: Mapping[str, str],
+    prefix: str = "",
+) -> Iterator[Section]:
+    """Sections about one recording; what is not given is left out. `prefix` is put before each heading."""
+    findings = () if critique is None else critique.findings
+
+    def section(title: str, blocks: Sequence[Any]) -> Iterator[Section]:
+        if blocks:
+            yield Section(f"{prefix}{title}", blocks)
+
+    tables, curves = coefficients(fit), charts.curves(fit, spectrum, findings)
+    pairs = [Row([*([tables[s]] if s in tables else []), chart]) for s, chart in curves.items()]
+    yield from section("Result", [*verdict(fit, critique), *pairs, *warnings(fit, critique)])
+    if spectrum is not None:
+        own = charts.by_sensor([r.axis for r in fit.results])
+        views = [(SENSORS[sensor], charts.density(fit, spectrum, axes, findings)) for sensor, axes in own]
+        densities = [Chart(f"{name.capitalize()}: power spectral density", [view]) for name, view in views]
+        yield from section("Spectrum", [Row(densities)])
+    if recording is not None:
+        yield from section("Record", [Row(charts.over_time(recording, fit, findings))])
+    yield from section("Residuals", [Row(charts.residuals(fit, spectrum))])
+    if critique is not None:
+        yield from section("What a simulation gets wrong", list(findings_in_full(critique)))
+    if any(r.measured for r in fit.results):
+        yield from section("Predicted drift", [Row(charts.drifts(fit))])
+    yield from section("Exports", list(exports(fit)))
+    yield from section("Details", list(details(fit)))
+    yield from section("How this page was made", [made(fit, origin)])
+
+
+# --- Verdict and coefficients -------------------------------------------------------------------------------
+
+
+def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
+    """Whether the coefficients are a measurement, and whether the model fits."""
+    failed = [*fit.not_measured, *fit.without_result]
+    off = [r.axis.name for r in fit.results if r.measured and r.incomplete]
+    good = [r.axis.name for r in fit.results if r.measured and not r.incomplete]
+    style, text = "good", f"Good: the noise model fits {'all axes' if len(good) > 1 else 'the axis'}."
+    if failed:
+        style, text = "bad", f"Not a measurement of the sensor on {listed(failed, 6)}."
+    if off:
+        if not failed:
+            style, text = "care", "Usable with care."
+        text += f" The model does not fit {listed(off, 6)}; the intervals are wider for it."
+    if good and style != "good":
+        text += f" It fits {listed(good, 6)}."
+    yield Text(text, f"verdict {style}")
+    size = f"{record_size(fit.curve.n, fit.curve.rate)}{fit.curve.describe_others()}."
+    yield Text(size if critique is None else f"{size} Critic: {story.headline(critique)}.", "note")
+
+
+def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
+    """Warnings about the recording, and why an axis has no result."""
+    known = dict.fromkeys((*fit.warnings, *(() if critique is None else critique.warnings)))
+    reasons = {**fit.not_measured, **fit.without_result}
+    left = [f"{axis}: {why}" for axis, why in reasons.items() if not any(why in text for text in known)]
+    yield from (Text(text, "warning") for text in (*known, *left))
+
+
+def coefficients(fit: Fit) -> dict[Sensor, Table]:
+    """A table of each sensor's coefficients with 95 % intervals or limits, in usual units and in SI."""
+    tables = dict[Sensor, Table]()
+    for sensor, own in charts.by_sensor([r.axis for r in fit.results]):
+        results = [r for k, *_ in own if (r := fit.results[k]).converged]
+        found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
+        every = {label: c for of in found for label, c in of.items()}
+        known = [label for label in dict.fromkeys((*SYMBOLS, *every)) if label in every]
+        labels = [label for label in known if label in MAIN or _shown(label, found)]
+        heads = [Cell(every[label].title, remark=every[label].symbol) for label in labels]
+        rows = [
+            [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(_fits(r))]
+            for r, of in zip(results, found, strict=True)
+        ]
+        if rows:
+            caption = f"Noise coefficients of the {SENSORS[sensor]} ± 1σ, with 95 % intervals below"
+            tables[sensor] = Table([Cell(SENSORS[sensor]), *heads, Cell("fit")], rows, caption)
+    return tables
+
+
+def _shown(label: str, found: Sequence[Mapping[str, Estimate]]) -> bool:
+    """Whether a coefficient is detected on any axis."""
+    return any(of[label].held or (of[label].detected and of[label].measured) for of in found if label in of)
+
+
+def _cell(c: Estimate | None) -> Cell:
+    """A coefficient and its interval, in usual units and in SI."""
+    if c is None:
+        return Cell("–")
+    (*_, text, below), (*_, si, si_below) = detail(c), detail(c, c.si_unit)
+    return Cell(text or "–", si or "–", below, si_below)
+
+
+def _fits(result: AxisFit) -> str:
+    if not result.measured:
+        return "not a measurement"
+    return "does not fit" if result.incomplete else "doubtful" if result.doubtful else "fits"
+
+
+def details(fit: Fit) -> Iterator[Block]:
+    """Verdict of each axis, filters and lines that were fitted, and notes."""
+    for r in fit.results:
+        if not r.converged:
+            continue
+        text = "; ".join(filter(None, (r.verdict, r.correction, r.level)))
+        further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
+        table = [Table([Cell("further term"), Cell("value")], further)] if further else []
+        yield Fold(r.axis.name, [Text(text), *table])
+    yield from (Text(f"Note: {note}", "note") for note in fit.notes)
+
+
+# --- The critic's story -------------------------------------------------------------------------------------
+
+
+def findings_in_full(critique: Critique) -> Iterator[Block]:
+    """The table of findings, each finding with its evidence, and what is left in each axis."""
+    if causes := story.causes_of(critique.findings):
+        yield Table.of(story.findings_columns(critique, causes), "Findings, those that change most first")
+    for k, finding in enumerate(critique.findings):
+        name = "unexplained" if finding.cause == UNEXPLAINED else finding.named(finding.cause)
+        title = f"{k + 1}. {name}: {', '.join(finding.axes)}"
+        texts = [Text(story.sentence(finding))]
+        if changes := "; ".join(story.changes(finding, critique[finding.shown].axis)):
+            texts.append(Text(f"Changes: {changes}."))
+        yield Fold(title, [*texts, *_evidence(critique, finding)], is_open=k < _OPEN)
+    yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
+
+
+def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
+    """Record and simulations before and after a finding, in the axis in which it matters most."""
+    axis = critique[finding.shown]
+    own = next((f for f in (finding, finding.strongest) if f in axis.findings), None)
+    if own is None:
+        return
+    before, after = (axis.stages[k % len(axis.stages)] for k in own.stages)
+    pairs = [("before", before), ("after", after)] if before is not after else [("record", before)]
+    groups = [name for name, _ in pairs]
+    found = [summaries(stage) for _, stage in pairs]
+    unit = SI[axis.axis.sensor]["rate"]
+    kinds = (
+        (("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), (rate_unit(axis.axis), (unit, 1.0))),
+        (("PSD S(f)", "frequency f", "Hz", "S"), (density_unit(axis.axis), (f"({unit})²/Hz", 1.0))),
+    )
+    views = [
+        _compared(labels, units, groups, [of[k] for of in found]) for k, (labels, units) in enumerate(kinds)
+    ]
+    if finding.domain == "frequency":
+        views.reverse()
+    elif before is not after:
+        views.insert(0, _effect(axis, before, after))
+    yield Chart(f"{axis.axis.name}: record and 95 % of simulations", views)
+
+
+def _compared(
+    labels: tuple[str, str, str, str],
+    units: Sequence[tuple[str, float]],
+    groups: Sequence[str],
+    found: Sequence[Curve],
+) -> View:
+    """Measured curves over the bands of their simulations."""
+    traces = []
+    for group, c in enumerate(found):
+        traces.append(Trace(group, "simulated", c.place, c.median, c.low, c.high, look="line"))
+        traces.append(Trace(group, "measured", c.place, c.measured))
+    return View(*labels, units=units, groups=groups, traces=traces, interval="95 % of simulations")
+
+
+def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
+    """The record over time and what the finding subtracts from it."""
+    traces = []
+    for group, x in enumerate((before.x, before.x - after.x)):
+        s = charts.thinned(x, before.rate, _BLOCKS)
+        low, high = (s.low, s.high) if group == 0 else (None, None)
+        traces.append(Trace(group, "mean of blocks", s.time, s.mean, low, high, look="line"))
+    units = (rate_unit_of(axis.axis.unit, axis.axis.sensor), (SI[axis.axis.sensor]["rate"], 1.0))
+    labels = ("Over time", "time", "s", "samples − mean")
+    return View(
+        *labels, units=units, groups=["record", "effect"], traces=traces, log="", interval="least … largest"
+    )
+
+
+# --- Exports and origin -------------------------------------------------------------------------------------
+
+
+def exports(fit: Fit) -> Iterator[Block]:
+    """What `export` writes for each target that takes this fit, and the tables as CSV."""
+    texts = []
+    for name, target in TARGETS.items():
+        try:
+            texts.append((f"{target.title} ({name})", exported(fit, name).text))
+        except AllanjaxError:
+            # The target needs what this recording does not have.
+            continue
+    texts += [("Coefficients as CSV", coefficients_csv(fit)), ("Allan deviations as CSV", curve_csv(fit))]
+    yield Text("Noise parameters for estimators, autopilots and simulators, with formulas in the comments.")
+    yield Exports(texts)
+
+
+def made(fit: Fit, origin: Mapping[str, str]) -> Table:
+    """What is needed to make the page again."""
+    known = {
+        **origin,
+        "model": str(fit.template) if not fit.chosen else "chosen by evidence",
+        "objective": fit.objective,
+        "made": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
+        "allanjax": version("allanjax"),
+        "with": ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy", "optimistix")),
+        "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
+    }
+    return Table([Cell("what"), Cell("value")], [[Cell(name), Cell(text)] for name, text in known.items()])
