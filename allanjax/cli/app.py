@@ -12,7 +12,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli import calibrate, convert, fleet, recordings, results, simulate  # noqa: F401
+from allanjax.cli import calibrate, convert, fleet, recordings, report, results, simulate  # noqa: F401
 from allanjax.cli.interrupt import end_on_interrupt
 from allanjax.cli.options import COMMANDS, epilog
 
@@ -71,9 +71,10 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    "check characterize critique fleet export horizon navigate statespace kalman calibrate simulate convert"
+    *("check", "characterize", "critique", "report", "fleet", "export", "horizon", "navigate"),
+    *("statespace", "kalman", "calibrate", "simulate", "convert", "schema", "demo"),
 )
-for _name in f"{_ORDER} schema demo".split():
+for _name in _ORDER:
     _command, _epilog = COMMANDS[_name]
     _help = " ".join((_command.__doc__ or "").split())
     # In the list of commands: the first sentence, without its enumeration.

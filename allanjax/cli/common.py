@@ -112,14 +112,14 @@ def work_through(
                 pending.extendleft(reversed(file.of(mixed.sensors)))
                 continue
             except FAILURES as failure:
-                errors.append(_reported(file, _reason(failure, file.label)))
+                errors.append(reported(file, reason(failure, file.label)))
                 continue
             if as_json:
                 documents.append({"file": file.label, **done.document})
             else:
                 print(done.text, flush=True)
             print_written(done.written, as_json)
-            errors += [_reported(file, message) for message in done.without_result]
+            errors += [reported(file, message) for message in done.without_result]
     if as_json:
         print_json({**document(documents, len(given)), "errors": errors})
     exit_if_failed(errors, len(given))
@@ -184,7 +184,7 @@ def prepare(out: Path | None = None) -> None:
 FAILURES = (AllanjaxError, OSError, MemoryError)
 
 
-def _reason(failure: BaseException, label: str) -> str:
+def reason(failure: BaseException, label: str) -> str:
     """Message about the failure of the file with this label."""
     if isinstance(failure, MemoryError):
         return f"{label}: not enough memory; read a part with --start and --stop, or pass --stream"
@@ -199,7 +199,7 @@ def user_errors() -> Iterator[None]:
     try:
         yield
     except FAILURES as failure:
-        print_error(_reason(failure, "allanjax"))
+        print_error(reason(failure, "allanjax"))
         raise typer.Exit(1) from failure
 
 
@@ -265,7 +265,7 @@ def print_error(message: str) -> None:
     print(f"error: {message}", file=sys.stderr)
 
 
-def _reported(file: Input, message: str) -> dict[str, str]:
+def reported(file: Input, message: str) -> dict[str, str]:
     """Print an error of a file on stderr, and return it as in the JSON."""
     begin = f"{file.label}: "
     print_error(message if message.startswith(begin) else begin + message)

@@ -18,6 +18,7 @@ from allanjax.cli.common import (
     user_errors,
 )
 from allanjax.cli.options import FigureFormat, command
+from allanjax.cli.report import Html, fleet_page
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def fleet(
         Path, typer.Option(help="Folder for the results; a later run continues from it.")
     ] = RESULTS,
     figure_format: FigureFormat = "png",
+    html: Html = False,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
@@ -86,7 +88,10 @@ def fleet(
             **options.arguments(),
         )
     written = ("fleet.parquet", f"fleet.{figure_format}", "errors.csv", "notes.txt")
-    print_result(result, as_json=False, written=[out / name for name in written])
+    paths = [out / name for name in written]
+    if html:
+        paths += fleet_page(result, out)
+    print_result(result, as_json=False, written=paths)
     for error in result.errors:
         print_error(f"{error['file']}: {error['message']}")
     exit_if_failed(result.errors, len(result.files))

@@ -11,6 +11,7 @@ import typer
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, fitting, stage, work_through
 from allanjax.cli.options import FigureFormat, command
+from allanjax.cli.report import Html, write_page
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import ReadOptions
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
     from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
+    from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
 
 
@@ -84,6 +86,7 @@ def characterize(
     ] = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
+    html: Html = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
     ] = False,
@@ -97,17 +100,20 @@ def characterize(
     """
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        check = spectrum = None
+        recording = check = spectrum = None
         if stream:
             fit = _accumulate_and_fit(file, options)
         else:
-            check, spectrum, fit = read_and_fit(file, options)
+            recording, check, spectrum, fit = read_and_fit(file, options)
         from allanjax.presentation.files import with_check, write_results
 
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
                 paths = write_results(fit, spectrum, directory, file.name, check, figure_format)
+                if html:
+                    shown = (fit, None, recording, spectrum, check)
+                    paths += (write_page(file, directory, *shown),)
         first = [] if check is None else [f"check: {check.summary()}"]
         text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
@@ -122,8 +128,8 @@ def characterize(
     work_through(files, out, as_json, work, document)
 
 
-def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectrum, Fit]":
-    """Check, spectrum and fit of a file's recording; check and spectrum are made during the fit."""
+def read_and_fit(file: Input, options: FitOptions) -> "tuple[Recording, Check, PowerSpectrum, Fit]":
+    """Recording of a file with its check, spectrum and fit; check and spectrum are made during the fit."""
     import allanjax.inspection  # noqa: F401
 
     with ThreadPoolExecutor(1) as pool:
@@ -140,7 +146,7 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectru
             spectrum = pool.submit(power_spectrum, inspection.quiet(recording))
             check = pool.submit(check_of, recording, inspection)
             fit = options.fit(recording, inspection)
-            return check.result(), spectrum.result(), fit
+            return recording, check.result(), spectrum.result(), fit
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
@@ -182,6 +188,7 @@ def critique(
     ] = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
+    html: Html = False,
     as_json: Annotated[
         bool,
         typer.Option(
@@ -202,6 +209,9 @@ def critique(
     def work(file: Input, directory: Path | None) -> Outcome:
         result = _read_and_criticize(file, reading, vibrating)
         paths = [] if directory is None else _write(result, directory, file, figure_format)
+        if directory is not None and html:
+            with stage(f"{file.label}: writing the page"):
+                paths.append(write_page(file, directory, result.fit, result))
         missing = [f"{dead.axis.name}: not compared, {dead.reason}" for dead in result.dead]
         missing += [f"{axis}: {why}" for axis, why in result.fit.not_measured.items()]
         text = f"{result}\n\n{result.refit()}" if refit else str(result)

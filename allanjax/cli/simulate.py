@@ -122,7 +122,7 @@ def demo(
             recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
             write(recording, file)
         print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+        _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
         with stage("writing results"):
             paths = write_results(fit, spectrum, out, file.stem, check)
     table, inside, count = _compare(fit, models)

@@ -104,12 +104,17 @@ class FleetResult(ByValue, Tabled):
         """Draw the distribution of each coefficient over the fleet; see `plot_fleet`."""
         raise NotImplementedError
 
-    def _title(self) -> str:
+    @property
+    def summary(self) -> str:
+        """How many recordings there are, and how many of them failed."""
         failed = len({error["file"] for error in self.errors})
         return (
             f"{len(self.files)} recordings: {len(self.files) - failed} without errors, {failed} with errors; "
             f"{self.resumed} from an earlier run"
         )
+
+    def _title(self) -> str:
+        return self.summary
 
     def _tables(self) -> list[list[Column]]:
         return tables(self.table)

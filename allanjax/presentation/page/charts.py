@@ -13,6 +13,7 @@ from allanjax.allan.deviation import rate_unit
 from allanjax.base.wording import percent
 from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import numbers_in
+from allanjax.critic.result import Critique
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
@@ -146,7 +147,8 @@ def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
     for label, at in (("angle_random_walk", 1.0), ("rate_random_walk", 3.0)):
         if (c := known.get(label)) is not None:
             yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
-    lowest = int(np.argmin(curve.deviation[:, k]))
+    # The longest times are so uncertain that the lowest of them is lower by chance.
+    lowest = int(np.argmin(curve.confidence_interval(0.95)[1][:, k]))
     at = float(curve.cluster_time[lowest])
     yield Mark("minimum", at, float(curve.deviation[lowest, k]), group)
     if (c := known.get("bias_instability")) is not None:
@@ -172,9 +174,16 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
         units=(density_unit(own[0].axis), (f"({unit})²/Hz", 1.0)),
         groups=names,
         traces=traces,
-        spans=[_span(f, names) for f in findings if f.domain == "frequency" and {*f.axes} & {*names}],
+        spans=[_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)],
         hidden=[] if len(own) == 1 else ["terms"],
     )
+
+
+def _is_within(finding: Finding, names: Sequence[str], highest: float) -> bool:
+    """Whether a finding is on one of these axes and in a part of the spectrum."""
+    start, stop = finding.span
+    here = finding.domain == "frequency" and {*finding.axes} & {*names}
+    return bool(here) and stop - start < _EVERYWHERE * highest
 
 
 def _term_densities(
@@ -252,8 +261,12 @@ def thinned(x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Ser
     )
 
 
-def over_time(recording: Recording, fit: Fit, findings: Sequence[Finding]) -> list[Chart]:
-    """The samples over time with gaps, parts that were left out, facts, and findings that have a place."""
+def over_time(recording: Recording, fit: Fit, critique: Critique | None) -> list[Chart]:
+    """The samples over time with gaps, and parts that were left out or the findings that have a place.
+
+    With a critique the recording is what was criticized.
+    """
+    findings = () if critique is None else critique.findings
     charts = []
     for sensor, own in by_sensor(recording.axes):
         names, traces, marks = [axis.name for *_, axis in own], list[Trace](), list[Mark]()
@@ -264,12 +277,15 @@ def over_time(recording: Recording, fit: Fit, findings: Sequence[Finding]) -> li
         unit = rate_unit_of(own[0].axis.unit, sensor)
         views = [
             View(
-                *("samples", "time", "s", "samples − mean"),
+                *("samples", "time since the start", "s", "samples − mean"),
                 units=_units(unit, SI[sensor]["rate"]),
                 groups=names,
                 traces=traces,
                 marks=marks,
-                spans=[*_gaps(recording, fit), *_places(fit, findings, names, recording.duration)],
+                spans=[
+                    *(_parts(recording, fit, names) if critique is None else ()),
+                    *_places(findings, names, recording.duration),
+                ],
                 log="",
                 interval="least … largest",
             )
@@ -279,21 +295,22 @@ def over_time(recording: Recording, fit: Fit, findings: Sequence[Finding]) -> li
     return charts
 
 
-def _gaps(recording: Recording, fit: Fit) -> Iterator[Span]:
-    """Gaps of the record, and what was left out of the fit."""
+def _parts(recording: Recording, fit: Fit, names: Sequence[str]) -> Iterator[Span]:
+    """Gaps of the record, what was left out of the fit, and facts about these axes that are at some time."""
     for gap in recording.gaps or ():
         yield Span("gap", gap.first / recording.rate, (gap.first + gap.samples) / recording.rate)
     edges = [0.0, *(t for part in fit.parts for t in part), recording.duration] if fit.parts else []
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         if stop - start > 1.0 / recording.rate:
             yield Span("left out", start, stop)
-
-
-def _places(fit: Fit, findings: Sequence[Finding], names: Sequence[str], total: float) -> Iterator[Span]:
-    """Facts and findings of these axes that are at some time."""
     for fact in fit.facts:
         for start, stop in fact.spans if {*fact.axes} & {*names} else ():
-            yield Span(fact.kind, start, stop)
+            if stop - start < _EVERYWHERE * recording.duration:
+                yield Span(fact.kind, start, stop)
+
+
+def _places(findings: Sequence[Finding], names: Sequence[str], total: float) -> Iterator[Span]:
+    """Findings on these axes that are at some time; outliers are marked singly."""
     for finding in findings:
         if finding.domain == "time" and {*finding.axes} & {*names}:
             span = _span(finding, names)

@@ -1,19 +1,22 @@
-"""`report`: a recording, a fit, a critique or several of them on one page."""
+"""`report`: a recording, a fit, a critique, a fleet or several of them on one page."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.critic.critique import critique as criticize
 from allanjax.critic.result import Critique
+from allanjax.estimate.check import Check
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import Fit
 from allanjax.fleet.fleet import FleetResult
 from allanjax.presentation.page import sections
 from allanjax.presentation.page.blocks import Section
+from allanjax.presentation.page.fleet import of_fleet
 from allanjax.presentation.page.page import Page, page_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Recording
@@ -23,15 +26,34 @@ from allanjax.spectrum.psd import PowerSpectrum, power_spectrum
 Reportable: TypeAlias = Fit | Critique | FleetResult | RecordingLike
 
 
+class Reported(NamedTuple):
+    """What a page shows of one recording; what is missing is left out or follows from the rest.
+
+    Attributes:
+        fit: its fit.
+        critique: its critique.
+        recording: its samples.
+        spectrum: its spectrum.
+        check: its check.
+        origin: where it is from, in words by headings.
+    """
+
+    fit: Fit
+    critique: Critique | None = None
+    recording: Recording | None = None
+    spectrum: PowerSpectrum | None = None
+    check: Check | None = None
+    origin: Mapping[str, str] = {}
+
+
 def report(
     data: Reportable | Sequence[Reportable],
     path: str | os.PathLike[str] | None = None,
     *,
     critique: Critique | None = None,
     recording: Recording | None = None,
-    spectrum: PowerSpectrum | None = None,
     title: str | None = None,
-    origin: Mapping[str, str] | None = None,
+    pages: Mapping[str, str] | None = None,
 ) -> Page:
     """Make one self-contained page of HTML, which opens without a network and prints to PDF.
 
@@ -45,9 +67,8 @@ def report(
         path: a file to write the page to, with the suffix .html.
         critique: the critique of a fit's recording.
         recording: the recording of a fit, for its spectrum and the samples over time.
-        spectrum: its spectrum, if it was computed before.
         title: heading of the page; by default the recording's name.
-        origin: what to state about the origin of the data, e.g. {"file": "imu.csv"}.
+        pages: addresses of the pages of a fleet's units by the units' names.
 
     Raises:
         AllanjaxError: nothing to show, or the file is not named .html.
@@ -55,38 +76,47 @@ def report(
     kinds = Fit | Critique | FleetResult | Recording | str | os.PathLike
     several = isinstance(data, list | tuple) and all(isinstance(one, kinds) for one in data)
     every: list[Any] = list(data) if several else [data]  # type: ignore[arg-type]
-    if not every:
-        raise AllanjaxError("nothing to report: give a recording, a fit, a critique or a fleet")
-    given = (critique, recording, spectrum)
-    made = [_sections(one, *given, origin or {}, len(every) > 1) for one in every]
-    names = ", ".join(dict.fromkeys(name for name, _ in made if name))
-    page = page_of(title or names or "Report", [section for _, own in made for section in own])
+    fleets = [one for one in every if isinstance(one, FleetResult)]
+    parts = [_parts(one, critique, recording) for one in every if not isinstance(one, FleetResult)]
+    shown = [section for one in fleets for section in of_fleet(one, pages or {})]
+    page = page_about(parts, title or ("Fleet" if fleets else None), shown)
     if path is not None:
         page.save(path)
     return page
 
 
-def _sections(
-    data: Any,
-    critique: Critique | None,
-    recording: Recording | None,
-    spectrum: PowerSpectrum | None,
-    origin: Mapping[str, str],
-    is_one_of_many: bool,
-) -> tuple[str, list[Section]]:
-    """Name and sections of one result."""
-    if isinstance(data, FleetResult):
-        from allanjax.presentation.page.fleet import of_fleet
-
-        return "Fleet", list(of_fleet(data))
+def _parts(data: Any, critique: Critique | None, recording: Recording | None) -> Reported:
+    """What is shown of a fit, a critique or a recording."""
     if isinstance(data, Critique):
-        critique, data = data, data.fit
-    if not isinstance(data, Fit):
-        recording = as_recording(data)
-        data, critique = fit(recording), criticize(recording)
-    if recording is None and critique is not None:
-        recording = critique.recording()
+        return Reported(data.fit, data, recording)
+    if isinstance(data, Fit):
+        return Reported(data, critique, recording)
+    recording = as_recording(data)
+    return Reported(fit(recording), criticize(recording), recording)
+
+
+def page_about(parts: Sequence[Reported], title: str | None = None, first: Sequence[Section] = ()) -> Page:
+    """The page about these recordings, with other sections above.
+
+    Raises:
+        AllanjaxError: nothing to show.
+    """
+    shown, names = list(first), ", ".join(dict.fromkeys(one.fit.name for one in parts if one.fit.name))
+    for one in parts:
+        prefix = f"{one.fit.name}: " if len(parts) > 1 else ""
+        own = sections.of_record(**_complete(one)._asdict())
+        shown += [dataclasses.replace(section, title=prefix + section.title) for section in own]
+    if not shown:
+        raise AllanjaxError("nothing to report: give a recording, a fit, a critique or a fleet")
+    return page_of(title or names or "Report", shown)
+
+
+def _complete(one: Reported) -> Reported:
+    """With the samples and the spectrum, if there are samples."""
+    recording, spectrum = one.recording, one.spectrum
+    if one.critique is not None:
+        # Places of findings are those in the part that was criticized.
+        recording = one.critique.recording()
     if spectrum is None and recording is not None:
         spectrum = power_spectrum(recording)
-    prefix = f"{data.name}: " if is_one_of_many else ""
-    return data.name, list(sections.of_record(data, recording, spectrum, critique, origin, prefix))
+    return one._replace(recording=recording, spectrum=spectrum)

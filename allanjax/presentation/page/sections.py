@@ -6,7 +6,6 @@ import datetime
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
 
 from allanjax.allan.deviation import rate_unit
 from allanjax.base.errors import AllanjaxError
@@ -15,6 +14,7 @@ from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.law import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
+from allanjax.estimate.check import Check
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.tables import MAIN, SYMBOLS, detail
 from allanjax.inspection.facts import listed
@@ -48,37 +48,33 @@ _BLOCKS, _OPEN = 300, 1
 
 def of_record(
     fit: Fit,
+    critique: Critique | None,
     recording: Recording | None,
     spectrum: PowerSpectrum | None,
-    critique: Critique | None,
+    check: Check | None,
     origin: Mapping[str, str],
-    prefix: str = "",
 ) -> Iterator[Section]:
-    """Sections about one recording; what is not given is left out. `prefix` is put before each heading."""
+    """Sections about one recording; what is not given is left out."""
     findings = () if critique is None else critique.findings
-
-    def section(title: str, blocks: Sequence[Any]) -> Iterator[Section]:
-        if blocks:
-            yield Section(f"{prefix}{title}", blocks)
-
     tables, curves = coefficients(fit), charts.curves(fit, spectrum, findings)
     pairs = [Row([*([tables[s]] if s in tables else []), chart]) for s, chart in curves.items()]
-    yield from section("Result", [*verdict(fit, critique), *pairs, *warnings(fit, critique)])
+    yield Section("Result", [*verdict(fit, critique), *pairs, *warnings(fit, critique)])
     if spectrum is not None:
         own = charts.by_sensor([r.axis for r in fit.results])
         views = [(SENSORS[sensor], charts.density(fit, spectrum, axes, findings)) for sensor, axes in own]
         densities = [Chart(f"{name.capitalize()}: power spectral density", [view]) for name, view in views]
-        yield from section("Spectrum", [Row(densities)])
+        yield Section("Spectrum", [Row(densities)])
     if recording is not None:
-        yield from section("Record", [Row(charts.over_time(recording, fit, findings))])
-    yield from section("Residuals", [Row(charts.residuals(fit, spectrum))])
+        yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
+    if residuals := charts.residuals(fit, spectrum):
+        yield Section("Residuals", [Row(residuals)])
     if critique is not None:
-        yield from section("What a simulation gets wrong", list(findings_in_full(critique)))
+        yield Section("What a simulation gets wrong", list(findings_in_full(critique)))
     if any(r.measured for r in fit.results):
-        yield from section("Predicted drift", [Row(charts.drifts(fit))])
-    yield from section("Exports", list(exports(fit)))
-    yield from section("Details", list(details(fit)))
-    yield from section("How this page was made", [made(fit, origin)])
+        yield Section("Predicted drift", [Row(charts.drifts(fit))])
+    yield Section("Exports", list(exports(fit)))
+    yield Section("Details", list(details(fit, check)))
+    yield Section("How this page was made", [made(fit, origin)])
 
 
 # --- Verdict and coefficients -------------------------------------------------------------------------------
@@ -95,7 +91,10 @@ def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     if off:
         if not failed:
             style, text = "care", "Usable with care."
-        text += f" The model does not fit {listed(off, 6)}; the intervals are wider for it."
+        text += (
+            f" The model does not fit {listed(off, 6) if good or failed else 'any axis'}; the intervals are "
+        )
+        text += "wider for it."
     if good and style != "good":
         text += f" It fits {listed(good, 6)}."
     yield Text(text, f"verdict {style}")
@@ -150,8 +149,8 @@ def _fits(result: AxisFit) -> str:
     return "does not fit" if result.incomplete else "doubtful" if result.doubtful else "fits"
 
 
-def details(fit: Fit) -> Iterator[Block]:
-    """Verdict of each axis, filters and lines that were fitted, and notes."""
+def details(fit: Fit, check: Check | None) -> Iterator[Block]:
+    """Verdict of each axis, filters and lines that were fitted, how long to record, and notes."""
     for r in fit.results:
         if not r.converged:
             continue
@@ -159,6 +158,13 @@ def details(fit: Fit) -> Iterator[Block]:
         further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
         table = [Table([Cell("further term"), Cell("value")], further)] if further else []
         yield Fold(r.axis.name, [Text(text), *table])
+    if check is not None:
+        yield Text(f"Check: {check.summary()}.")
+        rows = [
+            [Cell(n.coefficient.axis.name), Cell(n.coefficient.symbol), Cell(n.describe())]
+            for n in check.lengths
+        ]
+        yield Fold("How long to record", [Table([Cell("axis"), Cell("coefficient"), Cell("length")], rows)])
     yield from (Text(f"Note: {note}", "note") for note in fit.notes)
 
 

@@ -44,6 +44,14 @@
     return String(+v.toPrecision(6)).replace("-", "−");
   }
 
+  // Ticks of a logarithmic scale: powers of ten, with 2 and 5 between them where there are few.
+  function decades(u, axis, min, max) {
+    const first = Math.floor(Math.log10(min)), last = Math.ceil(Math.log10(max)), step = Math.ceil((last - first) / 9);
+    const found = [];
+    for (let power = first; power <= last; power += step) for (const factor of last - first > 3 ? [1] : [1, 2, 5]) found.push(+(factor * 10 ** power).toPrecision(3));
+    return found.filter(v => v >= min && v <= max);
+  }
+
   const css = name => getComputedStyle(root).getPropertyValue(name).trim();
   const colour = k => css(`--c${k % 6}`);
   const faint = (c, alpha) => `color-mix(in srgb, ${c} ${100 * alpha}%, transparent)`;
@@ -59,7 +67,7 @@
       this.shown = new Set(this.view.groups.keys());
       this.hidden = new Set(this.view.hidden);
       this.controls = make("div", {className: "controls", role: "group", "aria-label": `What ${data.title} shows`});
-      this.readout = make("div", {className: "readout", "aria-live": "polite"});
+      this.readout = make("div", {className: "readout", "aria-live": "polite", textContent: "Point at the chart to read values; drag to zoom."});
       figure.insertBefore(this.controls, this.plot);
       figure.append(this.readout);
       if (data.slider) this.addSlider();
@@ -69,7 +77,7 @@
 
     fillControls() {
       const button = (text, pressed, act, kind) => make("button", {type: "button", className: kind || "", textContent: text, "aria-pressed": String(pressed), onclick: act});
-      const {views} = this.data, {groups, traces, marks} = this.view;
+      const {views} = this.data, {groups, traces, marks, spans} = this.view;
       this.controls.replaceChildren();
       if (views.length > 1) for (const view of views) {
         this.controls.append(button(view.name, view === this.view, () => { this.view = view; this.zoom = null; this.hidden = new Set(view.hidden); this.update(); }, "view"));
@@ -79,7 +87,7 @@
         b.style.color = colour(k);
         this.controls.append(b);
       });
-      const layers = [...new Set(traces.map(t => t.layer)), ...(marks.length ? ["marks"] : [])];
+      const layers = [...new Set(traces.map(t => t.layer)), ...(marks.length || spans.length ? ["marks"] : [])];
       if (layers.length > 1) for (const layer of layers) {
         this.controls.append(button(layer, !this.hidden.has(layer), () => { this.toggle(this.hidden, layer); }, "layer"));
       }
@@ -132,12 +140,12 @@
       const data = tables.length ? uPlot.join(tables) : [[1, 10]];
       const ink = css("--ink"), grid = {stroke: css("--line"), width: 1}, font = "12px system-ui, sans-serif";
       const range = log => (u, min, max) => min == null ? (log ? [1, 10] : [0, 1]) : log ? [min / 1.25, max * 1.25] : [min - 0.04 * (max - min || 1), max + 0.04 * (max - min || 1)];
-      const axis = (label, more) => ({label, stroke: ink, grid, ticks: grid, font, labelFont: font, values: (u, splits) => splits.map(tick), ...more});
+      const axis = (label, log, more) => ({label, stroke: ink, grid, ticks: grid, font, labelFont: font, ...(log ? {splits: decades, filter: (u, v) => v} : {}), values: (u, splits) => splits.map(tick), ...more});
       this.chart?.destroy();
       this.chart = new uPlot({
         width, height: Math.max(260, Math.min(440, 0.55 * width)), pxAlign: 0,
         scales: {x: {time: false, distr: logs.x ? 3 : 1, range: range(logs.x)}, y: {distr: logs.y ? 3 : 1, range: range(logs.y)}},
-        axes: [axis(`${view.x} [${view.x_unit}]`, {}), axis(unit ? `${view.y} [${unit}]` : view.y, {size: 74})],
+        axes: [axis(`${view.x} [${view.x_unit}]`, logs.x, {}), axis(unit ? `${view.y} [${unit}]` : view.y, logs.y, {size: 74})],
         series, bands, legend: {show: false},
         cursor: {drag: {x: true, y: true, uni: 40}, points: {show: false}},
         hooks: {setCursor: [u => this.hover(u)], draw: [u => this.annotate(u)], setSelect: [u => this.selected(u)], drawClear: [u => this.shade(u)]},
@@ -230,19 +238,41 @@
 
     // --- Marks ----------------------------------------------------------------------------------------------
 
+    // Spans are shaded where they are narrow.
     shade(u) {
       const context = u.ctx, {left, top, width, height} = u.bbox;
       context.save();
       context.beginPath();
       context.rect(left, top, width, height);
       context.clip();
-      for (const span of this.hidden.has("marks") ? [] : this.view.spans) {
-        if (span.group != null && !this.shown.has(span.group)) continue;
+      context.fillStyle = faint(css("--care"), 0.13);
+      for (const span of this.spans()) {
         const a = u.valToPos(span.start, "x", true), b = u.valToPos(span.stop, "x", true);
-        context.fillStyle = faint(css("--care"), 0.16);
-        context.fillRect(a, top, Math.max(b - a, 2 * uPlot.pxRatio), height);
+        if (b - a < 0.3 * width) context.fillRect(a, top, Math.max(b - a, 2 * uPlot.pxRatio), height);
       }
       context.restore();
+    }
+
+    spans() {
+      return this.hidden.has("marks") ? [] : this.view.spans.filter(span => span.group == null || this.shown.has(span.group));
+    }
+
+    // Spans as named bars, one above another where they overlap.
+    bars(u) {
+      const context = u.ctx, ratio = uPlot.pxRatio, {left, top, width, height} = u.bbox, ends = [];
+      context.fillStyle = css("--care");
+      for (const span of this.spans()) {
+        const a = Math.max(u.valToPos(span.start, "x", true), left), b = Math.min(u.valToPos(span.stop, "x", true), left + width);
+        if (b < left || a > left + width) continue;
+        const w = context.measureText(span.text).width, x = Math.min(a, left + width - w - 3 * ratio);
+        let row = ends.findIndex(end => end < x);
+        if (row < 0) row = ends.length;
+        ends[row] = Math.max(b, x + w) + 6 * ratio;
+        const y = top + height - (5 + 15 * row) * ratio;
+        if (y < top + 0.4 * height) continue;
+        context.fillRect(a, y, Math.max(b - a, 2 * ratio), 2.5 * ratio);
+        context.fillText(span.text, x, y - 3 * ratio);
+      }
     }
 
     annotate(u) {
@@ -254,6 +284,8 @@
       context.rect(left, top, width, height);
       context.clip();
       context.font = `${11 * ratio}px system-ui, sans-serif`;
+      context.textAlign = "left";
+      context.textBaseline = "alphabetic";
       // Texts are left out where they would cover one another.
       const write = (text, x, y) => {
         const w = context.measureText(text).width, h = 13 * ratio;
@@ -286,12 +318,7 @@
           write(mark.text, x + 8 * ratio, y - 4 * ratio);
         }
       }
-      context.fillStyle = css("--care");
-      for (const span of this.view.spans) {
-        if (span.group != null && !this.shown.has(span.group)) continue;
-        const x = u.valToPos(span.start, "x", true);
-        if (x <= left + width && u.valToPos(span.stop, "x", true) >= left) write(span.text, Math.max(x, left) + 3 * ratio, top + height - 6 * ratio);
-      }
+      this.bars(u);
       context.restore();
     }
 
