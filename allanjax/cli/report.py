@@ -93,7 +93,7 @@ def _reported(file: Input, options: FitOptions, quick: bool) -> "Reported":
 
 
 def write_page(file: Input, folder: Path, *shown: Any) -> Path:
-    """Write the page NAME.html of a file, given the fields of `Reported` but for the last; return its path."""
+    """Write the page NAME.html of a file, given the fields of `Reported` but its origin."""
     from allanjax.presentation.page.report import Reported, page_about
 
     return page_about([Reported(*shown)._replace(origin=origin(file))]).save(folder / f"{file.name}.html")
@@ -111,7 +111,7 @@ def origin(file: Input) -> dict[str, str]:
 
 
 def fleet_page(result: "FleetResult", out: Path) -> list[Path]:
-    """Write the page of a fleet, and of each unit with a result that has none yet; return the first's path."""
+    """Write the page of a fleet, and of each unit with a result that has none yet."""
     from allanjax.estimate.as_json import load
     from allanjax.presentation.page.report import Reported, page_about, report
 

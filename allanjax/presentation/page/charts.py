@@ -26,8 +26,9 @@ from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SI, Sensor, rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
-# Points at which models are drawn, every how many of them its terms are, and blocks of the record over time.
-_POINTS, _EVERY, _BLOCKS = 160, 2, 1000
+# Points at which models are drawn, every how many of them its terms are, the least share of a term that is
+# drawn, and blocks of the record over time.
+_POINTS, _EVERY, _LITTLE, _BLOCKS = 160, 2, 1e-3, 1000
 # Horizons of the predicted drift [s], and their number.
 _HORIZONS, _COUNT = (1.0, 36_000.0), 55
 # Share of the record from which on a span is not marked, and most marks of single outliers.
@@ -84,7 +85,7 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
         if result.converged:
             of_terms = functools.partial(_term_variances, result, curve.rate)
             names, labels = _dominant(result, *of_terms(curve.cluster_time))
-            traces += _model_traces(group, time, *of_terms(time), np.sqrt)
+            traces += _model_traces(group, time, of_terms(time)[1], np.sqrt)
             marks += _marks(fit, k, group)
         points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
         traces.append(Trace(group, "measured", *points, labels=labels, names=names))
@@ -130,14 +131,16 @@ def _dominant(
 def _model_traces(
     group: int,
     x: Float[np.ndarray, " m"],
-    labels: Sequence[str],
     powers: Float[np.ndarray, "terms m"],
     shown: np.ufunc,
 ) -> Iterator[Trace]:
     """Lines of the model and of its terms."""
-    yield Trace(group, "model", x, shown(powers.sum(axis=0)), look="line")
-    for _, power in zip(labels, powers, strict=True):
-        yield Trace(group, "terms", x[::_EVERY], shown(power[::_EVERY]), look="dashes")
+    total = powers.sum(axis=0)
+    yield Trace(group, "model", x, shown(total), look="line")
+    for power in powers:
+        # Where a term is next to nothing, it would only stretch the scale.
+        some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
+        yield Trace(group, "terms", x[some], shown(power[some]), look="dashes")
 
 
 def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
@@ -165,7 +168,7 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
         if result.converged:
             f = spectrum_figure.frequencies(spectrum, result.model)
             words, labels = _dominant(result, *_term_densities(result, spectrum.rate, spectrum.frequency))
-            traces += _model_traces(group, f, *_term_densities(result, spectrum.rate, f), np.positive)
+            traces += _model_traces(group, f, _term_densities(result, spectrum.rate, f)[1], np.positive)
         x, y = spectrum.frequency, spectrum.density[:, k]
         traces.append(Trace(group, "measured", x, y, low[:, k], high[:, k], labels=labels, names=words))
     unit = SI[own[0].axis.sensor]["rate"]

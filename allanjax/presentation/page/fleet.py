@@ -85,7 +85,8 @@ def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     for name, coefficient, axis, value, detected, limit in zip(*(shown[f] for f in fields), strict=True):
         below = None if limit is None or np.isnan(limit) else f"< {limit:.3g}"
         cells.setdefault(name, {})[coefficient, axis] = float(f"{value:.4g}") if detected else below
-    rows, outlying, marked = [], set(table.loc[table["outlying"], "recording"]), []
+    rows, marked = list[list[Any]](), list[int]()
+    outlying = set(table.loc[table["outlying"], "recording"])
     for name, texts in table.groupby("recording", sort=False)[["remarks", "warnings"]]:
         own, unit = cells.get(str(name), {}), str(name)
         remarks = dict.fromkeys(text for text in texts.to_numpy().ravel() if text)

@@ -91,10 +91,8 @@ def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     if off:
         if not failed:
             style, text = "care", "Usable with care."
-        text += (
-            f" The model does not fit {listed(off, 6) if good or failed else 'any axis'}; the intervals are "
-        )
-        text += "wider for it."
+        which = listed(off, 6) if good or failed else "any axis"
+        text += f" The model does not fit {which}; the intervals are wider for it."
     if good and style != "good":
         text += f" It fits {listed(good, 6)}."
     yield Text(text, f"verdict {style}")
@@ -160,10 +158,8 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
         yield Fold(r.axis.name, [Text(text), *table])
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
-        rows = [
-            [Cell(n.coefficient.axis.name), Cell(n.coefficient.symbol), Cell(n.describe())]
-            for n in check.lengths
-        ]
+        lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
+        rows = [[Cell(text) for text in row] for row in lengths]
         yield Fold("How long to record", [Table([Cell("axis"), Cell("coefficient"), Cell("length")], rows)])
     yield from (Text(f"Note: {note}", "note") for note in fit.notes)
 
