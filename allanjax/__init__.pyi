@@ -4,6 +4,8 @@
 from allanjax import critic as critic
 from allanjax.allan.deviation import AllanDeviation as AllanDeviation
 from allanjax.allan.deviation import allan_deviation as allan_deviation
+from allanjax.allan.dynamic import DynamicAllan as DynamicAllan
+from allanjax.allan.dynamic import dynamic_allan as dynamic_allan
 from allanjax.base.cache import enable_compilation_cache as enable_compilation_cache
 from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
@@ -11,6 +13,8 @@ from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
 from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
+from allanjax.comparison.compare import Comparison as Comparison
+from allanjax.comparison.compare import compare as compare
 from allanjax.critic.critique import critique as critique
 from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.finding import Finding as Finding

@@ -10,7 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan.deviation import rate_unit
-from allanjax.base.wording import percent
+from allanjax.allan.dynamic import DynamicAllan
+from allanjax.base.wording import duration, percent, plain
+from allanjax.comparison.compare import SHOWN, drift
 from allanjax.critic.finding import Finding
 from allanjax.critic.parameters import numbers_in
 from allanjax.critic.result import Critique
@@ -31,12 +33,10 @@ from allanjax.spectrum.psd import PowerSpectrum, density_unit
 _POINTS, _EVERY, _LITTLE, _BLOCKS = 160, 2, 1e-3, 1000
 # Horizons of the predicted drift [s], and their number.
 _HORIZONS, _COUNT = (1.0, 36_000.0), 55
+# Cluster times that are shown through time.
+_SHOWN = 4
 # Share of the record from which on a span is not marked, and most marks of single outliers.
 _EVERYWHERE, _MOST = 0.95, 200
-_ANGLES: dict[Sensor, tuple[tuple[str, float], ...]] = {
-    "gyro": (("deg", np.pi / 180.0), ("rad", 1.0)),
-    "accel": (("m/s", 1.0),),
-}
 
 
 class Own(NamedTuple):
@@ -332,6 +332,34 @@ def _outliers(findings: Sequence[Finding], name: str, group: int, s: Series) -> 
                 yield Mark("", float(time), float(y), group)
 
 
+def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart]:
+    """Allan deviations in successive windows at some cluster times, with the findings that have a place."""
+    charts, (low, high) = [], dynamic.confidence_interval()
+    some = np.unique(np.linspace(0, len(dynamic.cluster_time) - 1, _SHOWN).astype(int)).tolist()
+    findings, total = () if critique is None else critique.findings, dynamic.window * len(dynamic.time)
+    for sensor, own in by_sensor(dynamic.axes):
+        names, views = [axis.name for *_, axis in own], []
+        for m in some:
+            traces = [
+                Trace(group, "measured", dynamic.time, *(x[:, m, k] for x in (dynamic.deviation, low, high)))
+                for k, group, _ in own
+            ]
+            views.append(
+                View(
+                    *(f"τ = {plain(dynamic.cluster_time[m], 3)} s", "time since the start", "s", "σ"),
+                    units=_units(rate_unit(own[0].axis), SI[sensor]["rate"]),
+                    groups=names,
+                    traces=traces,
+                    spans=list(_places(findings, names, total)),
+                    log="y",
+                )
+            )
+        charts.append(
+            Chart(f"{SENSORS[sensor].capitalize()} in windows of {duration(dynamic.window)}", views)
+        )
+    return charts
+
+
 def drifts(fit: Fit) -> list[Chart]:
     """Predicted error of the integrated rate over a horizon, with its interval; √2·t·σ_A(t).
 
@@ -343,21 +371,15 @@ def drifts(fit: Fit) -> list[Chart]:
     for sensor, own in by_sensor([of.axis for of in noise.axes.values()]):
         traces = []
         for _, group, axis in own:
-            drawn = noise.axes[axis.name].drawn(lambda model: _drift_variance(model, fit.curve.rate, time))
-            low, high = (np.sqrt(end) for end in noise.ends(drawn))
-            traces.append(Trace(group, "drift", time, np.sqrt(drawn.total), low, high))
+            traces.append(Trace(group, "drift", time, *drift(noise, noise.axes[axis.name], time)))
         word = "angle" if sensor == "gyro" else "velocity"
         beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
         view = View(
             *("drift", "horizon t", "s", f"{word} error (1σ)"),
-            units=_ANGLES[sensor],
+            units=_units(SHOWN[sensor], "rad" if sensor == "gyro" else "m/s"),
             groups=[axis.name for *_, axis in own],
             traces=traces,
             spans=[beyond] if beyond.start < beyond.stop else [],
         )
         charts.append(Chart(f"{SENSORS[sensor].capitalize()}: predicted drift", [view], slider="Horizon"))
     return charts
-
-
-def _drift_variance(model: Model, rate: float, time: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
-    return 2.0 * time**2 * np.asarray(model.sampled(rate).allan_variance(time))

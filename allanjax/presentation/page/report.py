@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.comparison.compare import Comparison
 from allanjax.critic.critique import critique as criticize
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
@@ -16,6 +17,7 @@ from allanjax.estimate.result import Fit
 from allanjax.fleet.fleet import FleetResult
 from allanjax.presentation.page import sections
 from allanjax.presentation.page.blocks import Section
+from allanjax.presentation.page.comparison import of_comparison
 from allanjax.presentation.page.fleet import of_fleet
 from allanjax.presentation.page.page import Page, page_of
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -23,7 +25,7 @@ from allanjax.record.recording import Recording
 from allanjax.spectrum.psd import PowerSpectrum, power_spectrum
 
 #: What a page can be about.
-Reportable: TypeAlias = Fit | Critique | FleetResult | RecordingLike
+Reportable: TypeAlias = Fit | Critique | FleetResult | Comparison | RecordingLike
 
 
 class Reported(NamedTuple):
@@ -63,7 +65,7 @@ def report(
 
     Args:
         data: a fit; a critique with the fit that it started from; a recording, which is fitted and criticized
-            first; a fleet; or several of these, one below the other.
+            first; a fleet; a comparison; or several of these, one below the other.
         path: a file to write the page to, with the suffix .html.
         critique: the critique of a fit's recording.
         recording: the recording of a fit, for its spectrum and the samples over time.
@@ -73,13 +75,20 @@ def report(
     Raises:
         AllanjaxError: nothing to show, or the file is not named .html.
     """
-    kinds = Fit | Critique | FleetResult | Recording | str | os.PathLike
+    kinds = Fit | Critique | FleetResult | Comparison | Recording | str | os.PathLike
     several = isinstance(data, list | tuple) and all(isinstance(one, kinds) for one in data)
     every: list[Any] = list(data) if several else [data]  # type: ignore[arg-type]
-    fleets = [one for one in every if isinstance(one, FleetResult)]
-    parts = [_parts(one, critique, recording) for one in every if not isinstance(one, FleetResult)]
-    shown = [section for one in fleets for section in of_fleet(one, pages or {})]
-    page = page_about(parts, title or ("Fleet" if fleets else None), shown)
+    parts, shown, names = list[Reported](), list[Section](), list[str]()
+    for one in every:
+        if isinstance(one, FleetResult):
+            shown += of_fleet(one, pages or {})
+            names.append("Fleet")
+        elif isinstance(one, Comparison):
+            shown += of_comparison(one)
+            names.append(" – ".join(one.labels))
+        else:
+            parts.append(_parts(one, critique, recording))
+    page = page_about(parts, title or (", ".join(names) if names else None), shown)
     if path is not None:
         page.save(path)
     return page

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 
 from allanjax.allan.deviation import rate_unit
+from allanjax.allan.dynamic import dynamic_allan
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import record_size
 from allanjax.critic.finding import UNEXPLAINED, Finding
@@ -44,6 +45,8 @@ from allanjax.spectrum.psd import PowerSpectrum, density_unit
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
+# Fewest samples of a record that is shown through time.
+_LONG = 10_000
 
 
 def of_record(
@@ -66,6 +69,9 @@ def of_record(
         yield Section("Spectrum", [Row(densities)])
     if recording is not None:
         yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
+        if recording.n >= _LONG:
+            dynamic = dynamic_allan(recording)
+            yield Section("Through time", [Row(charts.through_time(dynamic, critique))])
     if residuals := charts.residuals(fit, spectrum):
         yield Section("Residuals", [Row(residuals)])
     if critique is not None:

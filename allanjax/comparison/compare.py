@@ -1,0 +1,458 @@
+"""`compare`: sensors of any grade side by side, in their coefficients, curves, drift and growth of errors.
+
+Two coefficients differ if their ratio differs from one. Coefficients that were detected are compared by their
+logarithms, whose errors are nearly normal; where one is not detected, by their squares, which for small
+amplitudes are, and may be zero: z = (a² − b²)/√(s_a² + s_b²). The p-values of all coefficients of a
+comparison are corrected for their number (Holm 1979, Scand. J. Statist. 6:65), so that the probability of any
+difference among equal sensors is 5 %. A figure without an error, as in data sheets, is taken as exact.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import os
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import norm
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import presented
+from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
+from allanjax.comparison.sensors import Comparable, Compared, compared
+from allanjax.estimate.tables import SYMBOLS, detail
+from allanjax.navigation.likely import Sensors, sensors_of
+from allanjax.navigation.navigator import navigate
+from allanjax.noise.estimate import Estimate, usual_unit
+from allanjax.noise.model import Model
+from allanjax.record.units import SENSORS, Sensor
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+#: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
+HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
+# One-sided 95 % of the normal law.
+_ONE_SIDED = float(norm.ppf(0.95))
+
+
+class Difference(NamedTuple):
+    """A coefficient of one sensor against that of the reference.
+
+    Attributes:
+        ratio: value over the reference's; nan where one of them is not detected.
+        interval: its 95 % interval; an end is 0 or infinite where only a limit is known.
+        p_value: of equality, not corrected; None if it cannot be tested.
+        corrected: the p-value after Holm's correction for all coefficients of the comparison.
+    """
+
+    ratio: float
+    interval: tuple[float, float]
+    p_value: float | None
+    corrected: float | None = None
+
+    @property
+    def differs(self) -> bool | None:
+        """Whether the coefficients differ at 5 %; None if that cannot be tested."""
+        return None if self.corrected is None else self.corrected < LEVEL
+
+    @property
+    def words(self) -> str:
+        """The verdict, e.g. "larger (p = 0.003)"."""
+        if self.corrected is None:
+            return "not testable"
+        larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0 or self.ratio > 1.0
+        word = ("larger" if larger else "smaller") if self.differs else "no difference"
+        return f"{word}, p {'< 0.0001' if self.corrected < 1e-4 else f'= {plain(self.corrected, 2)}'}"
+
+
+def difference(one: Estimate, reference: Estimate) -> Difference:
+    """Ratio of two amplitudes with its interval, and the p-value of their equality."""
+    if one.detected and reference.detected:
+        error = math.hypot(_relative(one), _relative(reference))
+        log = math.log(one.value / reference.value)
+        ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
+        p = 2.0 * float(norm.sf(abs(log) / error)) if error > 0.0 else None
+        return Difference(math.exp(log), (ends[0], ends[1]), p)
+    (a, s), (b, t) = _square(one), _square(reference)
+    error = math.hypot(s, t)
+    p = (
+        2.0 * float(norm.sf(abs(a - b) / error))
+        if error > 0.0 and (one.detected or reference.detected)
+        else None
+    )
+    ends = (0.0, math.inf)
+    if one.detected and reference.upper_limit:
+        ends = (one.interval[0] / reference.upper_limit, math.inf)
+    elif reference.detected and one.upper_limit is not None:
+        ends = (0.0, one.upper_limit / reference.interval[0] if reference.interval[0] > 0.0 else math.inf)
+    return Difference(math.nan if not one.detected or not reference.detected else 1.0, ends, p)
+
+
+def _relative(c: Estimate) -> float:
+    """Standard deviation of the logarithm of an amplitude, from its interval."""
+    low, high = c.interval
+    if c.held or not high > low:
+        return 0.0
+    return math.log(high / low) / (2.0 * TWO_SIDED_95) if low > 0.0 else c.std / c.value
+
+
+def _square(c: Estimate) -> tuple[float, float]:
+    """Square of an amplitude and its standard deviation; of an undetected one from its limit."""
+    if c.detected:
+        return c.value**2, 2.0 * c.value**2 * _relative(c)
+    return 0.0, (c.upper_limit or 0.0) ** 2 / _ONE_SIDED
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """p-values corrected for their number by Holm's method; None stays None."""
+    known = sorted((p, k) for k, p in enumerate(p_values) if p is not None)
+    corrected, highest = list[float | None](p_values), 0.0
+    for rank, (p, k) in enumerate(known):
+        highest = max(highest, min(1.0, (len(known) - rank) * p))
+        corrected[k] = highest
+    return corrected
+
+
+class Row(NamedTuple):
+    """A coefficient of an axis of all sensors.
+
+    Attributes:
+        axis: name of the axis.
+        sensor: its sensor.
+        label: the coefficient.
+        estimates: of each sensor, None where it has none.
+        differences: of each sensor against the reference, None for the reference and where one has none.
+    """
+
+    axis: str
+    sensor: Sensor
+    label: str
+    estimates: tuple[Estimate | None, ...]
+    differences: tuple[Difference | None, ...]
+
+    @property
+    def unit(self) -> str:
+        """Unit in which all are shown: their own if it is the same, else the usual one."""
+        known = [c for c in self.estimates if c is not None]
+        own = {c.usual_unit for c in known}
+        return own.pop() if len(own) == 1 else usual_unit(known[0].parameter, self.sensor)  # type: ignore[arg-type]
+
+    def cells(self, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+        """Row of the printed table for each sensor that has the coefficient."""
+        for name, c, d in zip(names, self.estimates, self.differences, strict=True):
+            if c is not None:
+                ratio = "" if d is None or not np.isfinite(d.ratio) else significant(d.ratio)
+                ends, words = ("", "") if d is None else (_between(d.interval), d.words)
+                yield self.axis, c.symbol or c.title, name, detail(c, self.unit)[2], ratio, ends, words
+
+
+class Growth(NamedTuple):
+    """A standard deviation after the `HORIZONS` with its 95 % interval, in SI.
+
+    Attributes:
+        sensor: number of the sensor in the comparison.
+        name: an axis, "heading" or "position".
+        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
+    """
+
+    sensor: int
+    name: str
+    value: Float[np.ndarray, " t"]
+    lower: Float[np.ndarray, " t"]
+    upper: Float[np.ndarray, " t"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Comparison(ByValue, Tabled):
+    """Sensors side by side.
+
+    Attributes:
+        sensors: the sensors.
+        reference: number of the one that the others are compared with.
+        rows: coefficients with their differences.
+        drifts: predicted error of the integrated rate of each axis.
+        growths: growth of the heading and position errors of a navigator at rest, see `navigate`.
+        notes: remarks.
+    """
+
+    sensors: tuple[Compared, ...]
+    reference: int
+    rows: tuple[Row, ...]
+    drifts: tuple[Growth, ...]
+    growths: tuple[Growth, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the sensors are called."""
+        return tuple(one.label for one in self.sensors)
+
+    def __getitem__(self, place: tuple[str, str]) -> Row:
+        """The row of an axis and a coefficient, e.g. `comparison["gyro_x", "angle_random_walk"]`."""
+        for row in self.rows:
+            if (row.axis, row.label) == place or (row.axis, SYMBOLS.get(row.label)) == place:
+                return row
+        raise AllanjaxError(f"no coefficient {place!r}; there are {[(r.axis, r.label) for r in self.rows]}")
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """One row per axis, coefficient and sensor, in usual units."""
+        import pandas as pd
+
+        rows = []
+        for row in self.rows:
+            for label, c, d in zip(self.labels, row.estimates, row.differences, strict=True):
+                if c is not None:
+                    ends = (math.nan, math.nan) if d is None else d.interval
+                    rows.append(
+                        c.row()
+                        | {"axis": row.axis, "sensor": label, "ratio": math.nan if d is None else d.ratio}
+                        | {"ratio_lower_95": ends[0], "ratio_upper_95": ends[1]}
+                        | {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
+                    )
+        return pd.DataFrame(rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
+        table = self.to_dataframe().astype(object)
+        columns = [name for name in table.columns if name not in ("median", "lower_68", "upper_68")]
+        records = [
+            {
+                name: finite_or_none(x) if isinstance(x, float) else x
+                for name, x in zip(columns, of, strict=True)
+            }
+            for of in table[columns].itertuples(index=False)
+        ]
+        growths = [
+            {"sensor": self.labels[g.sensor], "of": g.name}
+            | {name: [finite_or_none(x) for x in getattr(g, name)] for name in ("value", "lower", "upper")}
+            for g in (*self.drifts, *self.growths)
+        ]
+        return {
+            "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
+            "reference": self.labels[self.reference],
+            "coefficients": records,
+            "horizons_s": list(HORIZONS),
+            "growth": growths,
+            "notes": list(self.notes),
+        }
+
+    @presented
+    def plot(self, path: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw the Allan deviations of all sensors over one another, one panel per axis."""
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        return f"{', '.join(self.labels)}; ratios to {self.labels[self.reference]}"
+
+    def _tables(self) -> list[list[Column]]:
+        heads = ("axis", "coefficient", "sensor", "value", "ratio", "95 %", "verdict")
+        cells = [cell for row in self.rows for cell in row.cells(self.labels)]
+        times = [f"after {duration(t)}" for t in HORIZONS]
+        tables = [columns_from(heads, cells), self._identified()]
+        for title, growths in (("drift", self.drifts), ("error", self.growths)):
+            if growths:
+                rows = [(g.name, self.labels[g.sensor], *map(_shown, [g.name] * 3, *g[2:])) for g in growths]
+                tables.append(columns_from((title, "sensor", *times), rows))
+        return tables
+
+    def _identified(self) -> list[Column]:
+        """Terms that each sensor has on any axis, as in Hou (2004) table 5.6; "<": only a limit is known."""
+        labels = list(dict.fromkeys(row.label for row in self.rows))
+        labels.sort(key=[*SYMBOLS, *labels].index)
+        cells = []
+        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
+            known = [(row.label, row.estimates[k]) for row in self.rows if row.sensor == kind]
+            own = {label: [_mark(c) for other, c in known if other == label] for label in labels}
+            if any(map(any, own.values())):
+                cells.append((kind, name, *(max(marks, default="") for marks in own.values())))
+        heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
+        return columns_from(("terms of", "sensor", *heads), cells)
+
+    def _notes(self) -> Iterator[str]:
+        yield from (f"{one.label}: {one.source}" for one in self.sensors)
+        yield from (f"note: {note}" for note in self.notes)
+
+
+def _mark(c: Estimate | None) -> str:
+    """Whether a term is detected: "yes", "<" for a limit, "" for nothing."""
+    return "" if c is None else "yes" if c.detected or c.held else "<"
+
+
+def _between(ends: tuple[float, float]) -> str:
+    """Interval of a ratio, or its limit."""
+    low, high = ends
+    if math.isinf(high):
+        return f"> {significant(low)}" if low > 0.0 else ""
+    return f"< {significant(high)}" if low == 0.0 else format_range(low, high)
+
+
+#: Units in which drift and errors are shown, by the beginning of their names, and their sizes in SI.
+SHOWN = {
+    "gyro": ("deg", math.pi / 180.0),
+    "accel": ("m/s", 1.0),
+    "heading": ("deg", math.pi / 180.0),
+    "position": ("m", 1.0),
+}
+
+
+def shown_unit(name: str) -> tuple[str, float]:
+    """Unit of a drift or an error, and its size in SI."""
+    return next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
+
+
+def _shown(name: str, value: float, low: float, high: float) -> str:
+    """A drift or an error with its interval, and its unit."""
+    unit, size = shown_unit(name)
+    ends = f" ({format_range(low / size, high / size)})" if np.isfinite(low) else ""
+    return f"{significant(value / size)}{ends} {unit}"
+
+
+def compare(
+    *data: Comparable,
+    labels: Sequence[str] | None = None,
+    reference: int | str = 0,
+) -> Comparison:
+    """Compare sensors of any grade: recordings, fits, data sheets, presets and published curves.
+
+    Coefficients that each sensor has are compared with those of the reference, with intervals, ratios and a
+    test that is corrected for the number of coefficients. The drift of each axis after 1 min, 10 min and 1 h
+    is that of the integrated rate, √2·t·σ_A(t), if the bias is the mean over an equally long time before;
+    heading and position errors are those of a navigator at rest with the Schuler loop, see `navigate`.
+
+    Args:
+        data: the sensors: what `fit`, `critique`, `datasheet` or `read_curve` returned, a recording or what
+            `fit` takes, a preset of `SENSORS`, or their names and files: "BMI088", "cimu", "imu.json",
+            "imu.csv".
+        labels: what to call them.
+        reference: number or label of the sensor that the others are compared with.
+
+    Raises:
+        AllanjaxError: fewer than two sensors, labels that do not match, an unknown sensor or reference.
+    """
+    if len(data) < 2:
+        raise AllanjaxError("give two or more sensors to compare, e.g. compare(fit, 'BMI088')")
+    if labels is not None and len(labels) != len(data):
+        raise AllanjaxError(f"{len(labels)} labels for {len(data)} sensors: give one for each")
+    sensors = _distinct([compared(*pair) for pair in zip(data, labels or [""] * len(data), strict=True)])
+    names = [one.label for one in sensors]
+    if isinstance(reference, str):
+        if reference not in names:
+            raise AllanjaxError(f"no sensor {reference!r}; the sensors are {', '.join(names)}")
+        reference = names.index(reference)
+    elif not 0 <= reference < len(sensors):
+        raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
+    known = [None if one.noise is None else _noise_of(one) for one in sensors]
+    drifts = [drift for k, noise in enumerate(known) if noise is not None for drift in _drifts(k, noise)]
+    growths = [
+        growth for k, one in enumerate(sensors) if one.noise is not None for growth in _growths(k, one)
+    ]
+    axes = axes_of(sensors)
+    # Of a data sheet, the drift of any axis stands below those of the axes.
+    drifts.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
+    growths.sort(key=lambda g: g.name)
+    return Comparison(
+        tuple(sensors), reference, _rows(sensors, reference, axes), tuple(drifts), tuple(growths)
+    )
+
+
+def _distinct(sensors: Sequence[Compared]) -> list[Compared]:
+    """The sensors with different labels: equal ones are numbered."""
+    names = [one.label or "sensor" for one in sensors]
+    return [
+        one._replace(label=f"{name} ({names[: k + 1].count(name)})" if names.count(name) > 1 else name)
+        for k, (one, name) in enumerate(zip(sensors, names, strict=True))
+    ]
+
+
+def axes_of(sensors: Sequence[Compared]) -> list[str]:
+    """Axes of all sensors, gyros first; a sensor of a data sheet is one only where no one else has axes."""
+    every = list(dict.fromkeys(axis for one in sensors for axis in (one.coefficients or one.models)))
+    single = [axis for axis in every if "_" in axis]
+    return [
+        axis
+        for sensor in SENSORS
+        for axis in [a for a in single if a.startswith(sensor)] or [a for a in every if a == sensor]
+    ]
+
+
+def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> tuple[Row, ...]:
+    """Amplitudes of the terms that any sensor has on an axis, with corrected p-values."""
+    rows = []
+    for axis in axes:
+        every = [one.of(axis) for one in sensors]
+        # Terms that only one sensor has are its structure, except for the basic ones.
+        held = [n for of in every for n, c in of.items() if c.is_amplitude and (c.detected or c.held)]
+        names = dict.fromkeys(n for n in held if n in SYMBOLS or held.count(n) > 1)
+        for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
+            found = tuple(of.get(label) for of in every)
+            base = found[reference]
+            pairs = tuple(
+                None if k == reference or c is None or base is None else difference(c, base)
+                for k, c in enumerate(found)
+            )
+            sensor: Any = axis.partition("_")[0]
+            rows.append(Row(axis, sensor, label, found, pairs))
+    places = [(i, j) for i, row in enumerate(rows) for j, d in enumerate(row.differences) if d is not None]
+    corrected = holm([rows[i].differences[j].p_value for i, j in places])  # type: ignore[union-attr]
+    by_place = dict(zip(places, corrected, strict=True))
+    return tuple(
+        row._replace(
+            differences=tuple(
+                None if d is None else d._replace(corrected=by_place[i, j])
+                for j, d in enumerate(row.differences)
+            )
+        )
+        for i, row in enumerate(rows)
+    )
+
+
+def _noise_of(one: Compared) -> Sensors:
+    """Noise of a sensor's axes with draws."""
+    assert one.noise is not None
+    return sensors_of(one.noise, one.rate if isinstance(one.noise, dict) else None, 0)
+
+
+def _drifts(k: int, sensors: Sensors) -> Iterator[Growth]:
+    """Drift of each axis of a sensor."""
+    t = np.array(HORIZONS)
+    for name, noise in sensors.axes.items():
+        yield Growth(k, name, *drift(sensors, noise, t))
+
+
+def drift(
+    sensors: Sensors, noise: Any, t: Float[np.ndarray, " t"]
+) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+    """Error of the integrated rate of an axis after times t [s], √2·t·σ_A(t), and its 95 % interval."""
+
+    def variance(model: Model) -> Float[np.ndarray, " t"]:
+        return 2.0 * t**2 * np.asarray(model.sampled(sensors.rate).allan_variance(t))
+
+    drawn = noise.drawn(variance)
+    low, high = (np.sqrt(end) for end in sensors.ends(drawn))
+    return np.sqrt(drawn.total), low, high
+
+
+def _growths(k: int, one: Compared) -> Iterator[Growth]:
+    """Heading and position errors of a sensor, as far as its axes allow."""
+    assert one.noise is not None
+    try:
+        grown = navigate(
+            one.noise, HORIZONS, rate=one.rate if isinstance(one.noise, dict) else None, schuler=True
+        )
+    except AllanjaxError:
+        # Its axes make no navigator.
+        return
+    for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
+        growth = grown.get(quantity)
+        if growth is not None and channel in growth.channels:
+            at = growth.channels.index(channel)
+            yield Growth(k, name, growth.error[at], growth.lower[at], growth.upper[at])
