@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from allanjax.critic.result import Critique
 
-_SHEET = Sheet(4.2, 2.4, gap=1.3)
+_SHEET = Sheet(4.2, 2.4, right=1.1)
 # Factor from the median at which the colours end.
-_FACTOR = 2.0
+_FACTOR, _TICKS = 2.0, (0.5, 0.7, 1.0, 1.4, 2.0)
 
 
 def plot_dynamic(
@@ -52,8 +52,11 @@ def plot_dynamic(
         shown = panel.pcolormesh(edges, heights, ratio[:, :, k].T, norm=scale, cmap="RdBu_r", rasterized=True)
         for time in changes(critique, names[k]):
             panel.axvline(time, **_line())
-        bar = figure.colorbar(shown, ax=panel, fraction=0.05, pad=0.02)
-        bar.set_label("over the median", fontsize=draw.FONT_SIZE - 1.0)
+    place = panels[0][-1].get_position()
+    bar = figure.colorbar(shown, figure.add_axes((place.x1 + 0.01, place.y0, 0.012, place.height)))
+    bar.set_ticks(_TICKS, labels=[f"{tick:g}" for tick in _TICKS], minor=False)
+    bar.ax.minorticks_off()
+    bar.set_label("deviation over the median")
     return draw.saved(figure, path)
 
 

@@ -341,7 +341,9 @@ def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart
         names, views = [axis.name for *_, axis in own], []
         for m in some:
             traces = [
-                Trace(group, "measured", dynamic.time, *(x[:, m, k] for x in (dynamic.deviation, low, high)))
+                Trace(
+                    group, "measured", dynamic.time, dynamic.deviation[:, m, k], low[:, m, k], high[:, m, k]
+                )
                 for k, group, _ in own
             ]
             views.append(

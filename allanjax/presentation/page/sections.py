@@ -123,7 +123,7 @@ def coefficients(fit: Fit) -> dict[Sensor, Table]:
         every = {label: c for of in found for label, c in of.items()}
         known = [label for label in dict.fromkeys((*SYMBOLS, *every)) if label in every]
         labels = [label for label in known if label in MAIN or _shown(label, found)]
-        heads = [Cell(every[label].title, remark=every[label].symbol) for label in labels]
+        heads = [Cell(every[label].symbol, remark=every[label].title) for label in labels]
         rows = [
             [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(_fits(r))]
             for r, of in zip(results, found, strict=True)
