@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 from scipy.special import polygamma
-from scipy.stats import chi2
 
 from allanjax.allan.deviation import allan_deviation, rate_unit
-from allanjax.base.chi_squared import chi_squared_factors
+from allanjax.base.chi_squared import chi_squared_factors, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
@@ -82,7 +81,7 @@ class DynamicAllan(ByValue, Tabled):
         log = np.log(self.deviation)
         variance = polygamma(1, self.edf / 2.0)[:, None] / 4.0
         spread = ((log - log.mean(axis=0)) ** 2).sum(axis=0) / variance
-        return chi2.sf(spread, len(self.time) - 1)
+        return upper_tail(spread, len(self.time) - 1.0)
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per window, cluster time and axis, in SI, with 95 % intervals."""

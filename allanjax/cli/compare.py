@@ -8,8 +8,8 @@ import typer
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Input, prepare, print_result, stage, user_errors
 from allanjax.cli.options import command
+from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
-from allanjax.record.io.formats import name_of
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import Fit
@@ -50,6 +50,7 @@ def compare(
     """
     prepare()
     from allanjax.comparison.compare import compare as compared
+    from allanjax.record.io.formats import name_of
 
     with user_errors():
         data = [_opened(name, options) for name in sensors]
@@ -70,7 +71,7 @@ def compare(
 
 def _opened(name: str, options: FitOptions) -> "str | Fit":
     """The fit of a recording with these options; anything else by its name."""
-    from allanjax.cli.recordings import read_and_fit
+    from allanjax.record.io.formats import name_of
 
     path = Path(name)
     if path.suffix in (".json", ".toml", "") or not path.exists():

@@ -18,7 +18,7 @@ from allanjax.cli.common import (
     user_errors,
 )
 from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.report import Html, fleet_page
+from allanjax.cli.pages import Html, fleet_page
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:

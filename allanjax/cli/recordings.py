@@ -11,7 +11,7 @@ import typer
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, fitting, stage, work_through
 from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.report import Html, write_page
+from allanjax.cli.pages import Html, write_page
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import ReadOptions
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 #: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
 # One-sided 95 % of the normal law.
-_ONE_SIDED = float(norm.ppf(0.95))
+_ONE_SIDED = float(ndtri(0.95))
 
 
 class Difference(NamedTuple):
@@ -80,12 +80,12 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
         error = math.hypot(_relative(one), _relative(reference))
         log = math.log(one.value / reference.value)
         ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
-        p = 2.0 * float(norm.sf(abs(log) / error)) if error > 0.0 else None
+        p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
         return Difference(math.exp(log), (ends[0], ends[1]), p)
     (a, s), (b, t) = _square(one), _square(reference)
     error = math.hypot(s, t)
     p = (
-        2.0 * float(norm.sf(abs(a - b) / error))
+        2.0 * float(ndtr(-abs(a - b) / error))
         if error > 0.0 and (one.detected or reference.detected)
         else None
     )
