@@ -6,13 +6,13 @@ import datetime
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
 from allanjax.allan.deviation import rate_unit
 from allanjax.allan.dynamic import dynamic_allan
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import record_size
 from allanjax.critic.finding import UNEXPLAINED, Finding
+from allanjax.critic.law import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
 from allanjax.estimate.check import Check
@@ -42,9 +42,6 @@ from allanjax.presentation.page.blocks import (
 from allanjax.record.recording import Recording
 from allanjax.record.units import SI, Sensor, rate_unit_of
 from allanjax.spectrum.psd import PowerSpectrum, density_unit
-
-if TYPE_CHECKING:
-    from allanjax.critic.law import Curve
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
@@ -192,9 +189,6 @@ def findings_in_full(critique: Critique) -> Iterator[Block]:
 
 def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     """Record and simulations before and after a finding, in the axis in which it matters most."""
-    # Here, as it imports slow libraries.
-    from allanjax.critic.law import summaries
-
     axis = critique[finding.shown]
     own = next((f for f in (finding, finding.strongest) if f in axis.findings), None)
     if own is None:
