@@ -10,6 +10,7 @@ difference among equal sensors is 5 %. A figure without an error, as in data she
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 import os
@@ -179,17 +180,26 @@ class Comparison(ByValue, Tabled):
         sensors: the sensors.
         reference: number of the one that the others are compared with.
         rows: coefficients with their differences.
-        drifts: predicted error of the integrated rate of each axis.
-        growths: growth of the heading and position errors of a navigator at rest, see `navigate`.
-        notes: remarks.
     """
 
     sensors: tuple[Compared, ...]
     reference: int
     rows: tuple[Row, ...]
-    drifts: tuple[Growth, ...]
-    growths: tuple[Growth, ...]
-    notes: tuple[str, ...] = ()
+
+    @functools.cached_property
+    def drifts(self) -> tuple[Growth, ...]:
+        """Predicted error of the integrated rate of each axis after the `HORIZONS`."""
+        known = [(k, _noise_of(one)) for k, one in enumerate(self.sensors) if one.noise is not None]
+        found = [drift for k, noise in known for drift in _drifts(k, noise)]
+        # Of a data sheet, the drift of any axis stands below those of the axes.
+        found.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
+        return tuple(found)
+
+    @functools.cached_property
+    def growths(self) -> tuple[Growth, ...]:
+        """Heading and position errors of a navigator at rest after the `HORIZONS`, see `navigate`."""
+        known = [(k, one) for k, one in enumerate(self.sensors) if one.noise is not None]
+        return tuple(sorted((g for k, one in known for g in _growths(k, one)), key=lambda g: g.name))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -242,7 +252,6 @@ class Comparison(ByValue, Tabled):
             "coefficients": records,
             "horizons_s": list(HORIZONS),
             "growth": growths,
-            "notes": list(self.notes),
         }
 
     @presented
@@ -279,7 +288,6 @@ class Comparison(ByValue, Tabled):
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
-        yield from (f"note: {note}" for note in self.notes)
 
 
 def _mark(c: Estimate | None) -> str:
@@ -350,18 +358,7 @@ def compare(
         reference = names.index(reference)
     elif not 0 <= reference < len(sensors):
         raise AllanjaxError(f"reference= is the number of a sensor, 0 to {len(sensors) - 1}, not {reference}")
-    known = [None if one.noise is None else _noise_of(one) for one in sensors]
-    drifts = [drift for k, noise in enumerate(known) if noise is not None for drift in _drifts(k, noise)]
-    growths = [
-        growth for k, one in enumerate(sensors) if one.noise is not None for growth in _growths(k, one)
-    ]
-    axes = axes_of(sensors)
-    # Of a data sheet, the drift of any axis stands below those of the axes.
-    drifts.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
-    growths.sort(key=lambda g: g.name)
-    return Comparison(
-        tuple(sensors), reference, _rows(sensors, reference, axes), tuple(drifts), tuple(growths)
-    )
+    return Comparison(tuple(sensors), reference, _rows(sensors, reference, axes_of(sensors)))
 
 
 def _distinct(sensors: Sequence[Compared]) -> list[Compared]:

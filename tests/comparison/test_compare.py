@@ -1,0 +1,181 @@
+"""Comparison of sensors: tests of equality by hand, tables of the thesis, drift by closed forms."""
+
+import dataclasses
+import json
+import math
+
+import bench
+import numpy as np
+import pytest
+from commands import run
+from scipy.stats import binom, norm
+
+import allanjax as aj
+
+ARW, RRW = "angle_random_walk", "rate_random_walk"
+DEG = math.pi / 180
+
+# Hou (2004), values of x and their errors: tables 5.2, 5.4 and 5.5.
+TABLES = {
+    ("cimu", "gyro_x"): {"Q": (0.9732, 0.0738, "arcsec"), "N": (0.0015, 0.0005, "deg/√h")},
+    ("cimu", "accel_x"): {"Q": (1.6801, 0.1275, "m/h"), "R": (2.6364, 0.8795, "m/s/h²")},
+    ("hg1700", "gyro_x"): {"Q": (5.1154, 0.0683, "arcsec"), "N": (0.0936, 0.0312, "deg/√h")},
+    ("hg1700", "accel_x"): {"Q": (2.1188, 0.0673, "m/h"), "K": (0.7637, 0.2548, "m/s/h/√h")},
+    ("motionpak2", "gyro_x"): {"N": (0.5121, 0.0068, "deg/√h"), "B": (13.58, 1.36, "deg/h")},
+    ("motionpak2", "accel_x"): {"N": (0.01664, 0.00003, "m/s/√h"), "B": (4.36, 0.04, "m/s/h")},
+}
+
+
+def with_values(fit: aj.Fit, logs: dict[str, float], std: float) -> aj.Fit:
+    """The fit with coefficients of these logarithms, known to this relative standard deviation."""
+    (result,) = fit.results
+    found = {}
+    for label, c in result.coefficients.items():
+        value = math.exp(logs[label]) if label in logs else 0.0
+        ends = (value * math.exp(-1.96 * std), value * math.exp(1.96 * std))
+        about = {"value": value, "std": std * value, "interval": ends, "interval_68": ends}
+        found[label] = dataclasses.replace(c, detected=label in logs, upper_limit=None, **about)
+    return dataclasses.replace(fit, results=(result.with_estimates(found),))
+
+
+@pytest.fixture(scope="module")
+def thesis():
+    return aj.compare("cimu", "hg1700", "motionpak2")
+
+
+def test_the_tables_of_the_thesis_come_out_in_their_units(thesis):
+    frame = thesis.to_dataframe()
+    for (unit, axis), expected in TABLES.items():
+        own = {row.label: row for row in thesis.rows if row.axis == axis}
+        at = thesis.labels.index(unit)
+        found = {e.symbol: e.in_unit() for row in own.values() if (e := row.estimates[at]) is not None}
+        assert {s: (round(e.value, 5), round(e.std, 5), e.unit) for s, e in found.items()} == expected
+    # Table 5.6: which terms are there.
+    text = str(thesis).splitlines()
+    heads = next(line for line in text if line.startswith("terms of"))
+    assert heads.split()[3:] == ["N", "B", "K", "Q", "R"]
+    marks = {tuple(line.split()[:2]): line for line in text[text.index(heads) + 2 :][:6]}
+    line = marks["accel", "hg1700"] if ("accel", "hg1700") in marks else marks["hg1700", "yes"]
+    assert line.count("yes") == 2
+    assert set(frame["sensor"]) == {"cimu", "hg1700", "motionpak2"}
+
+
+def test_ratios_and_p_values_are_those_of_the_logarithms_corrected_by_holm(thesis):
+    p_values, rows = [], []
+    for row in thesis.rows:
+        base = row.estimates[0]
+        for k in (1, 2):
+            c, d = row.estimates[k], row.differences[k]
+            if c is None or base is None:
+                assert d is None
+                continue
+            low, high = (x.interval for x in (c, base))
+            # Widths of the intervals on a logarithmic scale.
+            s = math.hypot(*(math.log(b / a) / 3.919928 if a > 0 else math.inf for a, b in (low, high)))
+            if not math.isfinite(s):
+                continue
+            log = math.log(c.value / base.value)
+            assert d.ratio == pytest.approx(math.exp(log))
+            assert d.interval == pytest.approx((math.exp(log - 1.96 * s), math.exp(log + 1.96 * s)), rel=1e-3)
+            assert d.p_value == pytest.approx(2 * norm.sf(abs(log) / s), rel=1e-3)
+            p_values.append(d.p_value)
+            rows.append(d)
+    count = len(p_values)
+    # Holm: the smallest times their number, the next times one less, …, never decreasing.
+    highest = 0.0
+    for rank, k in enumerate(np.argsort(p_values)):
+        highest = max(highest, min(1.0, (count - rank) * p_values[k]))
+        assert rows[k].corrected == pytest.approx(highest, rel=1e-9)
+
+
+def test_equal_sensors_differ_in_one_comparison_of_twenty_and_unequal_ones_nearly_always():
+    rng, fit, std = np.random.default_rng(17), bench.fit("white"), 0.05
+    logs = {ARW: math.log(1e-4), RRW: math.log(1e-6)}
+
+    def differs(shift: float) -> bool:
+        drawn = [{k: v + std * rng.normal() + i * shift for k, v in logs.items()} for i in (0, 1)]
+        found = aj.compare(*(with_values(fit, own, std) for own in drawn))
+        return any(d.differs for row in found.rows for d in row.differences if d is not None)
+
+    # The probability of more than this many of 60 at 5 % is 10⁻³.
+    assert sum(differs(0.0) for _ in range(60)) <= binom.isf(1e-3, 60, 0.05)
+    # Six standard errors of the difference.
+    assert all(differs(6 * std * math.sqrt(2)) for _ in range(10))
+
+
+def test_what_is_not_detected_is_compared_by_its_limit():
+    fit = bench.fit("white")
+    both = with_values(fit, {ARW: math.log(1e-4), RRW: math.log(1e-6)}, 0.02)
+    one = with_values(fit, {ARW: math.log(1e-4)}, 0.02)
+    (result,) = one.results
+    label = {**result.coefficients}
+    far, near = (
+        dataclasses.replace(one, results=(result.with_estimates(label | {RRW: limited}),))
+        for limited in (dataclasses.replace(label[RRW], upper_limit=limit) for limit in (1e-7, 3e-6))
+    )
+    assert aj.compare(both, far)["gyro_x", RRW].differences[1].differs is True
+    assert aj.compare(both, near)["gyro_x", RRW].differences[1].differs is False
+    found = aj.compare(both, far)["gyro_x", RRW].differences[1]
+    assert found.interval == (0.0, pytest.approx(1e-7 / (1e-6 * math.exp(-1.96 * 0.02)), rel=1e-6))
+
+
+def test_a_changed_sensor_is_found_and_its_repetition_is_not():
+    def record(N: float, seed: int) -> aj.Recording:
+        return aj.simulate_recording({"gyro_x": f"N={N} deg/√h"}, 16_384, 100.0, seed, name=f"{N}-{seed}")
+
+    before, again, after = (aj.fit(record(*x), "N + K", plain=True) for x in ((0.1, 1), (0.1, 2), (0.11, 3)))
+    found = aj.compare(before, again, after, labels=["before", "again", "after"])
+    row = found["gyro_x", "N"]
+    # N is known to √(1/2n), half a per cent.
+    assert [d and d.differs for d in row.differences] == [None, False, True]
+    assert row.differences[2].ratio == pytest.approx(1.1, abs=0.03)
+
+
+def test_drift_follows_the_closed_forms_and_data_sheets_are_exact():
+    sheet = {"name": "one", "gyro": {"random_walk": "0.5 deg/√h", "rate_random_walk": "3 deg/h/√h"}}
+    other = {"name": "two", "gyro": {"random_walk": "0.25 deg/√h"}}
+    found = aj.compare(aj.datasheet(sheet), aj.datasheet(other))
+    N, K = 0.5 * DEG / 60, 3 * DEG / 3600 / 60
+    t = np.array([60.0, 600.0, 3600.0])
+    # √2·t·σ(t) with σ² = N²/t + K²t/3, Hou (4.33) and (4.43).
+    expected = np.sqrt(2) * t * np.sqrt(N**2 / t + K**2 * t / 3)
+    own = next(g for g in found.drifts if g.sensor == 0)
+    np.testing.assert_allclose(own.value, expected, rtol=1e-6)
+    assert np.isnan(own.lower).all()
+    row = found["gyro", ARW]
+    assert (row.differences[1].ratio, row.differences[1].differs) == (pytest.approx(0.5), None)
+
+
+def test_the_command_takes_names_files_and_results_and_draws_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    aj.write_json(bench.fit("small"), "imu.json")
+    out = ["--out", "c.png", "--out", "c.html", "--out", "c.csv"]
+    done = run(
+        "compare", "imu.json", "BMI088", "cimu", "--label", "mine", "--label", "sheet", "--label", "C", *out
+    )
+    assert done.exit_code == 0, done.stderr
+    assert "mine: fit of" in done.stdout
+    assert (tmp_path / "c.png").is_file()
+    assert "mine – sheet – C" in (tmp_path / "c.html").read_text(encoding="utf-8")
+    assert (tmp_path / "c.csv").read_text(encoding="utf-8").startswith("axis,")
+    document = json.loads(run("compare", "imu.json", "BMI088", "--json").stdout)
+    assert [one["name"] for one in document["sensors"]] == ["imu", "BMI088"]
+    assert document["horizons_s"] == [60.0, 600.0, 3600.0]
+    unknown = run("compare", "imu.json", "BMI8800")
+    assert unknown.exit_code == 1
+    assert "BMI088" in unknown.stderr
+    assert run("compare", "none.csv", "cimu").exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "words"),
+    [
+        (("cimu",), {}, "two or more"),
+        (("cimu", "hg1700"), {"labels": ["a"]}, "one for each"),
+        (("cimu", "hg1700"), {"reference": "x"}, "no sensor 'x'"),
+        (("cimu", "hg1700"), {"reference": 2}, "0 to 1"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(arguments, options, words):
+    with pytest.raises(aj.AllanjaxError, match=words):
+        aj.compare(*arguments, **options)
