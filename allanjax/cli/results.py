@@ -140,6 +140,7 @@ def horizon(
     "allanjax navigate allanjax-results/imu.json --latitude 51",
     "allanjax navigate --sheet BMI088 --latitude 51",
     "allanjax navigate imu.json --latitude 51 --azimuth 0.1deg --out navigation.png",
+    "allanjax navigate imu.json --latitude 51 --calibration calibration.json --turn-rate 10deg/s --for 9s",
 )
 def navigate(
     latitude: Annotated[float, typer.Option(help="Latitude of the sensor in deg.")],
@@ -152,9 +153,33 @@ def navigate(
         list[float] | None,
         typer.Option(help="Time in s to report; repeat for more. Default: 1 s to 1000 s."),
     ] = None,
+    at_rest: Annotated[
+        float | None,
+        typer.Option(
+            help="Time at rest before the start, in s, over which biases are averaged. Default: 600, or the "
+            "biases of the calibration are used."
+        ),
+    ] = None,
     calibration: Annotated[
-        float, typer.Option(help="Time at rest before the start, in s, over which biases are averaged.")
-    ] = 600.0,
+        Path | None,
+        typer.Option(
+            help="Include what a calibration leaves of biases, scale factors and misalignments.",
+            metavar="CALIBRATION.json",
+        ),
+    ] = None,
+    uncorrected: Annotated[
+        bool, typer.Option("--uncorrected", help="Include the errors that it found, as if not corrected.")
+    ] = False,
+    turn_rate: Annotated[
+        str | None,
+        typer.Option(help="Turn rate about z (down), or about x, y and z: 10 deg/s, or 5,0,10 deg/s."),
+    ] = None,
+    acceleration: Annotated[
+        str | None, typer.Option(help="Acceleration along x, or along x, y and z: 0.5 g, or 0,0,1 g.")
+    ] = None,
+    lasting: Annotated[
+        str | None, typer.Option("--for", help="How long the turn and the acceleration last, e.g. 20 s.")
+    ] = None,
     gyro_bias: Annotated[str, typer.Option(help="Residual bias (1σ) of the gyros.")] = "0 deg/h",
     accel_bias: Annotated[str, typer.Option(help="Residual bias (1σ) of the accelerometers.")] = "0 m/s²",
     schuler: Annotated[bool, typer.Option("--schuler", help="Include the Schuler loop.")] = False,
@@ -162,17 +187,25 @@ def navigate(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, in SI units.")] = False,
 ) -> None:
     """Estimate how fast the attitude, velocity and position errors of a navigation system with these sensors
-    grow at rest, and how accurately and how soon the sensors can find level and north.
+    grow at rest, or in a turn or an acceleration, and how accurately and how soon the sensors can find level
+    and north.
     """
     prepare()
+    from allanjax.calibration.loading import load_calibration
     from allanjax.navigation.alignment import align
+    from allanjax.navigation.motion import Profile
     from allanjax.navigation.navigator import navigate
 
     with user_errors():
         fit = fit_or_sheet(result, sheet)
         biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
         aligned = align(fit, latitude, azimuth, **biases)
-        growth = navigate(fit, time, calibration=calibration, schuler=schuler, **biases)
+        known = None if calibration is None else load_calibration(calibration)
+        moving = {"turn_rate": turn_rate, "acceleration": acceleration, "duration": lasting}
+        given = {name: text for name, text in moving.items() if text is not None}
+        more: dict[str, Any] = {"at_rest": at_rest, "calibration": known, "corrected": not uncorrected}
+        more["profile"] = Profile(**given) if given else None
+        growth = navigate(fit, time, schuler=schuler, **biases, **more)
         if out is not None:
             growth.plot(out)
     if as_json:

@@ -196,14 +196,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         AllanjaxError: the file does not exist, holds no fit, is damaged or of another version, or has a term
             that is neither built in nor among `terms`.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise AllanjaxError(f"{path}: no such file; check the path") from error
-    except (OSError, ValueError) as error:
-        raise AllanjaxError(
-            f"{path}: not a JSON file, or damaged ({error}); give a NAME.json of allanjax characterize"
-        ) from error
+    document = document_in(path, "a NAME.json of allanjax characterize")
     classes = term_classes() | {term.name(): term for term in terms}
     try:
         if "fits" in document:
@@ -213,6 +206,16 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
+
+
+def document_in(path: str | os.PathLike[str], wanted: str) -> Any:
+    """What a JSON file holds; AllanjaxError that asks for what is wanted if there is no such file."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise AllanjaxError(f"{path}: no such file; check the path") from error
+    except (OSError, ValueError) as error:
+        raise AllanjaxError(f"{path}: not a JSON file, or damaged ({error}); give {wanted}") from error
 
 
 def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
