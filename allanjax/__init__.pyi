@@ -12,6 +12,8 @@ from allanjax.base.errors import UnitError as UnitError
 from allanjax.calibration.loading import load_calibration as load_calibration
 from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
+from allanjax.comparison.specification import SpecCheck as SpecCheck
+from allanjax.comparison.specification import check_spec as check_spec
 from allanjax.critic.critique import critique as critique
 from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.finding import Finding as Finding

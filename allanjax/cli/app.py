@@ -71,7 +71,8 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    "check characterize critique fleet export horizon navigate statespace kalman calibrate simulate convert"
+    "check characterize spec critique fleet export horizon navigate statespace kalman calibrate simulate "
+    "convert"
 )
 for _name in f"{_ORDER} schema demo".split():
     _command, _epilog = COMMANDS[_name]

@@ -272,6 +272,16 @@ def _reported(file: Input, message: str) -> dict[str, str]:
     return {"file": file.label, "message": message}
 
 
+#: Exit code if a limit is neither met nor missed with enough certainty.
+UNDECIDED = 3
+
+
+def exit_by(verdicts: Sequence[str]) -> None:
+    """End the program if limits of a specification are not met, or not decided."""
+    if code := 1 if "fail" in verdicts else UNDECIDED if "undecided" in verdicts else 0:
+        raise typer.Exit(code)
+
+
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
     """End the program if files failed, with a line on stderr that names them."""
     if errors:

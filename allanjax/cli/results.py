@@ -1,4 +1,4 @@
-"""The commands for results: `allanjax export`, `horizon`, `navigate`, `statespace`, `kalman` and `schema`."""
+"""The commands for results: `allanjax export`, `horizon`, `navigate`, `statespace`, `kalman`, `spec`, …"""
 
 import sys
 from pathlib import Path
@@ -10,6 +10,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
     OptionalFit,
     Sheet,
+    exit_by,
     fit_or_sheet,
     prepare,
     print_json,
@@ -307,6 +308,32 @@ def kalman(
             else:
                 result.plot(path=path)
     print_result(result, as_json, out or ())
+
+
+@command(
+    "allanjax spec allanjax-results/imu.json limits.yaml",
+    "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
+)
+def spec(
+    result: Annotated[Path, typer.Argument(help="Result of characterize: NAME.json.", metavar="RESULT.json")],
+    limits: Annotated[Path, typer.Argument(help="Limits, a YAML file.", metavar="LIMITS.yaml")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File of JUnit XML to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Check a saved result against the limits of a specification, as characterize does with --spec: noise
+    density, random walk, in-run bias and others, with the probability that the true value meets each limit.
+    The file is described by help(allanjax.check_spec). Exit code 1: a limit is not met; 3: a limit is not
+    decided by the record.
+    """
+    prepare()
+    from allanjax.comparison.specification import check_spec
+
+    with user_errors():
+        judged = check_spec(saved_fit(result), limits)
+        if out is not None:
+            out.write_text(judged.to_junit(), encoding="utf-8")
+    print_result(judged, as_json, () if out is None else (out,))
+    exit_by([judged.verdict])
 
 
 @command("allanjax schema fit > fit.schema.json")
