@@ -372,7 +372,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
             "parameters": [{key: in_json(row[key]) for key in _ROW} for row in rows],
             "axes": [
                 {"name": r.axis.name, "sensor": r.axis.sensor, "unit": r.axis.unit}
-                | {"covariance_si": in_json(r.covariance.tolist())}
+                | {"covariance_si": in_json(r.covariance)}
                 for r in self.results
             ],
             "sensors": {
@@ -383,8 +383,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                     "suspects": list(misfit.suspects),
                     "wider": misfit.wider,
                     "names": list(misfit.names),
-                    "residuals_si": in_json(misfit.residuals.tolist()),
-                    "residual_std_si": in_json(misfit.residual_std.tolist()),
+                    "residuals": in_json(misfit.residuals),
+                    "residual_std": in_json(misfit.residual_std),
                     **{k: v.tolist() for k, v in self.errors(sensor)._asdict().items()},
                 }
                 for sensor, misfit in self.misfit.items()

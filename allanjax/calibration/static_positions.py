@@ -105,8 +105,9 @@ def calibrate(
     if not given:
         raise AllanjaxError('give recordings, e.g. {"x up": recording, "x down": other}')
     turned, world = _orientations(given, orientations), world_of(latitude, height, gravity)
-    local = _gravities(world, gravity, len(given))
-    places, recordings, notes = _places(given, turned, local, starts, as_is)
+    places, recordings, notes = _places(
+        given, turned, world.gravity if gravity is None else gravity, starts, as_is
+    )
     axes = _axes(recordings, turned, latitude, notes)
     parts, source = _noise(recordings, axes, model, fit, notes)
     results: list[AxisCalibration] = []
@@ -127,12 +128,18 @@ def calibrate(
 def _places(
     recordings: Sequence[Recording],
     orientations: Sequence[Orientation | None],
-    gravities: Sequence[float],
+    gravity: float | Sequence[float],
     starts: Sequence[float] | None,
     as_is: bool,
 ) -> tuple[tuple[Position, ...], list[Recording], list[str]]:
     """Positions and the part of each recording that was at rest, and notes on them."""
     begin, notes = _starts(recordings, starts)
+    local = np.ravel(gravity).tolist()
+    if len(local) not in (1, len(recordings)):
+        raise AllanjaxError(
+            f"{len(local)} values of gravity for {len(recordings)} recordings: give one for all, or one each"
+        )
+    local *= len(recordings) // len(local)
     places, kept = [], []
     for k, recording in enumerate(recordings):
         name = recording.name or f"position {k + 1}"
@@ -145,7 +152,7 @@ def _places(
             notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s are used")
         kept.append(look.quiet(recording))
         since = float(begin[k]) + first
-        places.append(Position(name, orientations[k], since, kept[-1].duration, gravities[k]))
+        places.append(Position(name, orientations[k], since, kept[-1].duration, local[k]))
     return tuple(places), kept, notes
 
 
@@ -191,7 +198,7 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
 def world_of(latitude: float | None, height: float, gravity: float | Sequence[float] | None) -> World:
     """Gravity, of several places their mean, with its standard deviation; and latitude."""
     if gravity is not None:
-        given = np.atleast_1d(np.asarray(gravity, float))
+        given = np.ravel(np.asarray(gravity, float))
         if not (given.size and ((given > 9.0) & (given < 10.0)).all()):
             raise AllanjaxError(f"gravity must be the local gravity in m/s², about 9.8, not {gravity}")
         return World(float(given.mean()), 0.0, latitude)
@@ -201,16 +208,6 @@ def world_of(latitude: float | None, height: float, gravity: float | Sequence[fl
             "(--gravity) in m/s²"
         )
     return World(normal_gravity(latitude, height), GRAVITY_ANOMALY, latitude)
-
-
-def _gravities(world: World, gravity: float | Sequence[float] | None, count: int) -> list[float]:
-    """Gravity in each position [m/s²]."""
-    given = [world.gravity] if gravity is None else np.atleast_1d(np.asarray(gravity, float)).tolist()
-    if len(given) not in (1, count):
-        raise AllanjaxError(
-            f"{len(given)} values of gravity for {count} recordings: give one for all, or one for each"
-        )
-    return given * (count // len(given))
 
 
 def _axes(
@@ -282,13 +279,11 @@ def _remarks(results: Sequence[AxisCalibration], misfit: Mapping[Sensor, Misfit]
     ]
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
         notes.append("normal gravity; its anomaly, 35 mGal (1σ), is part of the scale factors' intervals")
-    vague = [c for r in results for c in r.coefficients.values() if c.label == "scale_factor"]
-    vague = [c for c in vague if c.axis.sensor == "accel" and c.std > USEFUL]
     notes += [
-        f"{c.axis.name}: the scale factor is known only to ± {significant(100.0 * c.std, 2)} % (1σ), and the "
-        "bias accordingly, though not what they add up to where it was calibrated; not applied. Places whose "
-        "gravity differs more, or a position upside down, would tell them apart"
-        for c in vague
+        f"{r.axis.name}: bias and scale factor are known only together and not applied, as the scale factor "
+        f"is ± {significant(100.0 * r['scale_factor'].std, 2)} % (1σ); add a position the other way up"
+        for r in results
+        if r.axis.sensor == "accel" and r["scale_factor"].std > USEFUL
     ]
     gyros = [r for r in results if r.axis.sensor == "gyro"]
     if not gyros:

@@ -118,8 +118,10 @@ def characterize(
     """
     from allanjax.comparison.specification import check_spec, read_spec
 
-    with user_errors():
-        limits = None if spec is None else read_spec(spec)
+    if spec is not None:
+        # A wrong file ends the command before it reads recordings.
+        with user_errors():
+            read_spec(spec)
     verdicts: list[str] = []
 
     def work(file: Input, directory: Path | None) -> Outcome:
@@ -130,7 +132,7 @@ def characterize(
             check, spectrum, fit = read_and_fit(file, options)
         from allanjax.presentation.files import with_checks, write_results
 
-        judged = None if limits is None else check_spec(fit, limits)
+        judged = None if spec is None else check_spec(fit, spec)
         verdicts.extend(() if judged is None else [judged.verdict])
         paths: tuple[Path, ...] = ()
         if directory is not None:

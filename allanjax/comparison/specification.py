@@ -56,15 +56,8 @@ class Limit(NamedTuple):
         return self.figure.replace("_", " ")
 
 
-class Specification(NamedTuple):
-    """The limits of a sheet, and its name."""
-
-    name: str
-    limits: tuple[Limit, ...]
-
-
-#: A specification as `check_spec` takes it.
-SpecLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any] | Specification
+#: A specification as `check_spec` takes it: a YAML file, or the same as a dictionary.
+SpecLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
 
 
 @functools.cache
@@ -74,10 +67,8 @@ def _exponents() -> dict[str, float]:
     return {p.label: p.parameter.time_exponent for p in every if p.parameter.is_amplitude}
 
 
-def read_spec(sheet: SpecLike) -> Specification:
-    """The limits of a sheet, see `check_spec`; AllanjaxError or UnitError if it cannot be read."""
-    if isinstance(sheet, Specification):
-        return sheet
+def read_spec(sheet: SpecLike) -> tuple[str, list[Limit]]:
+    """Name and limits of a sheet, see `check_spec`; AllanjaxError or UnitError if it cannot be read."""
     where, document = ("specification", sheet) if isinstance(sheet, Mapping) else (str(sheet), _read(sheet))
     limits: list[Limit] = []
     for section, given in document.items():
@@ -93,7 +84,7 @@ def read_spec(sheet: SpecLike) -> Specification:
         raise AllanjaxError(
             f"{where}: no limit; write gyro: or accel: and below it e.g. random_walk: 1 deg/√h"
         )
-    return Specification(str(document.get("name", "specification")), tuple(limits))
+    return str(document.get("name", "specification")), limits
 
 
 def _read(sheet: str | os.PathLike[str]) -> Mapping[str, Any]:
@@ -179,8 +170,8 @@ class LimitCheck(ByValue):
         if number is not None and number.error > 0.0:
             shown = format_with_error(number.value, number.error)
         size = significant(limit.value / unit_scale(limit.unit))
-        chances = " … ".join(percent(round(p, 3), 3) for p in dict.fromkeys((low, high)) if p >= 0.0)
-        chances = f"≥ {chances.partition(' …')[0]}" if high == 1.0 > low else chances
+        least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
+        chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"
         return self.axis, limit.title, shown, f"{limit.meaning[:3]} {size}", limit.unit, chances, self.verdict
 
     def to_dict(self) -> dict[str, Any]:
@@ -250,9 +241,10 @@ class SpecCheck(ByValue, Tabled):
             "max: maximum, typ: typical; probability: that the true value is below the limit; pass from "
             f"{percent(MET)} on, fail up to {percent(MISSED)}"
         )
+        told: dict[tuple[str, str], list[str]] = {}
         for r in self.results:
-            if r.reason:
-                yield f"{r.axis} {r.limit.title}: {r.reason}"
+            told.setdefault((r.axis, r.reason), []).append(r.limit.title)
+        yield from (f"{axis} {', '.join(titles)}: {why}" for (axis, why), titles in told.items() if why)
 
 
 def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
@@ -280,17 +272,17 @@ def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
         AllanjaxError: the file cannot be read; a key is unknown; a figure is ambiguous or has no meaning.
         UnitError: a unit of another dimension.
     """
-    spec, results = read_spec(sheet), list[LimitCheck]()
+    (title, limits), results = read_spec(sheet), list[LimitCheck]()
     axes = [*(of.axis for of in fit.results), *(of.axis for of in fit.dead)]
     for axis in axes:
-        own = {limit.label for limit in spec.limits if limit.section == axis.name}
-        for limit in spec.limits:
+        own = {limit.label for limit in limits if limit.section == axis.name}
+        for limit in limits:
             if limit.section == axis.name or (limit.section == axis.sensor and limit.label not in own):
                 results.append(_checked(fit, axis.name, limit))
     there = {name for axis in axes for name in (axis.name, axis.sensor)}
-    for limit in (limit for limit in spec.limits if limit.section not in there):
+    for limit in (limit for limit in limits if limit.section not in there):
         results.append(LimitCheck(limit.section, limit, reason="the record has no such axis"))
-    return SpecCheck(fit.name, spec.name, tuple(results))
+    return SpecCheck(fit.name, title, tuple(results))
 
 
 def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
@@ -333,21 +325,22 @@ def _score(c: Estimate, limit: float) -> float:
     """
     if not c.detected:
         return (limit**2 - c.value**2) / _power_std(c)
-    end = c.interval[int(limit > c.value)]
-    return math.log(limit / c.value) * TWO_SIDED_95 / abs(math.log(end / c.value))
+    end, far = c.interval[int(limit > c.value)], math.log(limit / c.value)
+    spread = abs(math.log(end / c.value)) / TWO_SIDED_95 if end > 0.0 else c.std / c.value
+    return far / max(spread, 1e-12)
 
 
 def _probability(c: Estimate, limit: float) -> float:
-    """Probability that the true value is below a limit."""
+    """Probability that the true value is below a limit; nan if an undetected one has no limit of its own."""
     from scipy.special import ndtr
 
-    return float(ndtr(_score(c, limit)))
+    return float(ndtr(_score(c, limit))) if c.detected or _power_std(c) < math.inf else math.nan
 
 
 def _power_std(c: Estimate) -> float:
     """Standard deviation of the square of an amplitude; infinite for one without a limit."""
     if c.detected:
-        return c.value**2 * math.log(c.interval[1] / c.interval[0]) / TWO_SIDED_95
+        return 2.0 * c.value * c.std
     most = math.inf if c.upper_limit is None else c.upper_limit
     return (most**2 - c.value**2) / ONE_SIDED_95
 

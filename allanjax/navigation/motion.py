@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,53 +98,39 @@ def _vector(given: Any, sensor: Sensor, name: str, along: int) -> tuple[float, f
     return float(x), float(y), float(z)
 
 
-class _Left(NamedTuple):
-    """Errors of an axis: second moments [SI], and the inputs of each at rest and besides in motion."""
+class AxisErrors(NamedTuple):
+    """Errors that remain in an axis: causes, second moments [SI], inputs at rest and, besides, in motion."""
 
-    sensor: Sensor
-    letter: str
     causes: tuple[str, ...]
     moment: Float[np.ndarray, "p p"]
     resting: Float[np.ndarray, " p"]
     moving: Float[np.ndarray, " p"]
 
-
-class Remaining(NamedTuple):
-    """What a calibration leaves of the errors of a sensor's axes, in a motion of this duration [s]."""
-
-    axes: tuple[_Left, ...]
-    notes: tuple[str, ...]
-    duration: float = math.inf
-
     def variances(
-        self,
-        sensor: Sensor,
-        letter: str,
-        always: Float[np.ndarray, "orders t"],
-        during: Float[np.ndarray, "orders t"],
+        self, always: Float[np.ndarray, "orders t"], during: Float[np.ndarray, "orders t"]
     ) -> tuple[dict[str, Any], Float[np.ndarray, "orders t"]]:
-        """Variances of the errors of an axis by cause, each alone, and of all together.
+        """Variances of the navigator's errors by cause, each alone, and of all together.
 
         "bias" is the error of the readings at rest, with what gravity makes of the other causes.
 
         Args:
-            sensor: the sensor of the axis.
-            letter: its direction, x, y or z.
             always: response to a unit input that lasts.
             during: response to a unit input that lasts as long as the motion.
         """
-        alone: dict[str, Any] = {}
-        total = np.zeros_like(always)
-        for left in (one for one in self.axes if (one.sensor, one.letter) == (sensor, letter)):
-            resting = left.resting[:, None, None] * always
-            moving = left.moving[:, None, None] * during
-            parts = {"bias": resting}
-            for cause in dict.fromkeys(left.causes[1:]):
-                own = np.array([other == cause for other in left.causes])
-                parts[cause] = own[:, None, None] * moving
-            alone = {cause: _quadratic(left.moment, part) for cause, part in parts.items()}
-            total = _quadratic(left.moment, resting + moving)
-        return alone, total
+        resting, moving = self.resting[:, None, None] * always, self.moving[:, None, None] * during
+        parts = {"bias": resting}
+        for cause in dict.fromkeys(self.causes[1:]):
+            parts[cause] = np.array([own == cause for own in self.causes])[:, None, None] * moving
+        alone = {cause: _quadratic(self.moment, part) for cause, part in parts.items()}
+        return alone, _quadratic(self.moment, resting + moving)
+
+
+class Remaining(NamedTuple):
+    """Errors that a calibration leaves, by sensor and direction of the axis, in a motion so long [s]."""
+
+    axes: Mapping[tuple[Sensor, str], AxisErrors]
+    notes: tuple[str, ...] = ()
+    duration: float = math.inf
 
 
 def _quadratic(
@@ -165,7 +152,8 @@ def remaining(
         corrected: whether the samples are corrected; else the errors themselves count, too.
         rested: whether means at rest have replaced the biases, and what gravity adds to them.
     """
-    found, notes = [], []
+    found: dict[tuple[Sensor, str], AxisErrors] = {}
+    notes = []
     for axis in calibration.results:
         rest = np.array([0.0, 0.0, -gravity]) if axis.axis.sensor == "accel" else np.zeros(3)
         motion = profile.acceleration if axis.axis.sensor == "accel" else profile.turn_rate
@@ -184,9 +172,9 @@ def remaining(
         own = [0.0 if corrected and calibration.corrects(c) else c.value for c in coefficients]
         moment = np.nan_to_num(axis.covariance + np.outer(own, own))
         causes = tuple(re.sub("_[xyz]$", "", c.label).replace("_", " ") for c in coefficients)
-        letter = "xyz"[place_of(axis.axis)]
-        found.append(_Left(axis.axis.sensor, letter, causes, moment, resting, moving))
-    return Remaining(tuple(found), tuple(notes), profile.duration)
+        own_axis = axis.axis.sensor, "xyz"[place_of(axis.axis)]
+        found[own_axis] = AxisErrors(causes, moment, resting, moving)
+    return Remaining(found, tuple(notes), profile.duration)
 
 
 def _inputs(axis: AxisCalibration, f: Float[np.ndarray, 3]) -> Float[np.ndarray, " p"]:

@@ -428,7 +428,7 @@ def navigate(
         raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
     motion = profile or Profile()
-    left = Remaining((), ())
+    left = Remaining({})
     if calibration is not None:
         left = remaining(calibration, motion, float(gravity), corrected, at_rest is not None)
     elif profile is not None:
@@ -473,11 +473,12 @@ def _variances(
         noise = sensors.along(sensor, letter)
         if noise is None:
             return []
-        causes, all_together = left.variances(sensor, letter, of.of_bias, of.of_input(left.duration))
-        given = (biases[sensor] * of.of_bias) ** 2
-        causes["bias"], all_together = causes.get("bias", 0.0) + given, all_together + given
-        drawn = noise.drawn(of)
-        return [_with_causes(drawn, n - 1, causes, all_together, noise.axis.name) for n in orders]
+        drawn, given = noise.drawn(of), (biases[sensor] * of.of_bias) ** 2
+        causes, both = {"bias": given}, given
+        if (own := left.axes.get((sensor, letter))) is not None:
+            causes, both = own.variances(of.of_bias, of.of_input(left.duration))
+            causes["bias"], both = causes["bias"] + given, both + given
+        return [_with_causes(drawn, n - 1, causes, both, noise.axis.name) for n in orders]
 
     variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
     for channel, along, tilting in _CHANNELS:
@@ -546,14 +547,13 @@ def _growth(
 
 def _without(sensors: Sensors, left: Remaining) -> list[str]:
     """Note on axes with noise that a calibration lacks; AllanjaxError if it lacks all."""
-    known = {(axis.sensor, axis.letter) for axis in left.axes}
     axes = [noise.axis for noise in sensors.axes.values()]
-    lacking = [a.name for a in axes if "_" in a.name and (a.sensor, a.name[-1]) not in known]
-    if known and len(lacking) == len(axes):
+    lacking = [a.name for a in axes if "_" in a.name and (a.sensor, a.name[-1]) not in left.axes]
+    if left.axes and len(lacking) == len(axes):
         raise AllanjaxError(
             f"the calibration has none of the axes {', '.join(lacking)}: give that of this sensor"
         )
-    return [f"{', '.join(lacking)}: not calibrated, noise only"] if known and lacking else []
+    return [f"{', '.join(lacking)}: not calibrated, noise only"] if left.axes and lacking else []
 
 
 def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:

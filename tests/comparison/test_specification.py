@@ -189,7 +189,7 @@ def test_hostile_files_are_refused_by_file_key_and_remedy(white, tmp_path):
 
 
 def test_probabilities_at_the_truth_are_uniform():
-    """Twelve records of nine axes with N + K: of N, K and the least deviation; 108 values each."""
+    """Eight records of nine axes with N + K: of N, K and the least deviation; 72 values each."""
     rate, n, N = 50.0, 2048, 1e-4
     K = N * np.sqrt(3.0) / 2.0
     model = aj.AngleRandomWalk(N) + aj.RateRandomWalk(K)
@@ -199,7 +199,7 @@ def test_probabilities_at_the_truth_are_uniform():
     limits["gyro"]["rate_random_walk"] = f"{K / DEG * HOUR * 60.0:.17g} deg/h/√h"
     limits["gyro"]["in_run_bias_instability"] = f"{least / DEG * HOUR:.17g} deg/h"
     found = {}
-    for seed in range(12):
+    for seed in range(8):
         columns = [aj.simulate(model, n, rate, 100 * seed + k) for k in range(9)]
         names = [f"gyro_{k}" for k in range(9)]
         record = aj.Recording.from_array(np.stack(columns, axis=1), rate, names=names, gyro_unit="rad/s")
@@ -208,11 +208,11 @@ def test_probabilities_at_the_truth_are_uniform():
                 found.setdefault(r.limit.figure, []).append(r.probability[0])
     for figure, p in found.items():
         p = np.array(p)
-        # Of a uniform law 0.5 ± 0.028, and 0.05 ± 0.021 beyond either threshold.
-        assert len(p) > 100, figure
-        assert abs(p.mean() - 0.5) < 0.09, (figure, p.mean())
-        assert np.mean(p <= 0.05) < 0.12, (figure, np.mean(p <= 0.05))
-        assert np.mean(p >= 0.95) < 0.12, (figure, np.mean(p >= 0.95))
+        # Of a uniform law 0.5 ± 0.034, and 0.05 ± 0.026 beyond either threshold.
+        assert len(p) > 65, figure
+        assert abs(p.mean() - 0.5) < 0.1, (figure, p.mean())
+        assert np.mean(p <= 0.05) < 0.13, (figure, np.mean(p <= 0.05))
+        assert np.mean(p >= 0.95) < 0.13, (figure, np.mean(p >= 0.95))
 
 
 def test_it_is_written_for_people_and_for_continuous_integration(walk):
