@@ -272,8 +272,9 @@ def _reported(file: Input, message: str) -> dict[str, str]:
     return {"file": file.label, "message": message}
 
 
-#: Exit code if a limit is neither met nor missed with enough certainty.
+#: Exit code if a limit is neither met nor missed with enough certainty, and the codes of limits in words.
 UNDECIDED = 3
+LIMITS = f"1 also a limit that is not met; {UNDECIDED} none, but one that the record does not decide; "
 
 
 def exit_by(verdicts: Sequence[str]) -> None:

@@ -10,6 +10,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import (
+    LIMITS,
     Files,
     Input,
     Out,
@@ -82,6 +83,7 @@ def check(
     "allanjax characterize *.csv --start 60 --json > fits.json",
     "allanjax characterize week.parquet --stream",
     "allanjax characterize imu.csv --spec limits.yaml",
+    codes=LIMITS,
 )
 def characterize(
     files: Files,
@@ -98,8 +100,7 @@ def characterize(
         Path | None,
         typer.Option(
             help="Check the coefficients against the limits in this file (help(allanjax.check_spec)); also "
-            "writes NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: a limit is not decided by "
-            "the record.",
+            "writes NAME_spec.xml, JUnit XML.",
             metavar="LIMITS.yaml",
         ),
     ] = None,

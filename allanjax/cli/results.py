@@ -8,6 +8,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
+    LIMITS,
     OptionalFit,
     Sheet,
     exit_by,
@@ -313,6 +314,7 @@ def kalman(
 @command(
     "allanjax spec allanjax-results/imu.json limits.yaml",
     "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
+    codes=LIMITS,
 )
 def spec(
     result: Annotated[Path, typer.Argument(help="Result of characterize: NAME.json.", metavar="RESULT.json")],
@@ -322,8 +324,7 @@ def spec(
 ) -> None:
     """Check a saved result against the limits of a specification, as characterize does with --spec: noise
     density, random walk, in-run bias and others, with the probability that the true value meets each limit.
-    The file is described by help(allanjax.check_spec). Exit code 1: a limit is not met; 3: a limit is not
-    decided by the record.
+    The file is described by help(allanjax.check_spec).
     """
     prepare()
     from allanjax.comparison.specification import check_spec
