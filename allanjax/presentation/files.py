@@ -69,7 +69,13 @@ def to_junit(spec: SpecCheck) -> str:
             ElementTree.SubElement(case, kind, {"message": result.reason or text})
         ElementTree.SubElement(case, "system-out").text = text
     ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    text = ElementTree.tostring(root, encoding="unicode")
+    # Control characters, which a name may have, are not allowed in XML.
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        + re.sub(r"[^\t\n -\ud7ff\ue000-\U0010ffff]", "?", text)
+        + "\n"
+    )
 
 
 def write_curve_csv(fit: Fit, path: str | os.PathLike[str]) -> None:

@@ -217,6 +217,8 @@ def test_probabilities_at_the_truth_are_uniform():
 
 def test_it_is_written_for_people_and_for_continuous_integration(walk):
     limits = sheet("0.2 deg/√h", rate_random_walk="290 deg/h/√h") | {"name": "a <b> & c"}
+    odd = dataclasses.replace(aj.check_spec(walk, limits), name="a\x01\udcff")
+    assert "a??" in ElementTree.fromstring(odd.to_junit().encode()).find("testsuite").get("name")
     found = aj.check_spec(walk, limits)
     document = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     verdicts = {(r["axis"], r["figure"]): r["verdict"] for r in document["limits"]}
