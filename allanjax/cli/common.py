@@ -272,14 +272,9 @@ def _reported(file: Input, message: str) -> dict[str, str]:
     return {"file": file.label, "message": message}
 
 
-#: Exit code if a limit is neither met nor missed with enough certainty, and the codes of limits in words.
-UNDECIDED = 3
-LIMITS = f"1 also a limit that is not met; {UNDECIDED} none, but one that the record does not decide; "
-
-
 def exit_by(verdicts: Sequence[str]) -> None:
-    """End the program if limits of a specification are not met, or not decided."""
-    if code := 1 if "fail" in verdicts else UNDECIDED if "undecided" in verdicts else 0:
+    """End the program with 1 if limits of a specification are not met, or else with 3 if one is undecided."""
+    if code := 1 if "fail" in verdicts else 3 if "undecided" in verdicts else 0:
         raise typer.Exit(code)
 
 

@@ -35,11 +35,8 @@ _NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 COMMANDS: dict[str, tuple[Callable[..., None], str | None]] = {}
 
 
-def command(*examples: str, codes: str = "") -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that makes a function a command of its name, with its docstring and examples as help.
-
-    `codes` are exit codes of its own.
-    """
+def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that makes a function a command of its name, with its docstring and examples as help."""
 
     def registered(function: Callable[..., None]) -> Callable[..., None]:
         expanded = list(_expanded(function))
@@ -50,19 +47,19 @@ def command(*examples: str, codes: str = "") -> Callable[[Callable[..., None]], 
 
         called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
         called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}
-        COMMANDS[function.__name__] = called, epilog(*examples, codes=codes) if examples else None
+        COMMANDS[function.__name__] = called, epilog(*examples) if examples else None
         return function
 
     return registered
 
 
-def epilog(*examples: str, codes: str = "") -> str:
+def epilog(*examples: str) -> str:
     """End of a command's help: examples and exit codes, in paragraphs as typer keeps no other line breaks."""
-    every = (
-        f"Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; {codes}"
+    codes = (
+        "Exit codes: 0 success; 1 bad input or an axis without a result; 2 invalid command line; "
         f"{INTERRUPTED} interrupted."
     )
-    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), every])
+    return "\n\n".join(["Examples:", *(f"  {example}" for example in examples), codes])
 
 
 def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:

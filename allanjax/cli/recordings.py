@@ -10,7 +10,6 @@ import typer
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import (
-    LIMITS,
     Files,
     Input,
     Out,
@@ -83,7 +82,6 @@ def check(
     "allanjax characterize *.csv --start 60 --json > fits.json",
     "allanjax characterize week.parquet --stream",
     "allanjax characterize imu.csv --spec limits.yaml",
-    codes=LIMITS,
 )
 def characterize(
     files: Files,
@@ -99,8 +97,8 @@ def characterize(
     spec: Annotated[
         Path | None,
         typer.Option(
-            help="Check the coefficients against the limits in this file (help(allanjax.check_spec)); also "
-            "writes NAME_spec.xml, JUnit XML.",
+            help="Check the coefficients against the limits in this file (help(allanjax.check_spec)), and "
+            "write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is undecided.",
             metavar="LIMITS.yaml",
         ),
     ] = None,

@@ -8,7 +8,6 @@ import typer
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
-    LIMITS,
     OptionalFit,
     Sheet,
     exit_by,
@@ -314,7 +313,6 @@ def kalman(
 @command(
     "allanjax spec allanjax-results/imu.json limits.yaml",
     "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
-    codes=LIMITS,
 )
 def spec(
     result: Annotated[Path, typer.Argument(help="Result of characterize: NAME.json.", metavar="RESULT.json")],
@@ -323,8 +321,9 @@ def spec(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> None:
     """Check a saved result against the limits of a specification, as characterize does with --spec: noise
-    density, random walk, in-run bias and others, with the probability that the true value meets each limit.
-    The file is described by help(allanjax.check_spec).
+    density, random walk, in-run bias and others, with the probability that the true value meets each limit
+    (exit code 1: a limit is not met; 3: none, but one is undecided). help(allanjax.check_spec) describes the
+    file.
     """
     prepare()
     from allanjax.comparison.specification import check_spec

@@ -93,7 +93,7 @@ def _read(sheet: str | os.PathLike[str]) -> Mapping[str, Any]:
 
     try:
         document = yaml.safe_load(Path(sheet).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError) as error:
         why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
         raise AllanjaxError(f"{sheet}: {why}; give a YAML file with limits of gyro or accel") from error
     if not isinstance(document, Mapping):
@@ -165,10 +165,11 @@ class LimitCheck(ByValue):
     def row(self) -> tuple[str, ...]:
         """The row of the printed table."""
         limit, (low, high) = self.limit, self.probability
-        number = None if self.estimate is None else self.estimate.in_unit(limit.unit).number
-        shown = "" if number is None else f"{number.before}{significant(number.value)}"
-        if number is not None and number.error > 0.0:
-            shown = format_with_error(number.value, number.error)
+        shown = ""
+        if self.estimate is not None and (number := self.estimate.in_unit(limit.unit).number):
+            known = number.error > 0.0
+            value = format_with_error(number.value, number.error) if known else significant(number.value)
+            shown = f"{number.before}{value}"
         size = significant(limit.value / unit_scale(limit.unit))
         least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
         chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"

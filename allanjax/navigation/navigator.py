@@ -404,8 +404,9 @@ def navigate(
         times: times of the errors [s]; by default from 1 s to 1,000 s.
         rate: sample rate [Hz] of models; for a data sheet 100 Hz by default.
         at_rest: time at rest [s] over which the biases were averaged: before the start, by default 600 s; or
-            during the calibration, if there is one. If both are given, the means at rest replace the biases
-            of the calibration, and with them what gravity makes of its other errors.
+            during the calibration, if there is one, whose covariance then counts their noise a second time.
+            If both are given, the means at rest replace the biases of the calibration, and with them what
+            gravity makes of its other errors.
         calibration: what `calibrate` or `load_calibration` returned, of the same sensor.
         corrected: whether the samples are corrected by the calibration; else its errors count as they are.
         profile: turn and acceleration at the start; needs a calibration.

@@ -163,7 +163,7 @@ HOSTILE = [
     ("gyro: {meaning: maximum, arw: 0.1 deg/√h}", "unknown key 'arw'"),
     ("gyro: {meaning: maximum, random_walk: {limit: 0.1 deg/√h, side: one}}", "unknown key 'side'"),
     ("gyro: {meaning: maximum, random_walk: {sided: one}}", "needs limit"),
-    ("gyro: {meaning: maximum, random_walk: 0.1}", "with its unit"),
+    ("gyro: {meaning: maximum, random_walk: 0.1}", "with its unit"), ("[" * 5000, "a YAML file"),
     ("gyro: {meaning: maximum, random_walk: [1, 2]}", "with its unit"),
     ("gyro: {meaning: maximum, random_walk: -1 deg/√h}", "positive"),
     ("gyro: {meaning: maximum, random_walk: .nan deg/√h}", "positive"),
