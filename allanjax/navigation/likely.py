@@ -75,7 +75,7 @@ class AxisNoise(NamedTuple):
 
 def _outermost(
     draws: Float[np.ndarray, "draws ..."], of: Int[np.ndarray, " draws"], probability: float
-) -> Float[np.ndarray, "draws ..."]:
+) -> Float[np.ndarray, "kept ..."]:
     """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
     sets = [draws[of == k] for k in np.unique(of)]
     least = min(_LIKELY * len(draws), max(map(len, sets)))

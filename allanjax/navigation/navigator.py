@@ -428,6 +428,8 @@ def navigate(
     if not 0.0 < gravity < np.inf:
         raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
+    if calibration is not None and not isinstance(calibration, Calibration):
+        raise AllanjaxError("calibration= is what calibrate returned; for the time at rest pass at_rest=")
     motion = profile or Profile()
     left = Remaining({})
     if calibration is not None:

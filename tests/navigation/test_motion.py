@@ -152,6 +152,7 @@ def test_what_is_wrong_is_refused():
     ):  # fmt: skip
         refuses(word, aj.Profile, **options)
     refuses("calibration=", aj.navigate, models, rate=RATE, profile=aj.Profile(acceleration=1.0))
+    refuses("at_rest=", aj.navigate, models, rate=RATE, calibration=600.0)
     refuses("none of the axes", aj.navigate, {"gyro_x": QUIET}, rate=RATE, calibration=known)
 
 
