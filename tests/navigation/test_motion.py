@@ -123,6 +123,28 @@ def test_what_is_left_is_the_covariance_of_the_calibration():
     )
 
 
+def test_corrected_velocities_scatter_as_told():
+    """150 simulated calibrations of one sensor, each applied to 5 m/s² for 9 s and to rest until 20 s."""
+    rng, errors, left = (
+        np.random.default_rng(5),
+        Errors(SCALE, np.array([0.01, -0.02, 0.03]), np.zeros(3)),
+        [],
+    )
+    rest = np.array([[0.0, 0.0, -G0]])
+    push = rest + [[5.0, 0.0, 0.0]]
+    for _ in range(150):
+        means = errors.readings(G * EIGHTEEN[:6]) + LEVEL / np.sqrt(640.0) * rng.standard_normal((6, 3))
+        records = {name: at_rest(m, 64, 0.1) for name, m in zip(SIX, means, strict=True)}
+        known = aj.calibrate(records, gravity=G, model=f"N={LEVEL} m/s/√s", as_is=True)
+        moving, still = (known.errors("accel").inputs(errors.readings(f)) - f for f in (push, rest))
+        left.append((9.0 * moving + 11.0 * still)[0])
+    profile = aj.Profile(acceleration=5.0, duration=9.0)
+    models = {f"accel_{a}": QUIET for a in "xyz"}
+    found = aj.navigate(models, [20.0], rate=RATE, calibration=known, profile=profile)["velocity"]
+    # The scatter of 150 is known to 6 %.
+    assert_allclose(np.std(left, axis=0), found.error[:, 0], rtol=0.18)
+
+
 def test_it_is_told_in_text_document_and_figure():
     push = aj.Profile(acceleration="0.5 g", turn_rate=(0.0, 0.0, 10 * DEG), duration="20 s")
     options = {"rate": RATE, "calibration": of_accelerometers(0.003), "profile": push}
