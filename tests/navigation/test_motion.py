@@ -131,7 +131,7 @@ def test_corrected_velocities_scatter_as_told():
         [],
     )
     rest = np.array([[0.0, 0.0, -G0]])
-    push = rest + [[5.0, 0.0, 0.0]]
+    push = np.array([[5.0, 0.0, -G0]])
     for _ in range(150):
         means = errors.readings(G * EIGHTEEN[:6]) + LEVEL / np.sqrt(640.0) * rng.standard_normal((6, 3))
         records = {name: at_rest(m, 64, 0.1) for name, m in zip(SIX, means, strict=True)}
