@@ -130,7 +130,7 @@ class Triad(NamedTuple):
 def by_norm(
     readings: Float[np.ndarray, "k 3"],
     noise: Float[np.ndarray, "3 k k"],
-    g: float,
+    g: Float[np.ndarray, " k"],
     unit: Float[np.ndarray, "3 p"],
 ) -> Solution:
     """Errors of three axes from positions of unknown orientation: the norm of the inputs is g.
@@ -141,7 +141,7 @@ def by_norm(
     Args:
         readings: means of the three axes in each position [m/s²].
         noise: covariance of the means of each axis.
-        g: gravity [m/s²].
+        g: gravity in each position [m/s²].
         unit: see `least_squares`; the parameters of each axis: bias, row of M − 1, and, perhaps, q.
 
     Raises:
@@ -165,9 +165,9 @@ def by_norm(
         C = np.einsum("ki,li,ikl->kl", n, n, noise)
         solution = least_squares(rows[:, free], size - g, C, unit[free], bias[free], FREE)
         values[free] += solution.values
-        if np.all(np.abs(solution.values * unit[free]) < 1e-9 * g):
+        if np.all(np.abs(solution.values * unit[free]) < 1e-9 * g.mean()):
             break
-        if not np.all(np.abs(values * unit) < g):
+        if not np.all(np.abs(values * unit) < g.mean()):
             values[:] = np.nan
             break
     else:

@@ -18,6 +18,7 @@ from allanjax.base.late import TextProperty, presented
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
 from allanjax.calibration.least_squares import Triad
+from allanjax.estimate.as_json import in_json
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis, Recording
@@ -139,6 +140,11 @@ def _written(vector: Float[np.ndarray, 3]) -> str:
 
 
 SCHEMA_VERSION = 1
+# Keys of a parameter in JSON.
+_ROW = (
+    *("axis", "parameter", "value", "std", "lower_68", "upper_68", "lower_95", "upper_95", "unit"),
+    *("over_white_noise", "remark"),
+)
 #: Labels of the parameters of an axis, in the order of the printed table.
 PARAMETERS = ("bias", "scale_factor", *(f"misalignment_{letter}" for letter in _AXES), "second_order")
 #: Usual units of these parameters.
@@ -160,12 +166,14 @@ class Position(ByValue):
         orientation: the orientation; None if it is unknown.
         start: start of the recording [s after that of the first].
         duration: length of the recording [s].
+        gravity: local gravity [m/s²].
     """
 
     name: str
     orientation: Orientation | None
     start: float
     duration: float
+    gravity: float
 
     @property
     def label(self) -> str:
@@ -177,10 +185,12 @@ class Position(ByValue):
         up, north = (getattr(self.orientation, name, None) for name in ("up", "north"))
         return {
             "name": self.name,
+            "orientation": None if self.orientation is None else self.orientation.name,
             "up": None if up is None else up.tolist(),
             "north": None if north is None else north.tolist(),
             "start_s": self.start,
             "duration_s": self.duration,
+            "gravity_m_s2": self.gravity,
         }
 
 
@@ -195,11 +205,13 @@ class AxisCalibration(ByValue, AxisEstimates):
             [µg/g²]. A value that the positions do not determine is nan; its remark names the positions that
             would determine it.
         widening: ratio of each standard deviation to that for white noise alone; nan without white noise.
+        covariance: covariance of the coefficients in their order, SI; nan for what is not determined.
     """
 
     axis: Axis
     coefficients: Mapping[str, Estimate]
     widening: Mapping[str, float]
+    covariance: Float[np.ndarray, "p p"]
 
     @TextProperty
     def verdict(self) -> str:
@@ -217,12 +229,14 @@ class AxisCalibration(ByValue, AxisEstimates):
         """One row per parameter, in its usual unit."""
         import pandas as pd
 
-        rows = [
+        return pd.DataFrame(self.table(), columns=[key for key in _ROW if not key.endswith("68")])
+
+    def table(self) -> list[dict[str, Any]]:
+        """The parameters in their usual units, by the names of columns."""
+        return [
             c.row() | {"parameter": label, "over_white_noise": self.widening[label], "remark": c.remark}
             for label, c in self.coefficients.items()
         ]
-        numbers = ("value", "std", "lower_95", "upper_95", "unit")
-        return pd.DataFrame(rows, columns=["axis", "parameter", *numbers, "over_white_noise", "remark"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +282,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         results: one per axis.
         positions: the recordings, in time order.
         misfit: how well the means fit, by sensor.
-        gravity, gravity_std: gravity [m/s²] and its standard deviation, part of the scale factors' intervals.
+        gravity, gravity_std: gravity [m/s²], the mean of the positions' if they were at several places, and
+            its standard deviation, part of the scale factors' intervals.
         latitude: latitude [deg]; None if not given.
         noise: source of the noise model.
         notes: what was assumed, and what could not be done.
@@ -286,7 +301,8 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
     def errors(self, sensor: Sensor) -> Triad:
         """Matrix M, biases b and second-order coefficients q, SI, of I = M·f + b + q·f², for `apply`.
 
-        Parameters that are not determined, or not to 1 %, have the values of a perfect sensor.
+        Parameters that are not determined, or not to 1 % (of gravity, for an accelerometer's bias), have the
+        values of a perfect sensor.
         """
         M, b, q = np.eye(3), np.zeros(3), np.zeros(3)
         for result in self.results:
@@ -294,14 +310,19 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                 continue
             i = place_of(result.axis)
             for label, c in result.coefficients.items():
-                value = float(np.nan_to_num(c.value))
+                value = c.value if self.corrects(c) else 0.0
                 if label == "bias":
                     b[i] = value
                 elif label == "second_order":
                     q[i] = value
-                elif c.std < USEFUL:
+                else:
                     M[i, i if label == "scale_factor" else _AXES.index(label[-1])] += value
         return Triad(M, b, q)
+
+    def corrects(self, c: Estimate) -> bool:
+        """Whether a parameter is known well enough to be used by `apply`."""
+        most = {"bias": USEFUL * self.gravity if c.axis.sensor == "accel" else np.inf, "second_order": np.inf}
+        return bool(c.std < most.get(c.label, USEFUL))
 
     def apply(self, recording: Recording) -> Recording:
         """The recording without these errors: its readings I become the inputs f.
@@ -336,8 +357,11 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         return replace(recording, values=values, others=(), notes=(*recording.notes, note))
 
     def to_dict(self) -> dict[str, Any]:
-        """The calibration as plain dictionaries for JSON: estimates in usual units, matrices in SI."""
-        table = self.to_dataframe().astype(object).to_dict("records")
+        """The calibration as plain dictionaries for JSON: estimates in usual units, matrices in SI.
+
+        `load_calibration` restores it from a file.
+        """
+        rows = [row for result in self.results for row in result.table()]
         return {
             "schema_version": SCHEMA_VERSION,
             "gravity_m_s2": self.gravity,
@@ -345,9 +369,11 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
             "latitude_deg": self.latitude,
             "noise": self.noise,
             "positions": [p.to_dict() for p in self.positions],
-            "parameters": [
-                {str(k): finite_or_none(v) if isinstance(v, float) else v for k, v in row.items()}
-                for row in table
+            "parameters": [{key: in_json(row[key]) for key in _ROW} for row in rows],
+            "axes": [
+                {"name": r.axis.name, "sensor": r.axis.sensor, "unit": r.axis.unit}
+                | {"covariance_si": in_json(r.covariance)}
+                for r in self.results
             ],
             "sensors": {
                 sensor: {
@@ -355,6 +381,10 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
                     "dof": misfit.dof,
                     "p_value": finite_or_none(misfit.p_value),
                     "suspects": list(misfit.suspects),
+                    "wider": misfit.wider,
+                    "names": list(misfit.names),
+                    "residuals": in_json(misfit.residuals),
+                    "residual_std": in_json(misfit.residual_std),
                     **{k: v.tolist() for k, v in self.errors(sensor)._asdict().items()},
                 }
                 for sensor, misfit in self.misfit.items()
@@ -370,7 +400,9 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         raise NotImplementedError
 
     def _title(self) -> str:
-        return f"calibration from {len(self.positions)} positions, g = {self.gravity:.5f} m/s², ± 1σ"
+        places = sorted({position.gravity for position in self.positions})
+        g = " … ".join(f"{x:.5f}" for x in dict.fromkeys((places[0], places[-1])))
+        return f"calibration from {len(self.positions)} positions, g = {g} m/s², ± 1σ"
 
     def _heads(self, sensor: Sensor) -> list[str]:
         return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]

@@ -146,7 +146,10 @@ _VERTICAL = 1e-6
 
 
 class World(NamedTuple):
-    """Inputs of a sensor at rest: gravity [m/s²] with its standard deviation, and latitude [deg]."""
+    """Inputs of a sensor at rest: gravity [m/s²] with its standard deviation, and latitude [deg].
+
+    The gravity is that of one place, or the mean of several.
+    """
 
     gravity: float
     gravity_std: float
@@ -205,12 +208,22 @@ class Setting(NamedTuple):
         size = self.world.size(self.sensor)
         return np.array([1.0, size, size, size, size**2][: 5 if self.second_order else 4])
 
-    def design(self, axis: Axis, orientations: Sequence[Orientation]) -> Float[np.ndarray, "k p"]:
+    @property
+    def gravity(self) -> Float[np.ndarray, " k"]:
+        """Local gravity in each position [m/s²]."""
+        return np.array([position.gravity for position in self.positions])
+
+    @property
+    def inputs(self) -> Float[np.ndarray, "k 3"]:
+        """Inputs along the sensor's axes in the positions, whose orientations are known."""
+        worlds = [self.world._replace(gravity=g) for g in self.gravity]
+        return np.stack([w.input(self.sensor, o) for w, o in zip(worlds, self.known, strict=True)])
+
+    def design(self, axis: Axis, f: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k p"]:
         """Design of an axis: ones, inputs along x, y and z and, perhaps, the square of its own.
 
         Inputs that depend on an unknown heading are zero; if the axis's own input does, its row is nan.
         """
-        f = np.stack([self.world.input(self.sensor, o) for o in orientations])
         own = f[:, [place_of(axis)]]
         X = np.concatenate([np.ones((len(f), 1)), np.nan_to_num(f), own**2], axis=1)
         return np.where(np.isfinite(own), X, np.nan)[:, : len(self.units)]
@@ -220,7 +233,7 @@ class Setting(NamedTuple):
 
         A constant part of the Earth's rate along another axis cannot be distinguished from the bias.
         """
-        X = self.design(axis, self.known)
+        X = self.design(axis, self.inputs)
         aligned = X.copy()
         aligned[:, [1 + j for j in range(3) if j != place_of(axis)]] *= 0.0
         needed = self.determines(axis, aligned) and not self.determines(axis, X)
@@ -272,9 +285,9 @@ def errors_of(
     else:
         names, rows = ("norm of the three axes",), rows[:, :1]
         scale = np.tile(setting.units, (3, 1))
-        solution = by_norm(means, full, setting.world.gravity, scale)
+        solution = by_norm(means, full, setting.gravity, scale)
         if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
-            alone = by_norm(means, white, setting.world.gravity, scale)
+            alone = by_norm(means, white, setting.gravity, scale)
     size = (len(axes), len(setting.units))
     determined = solution.determined.reshape(size)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
@@ -285,7 +298,8 @@ def errors_of(
             f"{setting.sensor} axis{besides}: {_remedy(setting, axes[0])}"
         )
     wider, quantiles = _by_scatter(solution) if setting.lacks_drift else (1.0, _QUANTILES)
-    variance = wider**2 * solution.covariance.diagonal().reshape(size)
+    every = wider**2 * solution.covariance
+    variance = every.diagonal().reshape(size)
     over_white = np.full(size, np.nan)
     if alone is not None:
         over_white = np.sqrt(variance / np.maximum(alone.covariance.diagonal().reshape(size), 1e-300))
@@ -300,11 +314,18 @@ def errors_of(
             common = setting.world.gravity_std / setting.world.gravity if label == "scale_factor" else 0.0
             common = common if setting.sensor == "accel" else 0.0
             std = math.hypot(math.sqrt(max(variance[k, j], 0.0)), common)
-            value = float(values[j]) if known else math.nan
-            estimates[label] = _estimate(axis, label, value, std if known else math.nan, remark, quantiles)
+            value, std = (float(values[j]), std) if known else (math.nan, math.nan)
+            ends = [(value - z * std, value + z * std) for z in quantiles]
+            estimates[label] = estimate(axis, label, value, std, remark, ends)
             widening[label] = float(over_white[k, j]) if known else np.nan
         _check_direction(estimates["scale_factor"])
-        results.append(AxisCalibration(axis, estimates, widening))
+        own = [k * size[1] + j for j in labels.values()]
+        covariance = every[np.ix_(own, own)]
+        # With the uncertainty of gravity, and nan for what is not determined.
+        np.fill_diagonal(covariance, [c.std**2 for c in estimates.values()])
+        unknown = np.isnan(covariance.diagonal())
+        covariance[unknown] = covariance[:, unknown] = np.nan
+        results.append(AxisCalibration(axis, estimates, widening, covariance))
     return tuple(results), _misfit(solution, rows, names, positions, wider)
 
 
@@ -324,8 +345,7 @@ def _linear(
     for a in range(count):
         design[:, a, a, :] = X[:, a]
         C[:, a, :, a] = noise[a]
-    for n, orientation in enumerate(setting.known):
-        vector = np.nan_to_num(setting.world.input(setting.sensor, orientation))
+    for n, vector in enumerate(np.nan_to_num(setting.inputs)):
         across = vector @ vector * np.eye(3) - np.outer(vector, vector)
         C[n, :, n, :] += error**2 * across[np.ix_(place, place)]
     used = np.isfinite(X[:, :, 0]).ravel()
@@ -357,12 +377,16 @@ def _by_scatter(solution: Solution) -> tuple[float, tuple[float, float]]:
     return math.sqrt(solution.chi2 / solution.dof), (float(outer), float(inner))
 
 
-def _estimate(
-    axis: Axis, label: str, value: float, std: float, remark: str, quantiles: tuple[float, float]
+def estimate(
+    axis: Axis,
+    label: str,
+    value: float,
+    std: float,
+    remark: str,
+    ends: Sequence[tuple[float, float]] = ((math.nan, math.nan),) * 2,
 ) -> Estimate:
-    """A parameter; nan with a remark on what to do if it is not determined."""
+    """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
     unit = unit_of(axis.sensor, label)
-    ends = [(value - z * std, value + z * std) for z in quantiles]
     return Estimate(
         axis=axis,
         label=label,
@@ -381,7 +405,8 @@ def _estimate(
 
 def _check_direction(scale: Estimate) -> None:
     """Raise RecordingError if up and down are exchanged."""
-    if scale.axis.sensor == "accel" and scale.value < -0.5:
+    # Two places of nearly the same gravity may leave the scale factor nearly undetermined.
+    if scale.axis.sensor == "accel" and scale.value + 4.0 * scale.std < -0.5:
         raise RecordingError(
             f"{scale.axis.name} reads {1.0 + scale.value:.3g} times the expected value (an axis that points "
             "up reads +g): exchange up and down if the sensor outputs gravity, or correct its unit"
@@ -393,14 +418,15 @@ def _remedy(setting: Setting, axis: Axis) -> str:
     if not setting.known:
         count = 12 if setting.second_order else 9
         return f"add positions ({count} or more, well spread, some between the axes), or give orientations"
-    X = setting.design(axis, setting.known) / setting.units
+    X = setting.design(axis, setting.inputs) / setting.units
     X = X[np.isfinite(X[:, 0])]
     added: list[str] = []
     for candidate in six_positions(with_heading=setting.sensor == "gyro"):
         before = determined_directions(X, KNOWN)
         if is_determined(before).all():
             break
-        more = np.concatenate([X, setting.design(axis, [candidate]) / setting.units])
+        f = setting.world.input(setting.sensor, candidate)[None]
+        more = np.concatenate([X, setting.design(axis, f) / setting.units])
         if len(determined_directions(more, KNOWN)) > len(before):
             X, added = more, [*added, candidate.name]
     return f"add positions, e.g. {' and '.join(map(repr, added))}"

@@ -46,7 +46,7 @@ def calibrate(
     *,
     latitude: float | None = None,
     height: float = 0.0,
-    gravity: float | None = None,
+    gravity: float | Sequence[float] | None = None,
     model: ModelLike | Mapping[str, ModelLike] | None = None,
     fit: Fit | None = None,
     starts: Sequence[float] | None = None,
@@ -64,7 +64,9 @@ def calibrate(
     squares. The covariance of the means and the intervals follow from the phase covariance of the noise,
     including drift between positions; `AxisCalibration.widening` is the factor by which they are wider than
     for white noise alone. Two positions give the thesis's (2.32), (2.33), (2.36) and (2.37), where its "up"
-    reads −g: here an axis that points up reads +g.
+    reads −g: here an axis that points up reads +g. The same position at two places of known gravity gives
+    (2.27) to (2.29): the difference of the readings over that of gravity is the scale factor, free of the
+    bias; what they add up to at either place is known far better than either of them.
 
     A bias is the level about which stationary noise scatters, averaged over the calibration if there is also
     noise without a mean. Axes are taken as independent.
@@ -77,8 +79,8 @@ def calibrate(
             axes of reference are then the sensor's: x is that of accel_x, and accel_y is in the x-y plane.
         latitude: latitude [deg], for normal gravity and the Earth's rate; gyros need it.
         height: height [m], for normal gravity.
-        gravity: local gravity [m/s²] if it is known; by default normal gravity, whose anomaly of 35 mGal
-            (1σ) is part of the scale factors' intervals.
+        gravity: local gravity [m/s²] if it is known, one for each position if these are at several places;
+            by default normal gravity, whose anomaly of 35 mGal (1σ) is part of the scale factors' intervals.
         model: noise model with values, or models by the names of axes or sensors.
         fit: fit of a long recording of the same sensor, which describes its drift best. Without model and
             fit, the longest of the positions is fitted, and the intervals are widened if the means scatter
@@ -103,7 +105,9 @@ def calibrate(
     if not given:
         raise AllanjaxError('give recordings, e.g. {"x up": recording, "x down": other}')
     turned, world = _orientations(given, orientations), world_of(latitude, height, gravity)
-    places, recordings, notes = _places(given, turned, starts, as_is)
+    places, recordings, notes = _places(
+        given, turned, world.gravity if gravity is None else gravity, starts, as_is
+    )
     axes = _axes(recordings, turned, latitude, notes)
     parts, source = _noise(recordings, axes, model, fit, notes)
     results: list[AxisCalibration] = []
@@ -124,11 +128,18 @@ def calibrate(
 def _places(
     recordings: Sequence[Recording],
     orientations: Sequence[Orientation | None],
+    gravity: float | Sequence[float],
     starts: Sequence[float] | None,
     as_is: bool,
 ) -> tuple[tuple[Position, ...], list[Recording], list[str]]:
     """Positions and the part of each recording that was at rest, and notes on them."""
     begin, notes = _starts(recordings, starts)
+    local = np.ravel(gravity).tolist()
+    if len(local) not in (1, len(recordings)):
+        raise AllanjaxError(
+            f"{len(local)} values of gravity for {len(recordings)} recordings: give one for all, or one each"
+        )
+    local *= len(recordings) // len(local)
     places, kept = [], []
     for k, recording in enumerate(recordings):
         name = recording.name or f"position {k + 1}"
@@ -140,7 +151,8 @@ def _places(
             first, last = look.longest_part
             notes.append(f"{name}: {look.left_out}; {first:g} to {last:g} s are used")
         kept.append(look.quiet(recording))
-        places.append(Position(name, orientations[k], float(begin[k]) + first, kept[-1].duration))
+        since = float(begin[k]) + first
+        places.append(Position(name, orientations[k], since, kept[-1].duration, local[k]))
     return tuple(places), kept, notes
 
 
@@ -183,12 +195,13 @@ def _starts(recordings: Sequence[Recording], starts: Sequence[float] | None) -> 
     return begin - begin.min(), []
 
 
-def world_of(latitude: float | None, height: float, gravity: float | None) -> World:
-    """Gravity with its standard deviation, and latitude."""
+def world_of(latitude: float | None, height: float, gravity: float | Sequence[float] | None) -> World:
+    """Gravity, of several places their mean, with its standard deviation; and latitude."""
     if gravity is not None:
-        if not 9.0 < gravity < 10.0:
+        given = np.ravel(np.asarray(gravity, float))
+        if not (given.size and ((given > 9.0) & (given < 10.0)).all()):
             raise AllanjaxError(f"gravity must be the local gravity in m/s², about 9.8, not {gravity}")
-        return World(gravity, 0.0, latitude)
+        return World(float(given.mean()), 0.0, latitude)
     if latitude is None:
         raise AllanjaxError(
             "calibration needs gravity: pass latitude= (--latitude) in deg and height, or the local gravity= "
@@ -266,6 +279,12 @@ def _remarks(results: Sequence[AxisCalibration], misfit: Mapping[Sensor, Misfit]
     ]
     if world.gravity_std and any(r.axis.sensor == "accel" for r in results):
         notes.append("normal gravity; its anomaly, 35 mGal (1σ), is part of the scale factors' intervals")
+    notes += [
+        f"{r.axis.name}: bias and scale factor are known only together and not applied, as the scale factor "
+        f"is ± {significant(100.0 * r['scale_factor'].std, 2)} % (1σ); add a position the other way up"
+        for r in results
+        if r.axis.sensor == "accel" and r["scale_factor"].std > USEFUL
+    ]
     gyros = [r for r in results if r.axis.sensor == "gyro"]
     if not gyros:
         return notes

@@ -71,8 +71,8 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    *("check", "characterize", "critique", "report", "compare", "fleet", "export", "horizon"),
-    *("navigate", "statespace", "kalman", "calibrate", "simulate", "convert", "schema", "demo"),
+    *("check", "characterize", "critique", "report", "compare", "spec", "fleet", "export"),
+    *("horizon", "navigate", "statespace", "kalman", "calibrate", "simulate", "convert", "schema", "demo"),
 )
 for _name in _ORDER:
     _command, _epilog = COMMANDS[_name]

@@ -50,6 +50,7 @@ FittedNoise = Annotated[
     "allanjax calibrate x_up.csv x_down.csv y_up.csv y_down.csv z_up.csv z_down.csv --latitude 51",
     "allanjax calibrate up.csv down.csv --gravity 9.8122 --fit allanjax-results/long.json",
     "allanjax calibrate --position x+=a.csv --position 'x down, y north=b.csv' --latitude 51 --json",
+    "allanjax calibrate --position z+=calgary.csv --position z+=quito.csv --gravity 9.8082,9.7726",
 )
 def calibrate(
     reading: ReadOptions,
@@ -60,7 +61,13 @@ def calibrate(
         typer.Option(help="Latitude in deg, for normal gravity and (gyros) the Earth's rotation rate."),
     ] = None,
     height: Annotated[float, typer.Option(help="Height in m, for normal gravity.")] = 0.0,
-    gravity: Annotated[float | None, typer.Option(help="Local gravity in m/s^2, if known.")] = None,
+    gravity: Annotated[
+        str | None,
+        typer.Option(
+            help="Local gravity in m/s^2, if known; of recordings at several places that of each, e.g. "
+            "9.8082,9.7726."
+        ),
+    ] = None,
     starts: Starts = None,
     second_order: Annotated[
         bool, typer.Option("--second-order", help="Estimate the second-order scale factor of accelerometers.")
@@ -90,7 +97,8 @@ def calibrate(
         named = [*((None, file) for file in files or ()), *map(_split, position or ())]
         if not named:
             raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
-        world_of(latitude, height, gravity)
+        local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
+        world_of(latitude, height, local)
         with stage("reading"):
             recordings, orientations = _read(named, reading)
             noise = None if fit is None else saved_fit(fit)
@@ -100,9 +108,9 @@ def calibrate(
                 orientations,
                 latitude=latitude,
                 height=height,
-                gravity=gravity,
+                gravity=local,
                 fit=noise,
-                starts=None if starts is None else _numbers(starts),
+                starts=None if starts is None else _numbers("--starts", starts, "0,620,1240"),
                 second_order=second_order,
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
@@ -139,8 +147,9 @@ def _split(text: str) -> tuple[str, str]:
     return orientation, file
 
 
-def _numbers(text: str) -> list[float]:
+def _numbers(option: str, text: str, example: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise AllanjaxError(f"--starts {text!r}: give times in s, separated by commas: 0,620,1240") from error
+        message = f"{option} {text!r}: give numbers, separated by commas: {example}"
+        raise AllanjaxError(message) from error

@@ -272,6 +272,12 @@ def reported(file: Input, message: str) -> dict[str, str]:
     return {"file": file.label, "message": message}
 
 
+def exit_by(verdicts: Sequence[str]) -> None:
+    """End the program with 1 if limits of a specification are not met, or else with 3 if one is undecided."""
+    if code := 1 if "fail" in verdicts else 3 if "undecided" in verdicts else 0:
+        raise typer.Exit(code)
+
+
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
     """End the program if files failed, with a line on stderr that names them."""
     if errors:

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.cli.common import Files, Input, Out, Outcome, Vibrating, fitting, stage, work_through
+from allanjax.cli.common import (
+    Files,
+    Input,
+    Out,
+    Outcome,
+    Vibrating,
+    exit_by,
+    fitting,
+    stage,
+    user_errors,
+    work_through,
+)
 from allanjax.cli.options import FigureFormat, command
 from allanjax.cli.pages import Html, write_page
 from allanjax.fleet.options import FitOptions
@@ -72,6 +83,7 @@ def check(
     "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
     "allanjax characterize *.csv --start 60 --json > fits.json",
     "allanjax characterize week.parquet --stream",
+    "allanjax characterize imu.csv --spec limits.yaml",
 )
 def characterize(
     files: Files,
@@ -84,6 +96,14 @@ def characterize(
             "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
         ),
     ] = False,
+    spec: Annotated[
+        Path | None,
+        typer.Option(
+            help="Check the coefficients against the limits in this file (help(allanjax.check_spec)), and "
+            "write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is undecided.",
+            metavar="LIMITS.yaml",
+        ),
+    ] = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
@@ -98,6 +118,13 @@ def characterize(
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
     """
+    from allanjax.comparison.specification import check_spec, read_spec
+
+    if spec is not None:
+        # A wrong file ends the command before it reads recordings.
+        with user_errors():
+            read_spec(spec)
+    verdicts: list[str] = []
 
     def work(file: Input, directory: Path | None) -> Outcome:
         recording = check = spectrum = None
@@ -105,20 +132,23 @@ def characterize(
             fit = _accumulate_and_fit(file, options)
         else:
             recording, check, spectrum, fit = read_and_fit(file, options)
-        from allanjax.presentation.files import with_check, write_results
+        from allanjax.presentation.files import with_checks, write_results
 
+        judged = None if spec is None else check_spec(fit, spec)
+        verdicts.extend(() if judged is None else [judged.verdict])
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
-                paths = write_results(fit, spectrum, directory, file.name, check, figure_format)
+                paths = write_results(fit, spectrum, directory, file.name, check, figure_format, judged)
                 if html:
                     shown = (fit, None, recording, spectrum, check)
                     paths += (write_page(file, directory, *shown),)
         first = [] if check is None else [f"check: {check.summary()}"]
-        text = "\n".join([*first, str(fit), *([fit.details()] if verbose else [])])
+        last = [] if judged is None else [str(judged)]
+        text = "\n".join([*first, str(fit), *([fit.details()] if verbose else []), *last])
         missing = [f"{axis}: no result, {why}" for axis, why in fit.without_result.items()]
         missing += [f"{axis}: {why}" for axis, why in fit.not_measured.items()]
-        return Outcome(text, with_check(fit, check), paths, missing)
+        return Outcome(text, with_checks(fit, check, judged), paths, missing)
 
     def document(fits: list[dict[str, Any]], _: int) -> dict[str, Any]:
         from allanjax.estimate.as_json import SCHEMA_VERSION
@@ -126,6 +156,7 @@ def characterize(
         return {"schema_version": SCHEMA_VERSION, "fits": fits}
 
     work_through(files, out, as_json, work, document)
+    exit_by(verdicts)
 
 
 def read_and_fit(file: Input, options: FitOptions) -> "tuple[Recording, Check, PowerSpectrum, Fit]":

@@ -1,4 +1,4 @@
-"""The commands for results: `allanjax export`, `horizon`, `navigate`, `statespace`, `kalman` and `schema`."""
+"""The commands for results: `allanjax export`, `horizon`, `navigate`, `statespace`, `kalman`, `spec`, …"""
 
 import sys
 from pathlib import Path
@@ -10,6 +10,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
     OptionalFit,
     Sheet,
+    exit_by,
     fit_or_sheet,
     prepare,
     print_json,
@@ -140,6 +141,7 @@ def horizon(
     "allanjax navigate allanjax-results/imu.json --latitude 51",
     "allanjax navigate --sheet BMI088 --latitude 51",
     "allanjax navigate imu.json --latitude 51 --azimuth 0.1deg --out navigation.png",
+    "allanjax navigate imu.json --latitude 51 --calibration calibration.json --turn-rate 10deg/s --for 9s",
 )
 def navigate(
     latitude: Annotated[float, typer.Option(help="Latitude of the sensor in deg.")],
@@ -152,9 +154,33 @@ def navigate(
         list[float] | None,
         typer.Option(help="Time in s to report; repeat for more. Default: 1 s to 1000 s."),
     ] = None,
+    at_rest: Annotated[
+        float | None,
+        typer.Option(
+            help="Time at rest before the start, in s, over which biases are averaged. Default: 600, or the "
+            "biases of the calibration are used."
+        ),
+    ] = None,
     calibration: Annotated[
-        float, typer.Option(help="Time at rest before the start, in s, over which biases are averaged.")
-    ] = 600.0,
+        Path | None,
+        typer.Option(
+            help="Include what a calibration leaves of biases, scale factors and misalignments.",
+            metavar="CALIBRATION.json",
+        ),
+    ] = None,
+    uncorrected: Annotated[
+        bool, typer.Option("--uncorrected", help="Include the errors that it found, as if not corrected.")
+    ] = False,
+    turn_rate: Annotated[
+        str | None,
+        typer.Option(help="Turn rate about z (down), or about x, y and z: 10 deg/s, or 5,0,10 deg/s."),
+    ] = None,
+    acceleration: Annotated[
+        str | None, typer.Option(help="Acceleration along x, or along x, y and z: 0.5 g, or 0,0,1 g.")
+    ] = None,
+    lasting: Annotated[
+        str | None, typer.Option("--for", help="How long the turn and the acceleration last, e.g. 20 s.")
+    ] = None,
     gyro_bias: Annotated[str, typer.Option(help="Residual bias (1σ) of the gyros.")] = "0 deg/h",
     accel_bias: Annotated[str, typer.Option(help="Residual bias (1σ) of the accelerometers.")] = "0 m/s²",
     schuler: Annotated[bool, typer.Option("--schuler", help="Include the Schuler loop.")] = False,
@@ -162,17 +188,25 @@ def navigate(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, in SI units.")] = False,
 ) -> None:
     """Estimate how fast the attitude, velocity and position errors of a navigation system with these sensors
-    grow at rest, and how accurately and how soon the sensors can find level and north.
+    grow at rest, or in a turn or an acceleration, and how accurately and how soon the sensors can find level
+    and north.
     """
     prepare()
+    from allanjax.calibration.loading import load_calibration
     from allanjax.navigation.alignment import align
+    from allanjax.navigation.motion import Profile
     from allanjax.navigation.navigator import navigate
 
     with user_errors():
         fit = fit_or_sheet(result, sheet)
         biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
         aligned = align(fit, latitude, azimuth, **biases)
-        growth = navigate(fit, time, calibration=calibration, schuler=schuler, **biases)
+        known = None if calibration is None else load_calibration(calibration)
+        moving = {"turn_rate": turn_rate, "acceleration": acceleration, "duration": lasting}
+        given = {name: text for name, text in moving.items() if text is not None}
+        more: dict[str, Any] = {"at_rest": at_rest, "calibration": known, "corrected": not uncorrected}
+        more["profile"] = Profile(**given) if given else None
+        growth = navigate(fit, time, schuler=schuler, **biases, **more)
         if out is not None:
             growth.plot(out)
     if as_json:
@@ -274,6 +308,32 @@ def kalman(
             else:
                 result.plot(path=path)
     print_result(result, as_json, out or ())
+
+
+@command(
+    "allanjax spec allanjax-results/imu.json limits.yaml",
+    "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
+)
+def spec(
+    result: Annotated[Path, typer.Argument(help="Result of characterize: NAME.json.", metavar="RESULT.json")],
+    limits: Annotated[Path, typer.Argument(help="Limits, a YAML file.", metavar="LIMITS.yaml")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="File of JUnit XML to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Check a saved result against the limits of a specification, as characterize does with --spec: noise
+    density, random walk, in-run bias and others, with the probability that the true value meets each limit
+    (exit code 1: a limit is not met; 3: none, but one is undecided). help(allanjax.check_spec) describes the
+    file.
+    """
+    prepare()
+    from allanjax.comparison.specification import check_spec
+
+    with user_errors():
+        judged = check_spec(saved_fit(result), limits)
+        if out is not None:
+            out.write_text(judged.to_junit(), encoding="utf-8")
+    print_result(judged, as_json, () if out is None else (out,))
+    exit_by([judged.verdict])
 
 
 @command("allanjax schema fit > fit.schema.json")

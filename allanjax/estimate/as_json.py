@@ -82,12 +82,13 @@ def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
     return {key: in_json(getattr(of, name)) if name else None for key, name in keys.items()}
 
 
-def _read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
+def read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
     """The object of a class from its JSON, and as given what that does not hold; else fields have defaults.
 
-    Null is NaN in a field that cannot be None.
+    Null is NaN in a field that cannot be None. Keys are the names of fields unless `_KEYS` has others.
     """
-    keys = {name: key for key, name in _KEYS[made].items()}
+    own = _KEYS.get(made) or {field.name: field.name for field in dataclasses.fields(made)}  # type: ignore[arg-type]
+    keys = {name: key for key, name in own.items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
         key, kind = keys.get(field.name, ""), str(field.type)
         if field.name in given or key not in document:
@@ -196,14 +197,7 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         AllanjaxError: the file does not exist, holds no fit, is damaged or of another version, or has a term
             that is neither built in nor among `terms`.
     """
-    try:
-        document = json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise AllanjaxError(f"{path}: no such file; check the path") from error
-    except (OSError, ValueError) as error:
-        raise AllanjaxError(
-            f"{path}: not a JSON file, or damaged ({error}); give a NAME.json of allanjax characterize"
-        ) from error
+    document = document_in(path, "a NAME.json of allanjax characterize")
     classes = term_classes() | {term.name(): term for term in terms}
     try:
         if "fits" in document:
@@ -213,6 +207,16 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: {error}") from error
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
+
+
+def document_in(path: str | os.PathLike[str], wanted: str) -> Any:
+    """What a JSON file holds; AllanjaxError that asks for what is wanted if there is no such file."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise AllanjaxError(f"{path}: no such file; check the path") from error
+    except (OSError, ValueError) as error:
+        raise AllanjaxError(f"{path}: not a JSON file, or damaged ({error}); give {wanted}") from error
 
 
 def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
@@ -229,21 +233,21 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
             f"written by allanjax {written} without the curve; characterize the recording again"
         )
     template, of, curve = _model(document, classes), document["recording"], document["curve"]
-    alive = [(a, _read(Axis, a)) for a in document["axes"] if not a["dead"]]
+    alive = [(a, read(Axis, a)) for a in document["axes"] if not a["dead"]]
     axes, keys = tuple(axis for _, axis in alive), {"deviation": "deviation", "edf": "degrees_of_freedom"}
     known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
     rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
-    return _read(
+    return read(
         Fit,
         document,
         name=of["name"],
         template=template,
-        curve=_read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
+        curve=read(AllanDeviation, curve, **known, n=of["n"], rate=of["rate_hz"], axes=axes),
         results=tuple(_result(*of_axis, template, classes) for of_axis in alive),
-        facts=tuple(_read(Fact, fact) for fact in document["facts"]),
+        facts=tuple(read(Fact, fact) for fact in document["facts"]),
         selection=TermSelection(of["name"], rankings) if chosen else None,
-        dead=tuple(DeadAxis(_read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
+        dead=tuple(DeadAxis(read(Axis, a), a["reason"]) for a in document["axes"] if a["dead"]),
     )
 
 
@@ -273,7 +277,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
         template, plain = own, _result(extension["plain"], axis, template, classes)
     parameters = {p.label: p.parameter for p in template.parameters}
     found = {c["label"]: _estimate(c, parameters[c["label"]], axis) for c in a["coefficients"]}
-    return _read(
+    return read(
         AxisFit,
         a,
         axis=axis,
@@ -281,7 +285,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
         _covariance=np.array(a["covariance"]["values"], float).reshape(len(found), len(found)),
         _model=(fitted_model if own is None else extended_model)(template, found),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
-        **{key: a.get(key) and _read(Misfit, a[key]) for key in ("misfit", "allan_misfit")},
+        **{key: a.get(key) and read(Misfit, a[key]) for key in ("misfit", "allan_misfit")},
         own_template=own,
         plain=plain,
     )
@@ -296,18 +300,18 @@ def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Es
         more[name] = low, math.inf if math.isnan(high) and not math.isnan(low) else high
     if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
         more["upper_limit"] = math.inf
-    return _read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
+    return read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
 def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
     ranking, averaged = [], None
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
-        ranking.append(_read(TermSet, s, log_evidence=evidence))
+        ranking.append(read(TermSet, s, log_evidence=evidence))
     if of := a.get("selection_averaged"):
         coefficients = {}
         for c in of["coefficients"]:
             parameter = class_of(c["term"], classes).amplitude_parameter()
             coefficients[c["label"]] = _estimate(c, parameter, axis, source="averaged")
-        averaged = _read(Averaged, of, coefficients=coefficients)
+        averaged = read(Averaged, of, coefficients=coefficients)
     return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)

@@ -35,7 +35,7 @@ from allanjax.base.wording import duration, finite_or_none, plain, record_size, 
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.spectral.powers import Ramps, bounds, information, power_fits
+from allanjax.estimate.spectral.powers import Ramps, bound, bounds, information, power_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
@@ -60,7 +60,7 @@ _LENGTHS, _PER_OCTAVE = 40, 32
 _ROUNDS, _LINE = 3, 6.0
 # Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
-_Trial: TypeAlias = tuple[float, Float[np.ndarray, "terms m"], Float[np.ndarray, " m"]]
+Trial: TypeAlias = tuple[float, Float[np.ndarray, "terms m"], Float[np.ndarray, " m"]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,13 +122,18 @@ class NeededLength(ByValue):
         }
 
 
+def random_terms() -> list[NoiseTerm]:
+    """The basic terms whose lengths are known: quantization, N, B and K."""
+    return [term for term in basic_terms().terms if not term.deterministic]
+
+
 def _lengths(
     quiet: Recording, inspection: Inspection, widths: Mapping[str, float | None]
 ) -> Iterator[NeededLength]:
     """Yield how long to record for N, B and K of each axis, by rough fits to its spectrum."""
-    terms = [term for term in basic_terms().terms if not term.deterministic]
+    terms = random_terms()
     bins, statistics = joint_statistics((quiet.values,), quiet.rate)
-    columns, trials = columns_of(terms, bins).mean(axis=1), [*_trials(terms, quiet.rate, quiet.n)]
+    columns, trials = columns_of(terms, bins).mean(axis=1), [*trial_lengths(terms, quiet.rate, quiet.n)]
     for row, axis in enumerate(quiet.axes):
         # Up to half of its bandwidth a filter passes nearly everything.
         width = widths[axis.name]
@@ -171,7 +176,7 @@ def _estimate(axis: Axis, term: NoiseTerm, power: float, std: float) -> Estimate
     return estimate_of(Model((term,)).parameters[0], axis, value, std, ends, detected)
 
 
-def _trials(terms: Sequence[NoiseTerm], rate: float, n: int) -> Iterator[_Trial]:
+def trial_lengths(terms: Sequence[NoiseTerm], rate: float, n: int) -> Iterator[Trial]:
     """Yield the recording's length [s] and others, each with levels of terms of unit power there.
 
     Last comes how many levels each of these stands for.
@@ -185,7 +190,7 @@ def _trials(terms: Sequence[NoiseTerm], rate: float, n: int) -> Iterator[_Trial]
 
 
 def _needed(
-    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, trials: Sequence[_Trial]
+    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, trials: Sequence[Trial]
 ) -> NeededLength:
     """How long to record for one coefficient of an axis, given the powers of its detected terms."""
     now, std = trials[0][0], c.std / c.value if c.detected and c.measured else math.nan
@@ -197,15 +202,33 @@ def _needed(
         return NeededLength(c, std, now, None, "the length is unknown as the model does not fit the data")
     if not c.detected:
         power = power + (np.arange(len(power)) == k) * (c.upper_limit or 0.0) ** 2
+    size = 2.0 * float(power[k])
+    found = size * std if c.detected else 0.0
+    seconds = length_for(size * TARGET, found, np.eye(len(power))[k], power, trials)
+    return NeededLength(c, std, now, seconds)
+
+
+def length_for(
+    target: float,
+    std: float,
+    gradient: Float[np.ndarray, " terms"],
+    power: Float[np.ndarray, " terms"],
+    trials: Sequence[Trial],
+) -> float | None:
+    """Length [s] at which the Cramér–Rao bound of a quantity is `target`; None if that is more than a month.
+
+    It is as much longer as the standard deviation is above the bound now. The quantity has this gradient by
+    the powers of the terms.
+    """
     of_powers = (information(unit, power @ unit, size / 2.0) for _, unit, size in trials)
-    bound = np.array([bounds(F, power > 0.0)[k] for F in of_powers]) / (2.0 * power[k])
+    levels = np.array([bound(F, gradient, power > 0.0) for F in of_powers])
     # The fit cannot be better than the bound.
-    target = TARGET * min(bound[0] / std, 1.0) if c.detected else TARGET
-    if bound[-1] > target:
-        return NeededLength(c, std, now, None)
+    target *= float(levels[0]) / max(std, float(levels[0]))
+    if levels[-1] > target:
+        return None
     # The bound falls with the length.
-    log, known = np.log([seconds for seconds, *_ in trials[1:]]), -np.log(np.minimum.accumulate(bound[1:]))
-    return NeededLength(c, std, now, float(np.exp(np.interp(-np.log(target), known, log))))
+    log, known = np.log([seconds for seconds, *_ in trials[1:]]), -np.log(np.minimum.accumulate(levels[1:]))
+    return float(np.exp(np.interp(-np.log(target), known, log)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -37,16 +37,19 @@ class Drawn(NamedTuple):
         known: draws of the sum of the detected terms, for the set whose lower end is lowest.
         upper: the same including terms that are only known to be below a limit, for the set whose upper end
             is highest.
+        correlation: what the total has besides the sum of the means, as some of these are of causes that are
+            correlated; perhaps negative.
     """
 
     mean: Mapping[str, Float[np.ndarray, ...]]
     known: Float[np.ndarray, "draws ..."]
     upper: Float[np.ndarray, "draws ..."]
+    correlation: Float[np.ndarray, ...] | float = 0.0
 
     @property
     def total(self) -> Float[np.ndarray, ...]:
-        """The mean of all detected terms."""
-        return sum(self.mean.values(), np.zeros_like(self.known[0]))
+        """The mean of all detected terms, with other causes."""
+        return sum(self.mean.values(), np.zeros_like(self.known[0]) + self.correlation)
 
 
 class AxisNoise(NamedTuple):
@@ -72,7 +75,7 @@ class AxisNoise(NamedTuple):
 
 def _outermost(
     draws: Float[np.ndarray, "draws ..."], of: Int[np.ndarray, " draws"], probability: float
-) -> Float[np.ndarray, "draws ..."]:
+) -> Float[np.ndarray, "kept ..."]:
     """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
     sets = [draws[of == k] for k in np.unique(of)]
     least = min(_LIKELY * len(draws), max(map(len, sets)))
@@ -212,4 +215,4 @@ def together(parts: Sequence[Drawn]) -> Drawn:
     order = [np.random.default_rng(k).permutation(_DRAWS) for k in range(len(parts))]
     known = sum(drawn.known[at] for drawn, at in zip(parts, order, strict=True))
     upper = sum(drawn.upper[at] for drawn, at in zip(parts, order, strict=True))
-    return Drawn(mean, np.asarray(known), np.asarray(upper))
+    return Drawn(mean, np.asarray(known), np.asarray(upper), sum(drawn.correlation for drawn in parts))

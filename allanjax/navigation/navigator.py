@@ -18,9 +18,11 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
-from allanjax.navigation.likely import AxisNoise, Drawn, NoiseLike, Sensors, in_si, sensors_of, together
+from allanjax.calibration.result import Calibration
+from allanjax.navigation.likely import Drawn, NoiseLike, Sensors, in_si, sensors_of, together
+from allanjax.navigation.motion import Profile, Remaining, remaining
 from allanjax.noise.model import Model
-from allanjax.record.units import SI
+from allanjax.record.units import SI, Sensor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +49,8 @@ class ErrorGrowth(ByValue):
         time: times [s] since the start.
         error: standard deviation [rad, m/s or m].
         lower, upper: ends of its 95 % interval; nan for models that are taken as exact.
-        causes: by direction, standard deviations of the error from each cause alone.
+        causes: by direction, standard deviations of the error from each cause alone. Those of a calibration
+            may be correlated; the squares of all others add up to that of the error.
     """
 
     quantity: Quantity
@@ -154,20 +157,25 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
     Attributes:
         name: the recording's name.
         rate: sample rate [Hz].
-        calibration: time at rest before the start [s], over which the biases were averaged.
+        at_rest: time at rest [s] over which the biases were averaged.
         gravity: gravity of the Earth [m/s²].
         schuler: whether the Schuler loop is included; without it the errors hold for short times only.
         growths: growth of attitude, velocity and position errors, as far as there are sensors for them.
         notes: limitations of the result.
+        calibrated: whose errors of scale and mounting are included: of a sensor that is "corrected" by a
+            calibration or "uncorrected"; "" for none.
+        profile: the motion; None at rest.
     """
 
     name: str
     rate: float
-    calibration: float
+    at_rest: float
     gravity: float
     schuler: bool
     growths: tuple[ErrorGrowth, ...]
     notes: tuple[str, ...] = ()
+    calibrated: str = ""
+    profile: Profile | None = None
 
     @property
     def quarter_period(self) -> float:
@@ -198,7 +206,9 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
         return {
             "name": self.name,
             "rate_hz": self.rate,
-            "calibration_s": self.calibration,
+            "at_rest_s": self.at_rest,
+            "calibration": self.calibrated or None,
+            "profile": self.profile and self.profile.to_dict(),
             "gravity_m_s2": self.gravity,
             "schuler": self.schuler,
             "time_s": [float(t) for t in self.growths[0].time],
@@ -213,7 +223,9 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
 
     def _title(self) -> str:
         loop = "with the Schuler loop" if self.schuler else "short-term"
-        return f"errors of a navigator at rest, {loop}, after {duration(self.calibration)} of calibration"
+        moving = self.profile.describe() if self.profile else "at rest"
+        sensors = f", {self.calibrated} sensors" if self.calibrated else ""
+        return f"errors of a navigator {moving}, {loop}{sensors}, after {duration(self.at_rest)} at rest"
 
     def _tables(self) -> list[list[Column]]:
         time = self.growths[0].time
@@ -236,8 +248,8 @@ class Navigation(ByValue, Tabled, Mapping[str, ErrorGrowth]):
 # place of ω², and grows exponentially.
 #
 # That response to a bias is all that the errors need. The mean ε_k of the sensor's error over a sample
-# interval h acts from its beginning to its end, and the bias was taken to be the mean over a calibration of
-# duration C before the start. With the phase θ, the integral of the error,
+# interval h acts from its beginning to its end, and the bias was taken to be the mean over a duration C at
+# rest before the start. With the phase θ, the integral of the error,
 #
 #     e(t) = Σ_k [W(t − kh) − W(t − kh − h)]/h · [θ(kh + h) − θ(kh)] − W(t)·[θ(0) − θ(−C)]/C,
 #
@@ -282,7 +294,7 @@ class ErrorVariances:
         self,
         orders: Sequence[int],
         steps: Int[np.ndarray, " t"],
-        calibration: int,
+        before: int,
         rate: float,
         stiffness: float = 0.0,
     ) -> None:
@@ -291,19 +303,26 @@ class ErrorVariances:
         Args:
             orders: how many times they are integrated: 1, 2 or 3.
             steps: numbers of samples since the start.
-            calibration: number of samples before it over which the bias was averaged.
+            before: number of samples before it over which the bias was averaged.
             rate: sample rate [Hz].
             stiffness: see `bias_response`.
         """
         self._rate = rate
         self._functionals = [
-            [_functional(order, int(n), calibration, rate, stiffness) for n in steps] for order in orders
+            [_functional(order, int(n), before, rate, stiffness) for n in steps] for order in orders
         ]
         whole = np.arange(steps.max() + 1)
-        self._lags = np.concatenate([whole, whole + calibration]) / rate
+        self._lags = np.concatenate([whole, whole + before]) / rate
         self._known: list[tuple[Model, np.ndarray]] = []
+        self._time, self._orders, self._stiffness = steps / rate, orders, stiffness
         #: Errors after the steps from a unit bias, by order.
-        self.of_bias = np.array([bias_response(steps / rate, order, stiffness) for order in orders])
+        self.of_bias = self.of_input(np.inf)
+
+    def of_input(self, seconds: float) -> Float[np.ndarray, "orders t"]:
+        """Errors after the steps from a unit input that ends after so many seconds, by order."""
+        after = np.maximum(self._time - seconds, 0.0)
+        pairs = [[bias_response(t, k, self._stiffness) for t in (self._time, after)] for k in self._orders]
+        return np.array([whole - rest for whole, rest in pairs])
 
     def __call__(self, one: Model) -> Float[np.ndarray, "orders t"]:
         """Variances for a model of one term, kept for other axes and sets of terms with the same."""
@@ -317,12 +336,12 @@ class ErrorVariances:
         return variance
 
 
-def _functional(order: int, n: int, calibration: int, rate: float, stiffness: float) -> _Functional:
+def _functional(order: int, n: int, before: int, rate: float, stiffness: float) -> _Functional:
     """The error after n samples."""
     response = bias_response(np.arange(n + 1) / rate, order, stiffness)
     of_samples = np.diff(response)[::-1] * rate
     weights = -np.diff(of_samples, prepend=0.0, append=0.0)
-    bias = response[-1] * rate / calibration
+    bias = response[-1] * rate / before
     weights[0] -= bias
     size = 2 ** math.ceil(math.log2(2 * n + 2))
     products = np.fft.irfft(np.abs(np.fft.rfft(weights, size)) ** 2, size)[: n + 1]
@@ -331,7 +350,7 @@ def _functional(order: int, n: int, calibration: int, rate: float, stiffness: fl
 
 
 def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.ndarray, " lags"]) -> float:
-    """Variance of an error, from G at the lags of phases among each other and to the calibration's start."""
+    """Variance of an error, from G at the lags of phases among each other and to the first sample at rest."""
     n = len(f.weights)
     # Not `@`: BLAS would start threads for each of many short products.
     within = np.einsum("i,i", f.products, near[:n]) + f.bias**2 * near[0]
@@ -351,7 +370,10 @@ def navigate(
     times: Sequence[float] | None = None,
     *,
     rate: float | None = None,
-    calibration: float = 600.0,
+    at_rest: float | None = None,
+    calibration: Calibration | None = None,
+    corrected: bool = True,
+    profile: Profile | None = None,
     gyro_bias: float | str = 0.0,
     accel_bias: float | str = 0.0,
     gravity: float = STANDARD_GRAVITY,
@@ -360,12 +382,19 @@ def navigate(
 ) -> Navigation:
     """Growth of the errors of a level strapdown navigator at rest, from all terms of its sensors' noise.
 
-    The navigator has been at rest for `calibration` seconds and has taken the means of its sensors as their
+    The navigator has been at rest for `at_rest` seconds and has taken the means of its sensors as their
     biases (an accelerometer's by leveling, 2.45, which cancels it). Then it is on its own, with x pointing
     north and z down. A gyro's error tilts it, so that it takes a part of gravity for motion, and the errors
     of the accelerometers are integrated, too (2.38–2.40). All terms count, including lines, ramps and terms
-    behind a response. Not included are errors of scale and mounting, the coupling by the Earth's rotation,
-    errors from motion, and transients, which happen once and are not noise.
+    behind a response. Not included are the coupling by the Earth's rotation and transients, which happen once
+    and are not noise.
+
+    With a `calibration` the navigator starts with its biases instead, and what it leaves of bias, scale
+    factor and misalignment counts, too: its covariance, and the errors themselves that it cannot correct. A
+    scale factor acts as a bias in proportion to the input (2.41, 2.42), a misalignment in proportion to the
+    input along another axis. Inputs are gravity and the `profile`. Directions are those of the sensor's axes,
+    as if a turn were short; one of more than some 30 deg spreads the errors from misalignment over both level
+    directions, in which together they are then smaller than given.
 
     Args:
         data: what `fit` or `load` returned, with intervals from the uncertainty of the coefficients and, if
@@ -374,7 +403,13 @@ def navigate(
             the names of axes, taken as exact.
         times: times of the errors [s]; by default from 1 s to 1,000 s.
         rate: sample rate [Hz] of models; for a data sheet 100 Hz by default.
-        calibration: time at rest before the start [s].
+        at_rest: time at rest [s] over which the biases were averaged: before the start, by default 600 s; or
+            during the calibration, if there is one, whose covariance then counts their noise a second time.
+            If both are given, the means at rest replace the biases of the calibration, and with them what
+            gravity makes of its other errors.
+        calibration: what `calibrate` or `load_calibration` returned, of the same sensor.
+        corrected: whether the samples are corrected by the calibration; else its errors count as they are.
+        profile: turn and acceleration at the start; needs a calibration.
         gyro_bias, accel_bias: standard deviation of biases that the calibration leaves besides noise, e.g.
             from turn-on to turn-on if it was done earlier; rad/s and m/s², or a text such as "0.2 deg/h".
         gravity: gravity of the Earth [m/s²].
@@ -393,16 +428,29 @@ def navigate(
     if not 0.0 < gravity < np.inf:
         raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
-    steps, before = _whole_samples(given, calibration, sensors.rate)
-    variances = _variances(sensors, steps, before, biases, float(gravity), schuler)
+    if calibration is not None and not isinstance(calibration, Calibration):
+        raise AllanjaxError("calibration= is what calibrate returned; for the time at rest pass at_rest=")
+    motion = profile or Profile()
+    left = Remaining({})
+    if calibration is not None:
+        left = remaining(calibration, motion, float(gravity), corrected, at_rest is not None)
+    elif profile is not None:
+        raise AllanjaxError("profile= needs the errors that act in motion: pass calibration= (--calibration)")
+    if at_rest is None:
+        at_rest = 600.0 if calibration is None else sum(p.duration for p in calibration.positions)
+    steps, before = _whole_samples(given, at_rest, sensors.rate)
+    variances = _variances(sensors, steps, before, biases, float(gravity), schuler, left)
     if not any(variances.values()):
         raise AllanjaxError(
             f"no axis can be used; use names such as gyro_x or accel_z, not {', '.join(sensors.axes)}"
         )
     time = steps / sensors.rate
     growths = tuple(_growth(q, of, time, sensors) for q, of in variances.items() if of)
-    result = Navigation(sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
-    return dataclasses.replace(result, notes=(*sensors.notes, *_notes(result, sensors, float(time[-1]))))
+    used = "" if calibration is None else "corrected" if corrected else "uncorrected"
+    shared = (sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
+    result = Navigation(*shared, calibrated=used, profile=profile)
+    notes = (*sensors.notes, *left.notes, *_without(sensors, left), *_notes(result, sensors, float(time[-1])))
+    return dataclasses.replace(result, notes=notes)
 
 
 def _variances(
@@ -412,6 +460,7 @@ def _variances(
     biases: Mapping[str, float],
     gravity: float,
     schuler: bool,
+    left: Remaining,
 ) -> dict[str, dict[str, list[Drawn]]]:
     """Variances of the errors by quantity and direction, one for each sensor that contributes."""
     level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
@@ -422,19 +471,24 @@ def _variances(
         vertical = ErrorVariances((1, 2), steps, before, sensors.rate, -2.0 * gravity / EARTH_RADIUS)
         about = ErrorVariances((1,), steps, before, sensors.rate)
 
-    def errors(noise: AxisNoise | None, orders: Sequence[int], of: ErrorVariances) -> list[Drawn]:
+    def errors(sensor: Sensor, letter: str, orders: Sequence[int], of: ErrorVariances) -> list[Drawn]:
         """Drawn variances of an axis's errors, of each order of integration."""
+        noise = sensors.along(sensor, letter)
         if noise is None:
             return []
-        drawn, bias = noise.drawn(of), (biases[noise.axis.sensor] * of.of_bias) ** 2
-        return [_with_bias(drawn, n - 1, bias[n - 1], noise.axis.name) for n in orders]
+        drawn, given = noise.drawn(of), (biases[sensor] * of.of_bias) ** 2
+        causes, both = {"bias": given}, given
+        if (own := left.axes.get((sensor, letter))) is not None:
+            causes, both = own.variances(of.of_bias, of.of_input(left.duration))
+            causes["bias"], both = causes["bias"] + given, both + given
+        return [_with_causes(drawn, n - 1, causes, both, noise.axis.name) for n in orders]
 
     variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
     for channel, along, tilting in _CHANNELS:
         upright = tilting is None
-        turned = errors(sensors.along("gyro", along), (1,), about if upright else level)
-        forced = errors(sensors.along("accel", along), (1, 2), vertical if upright else level)
-        tilted = errors(sensors.along("gyro", tilting), (2, 3), level) if tilting else []
+        turned = errors("gyro", along, (1,), about if upright else level)
+        forced = errors("accel", along, (1, 2), vertical if upright else level)
+        tilted = errors("gyro", tilting, (2, 3), level) if tilting else []
         tilted = [_times(drawn, gravity**2) for drawn in tilted]
         for quantity, parts in (
             ("attitude", turned[:1]),
@@ -446,27 +500,33 @@ def _variances(
     return variances
 
 
-def _whole_samples(times: Float[np.ndarray, " t"], calibration: float, rate: float) -> tuple[np.ndarray, int]:
-    """Times and calibration in samples; AllanjaxError if there is less than one, or too many."""
-    for name, values in (("times", times), ("calibration", np.array([float(calibration)]))):
+def _whole_samples(times: Float[np.ndarray, " t"], at_rest: float, rate: float) -> tuple[np.ndarray, int]:
+    """Times and time at rest in samples; AllanjaxError if there is less than one, or too many."""
+    for name, values in (("times", times), ("at_rest", np.array([float(at_rest)]))):
         if not (values.size and np.all(np.isfinite(values)) and np.all(values * rate >= 0.5)):
             raise AllanjaxError(f"{name} must be finite and at least one sample interval, {1 / rate:g} s")
     if times.max() * rate > _MOST:
         raise AllanjaxError(f"times must be at most {_MOST / rate:.0f} s at {rate:g} Hz, not {times.max():g}")
-    return np.unique(np.rint(times * rate).astype(int)), round(calibration * rate)
+    return np.unique(np.rint(times * rate).astype(int)), round(at_rest * rate)
 
 
-def _with_bias(drawn: Drawn, k: int, bias: Float[np.ndarray, " t"], name: str) -> Drawn:
-    """The k-th of several drawn quantities, with the variance from a bias."""
+def _with_causes(
+    drawn: Drawn,
+    k: int,
+    causes: Mapping[str, Float[np.ndarray, "orders t"]],
+    both: Float[np.ndarray, "orders t"],
+    name: str,
+) -> Drawn:
+    """The k-th of several drawn quantities, with the variance from other causes, alone and together."""
     mean = {title: part[k] for title, part in drawn.mean.items()}
-    if np.any(bias > 0.0):
-        mean[f"{name} bias"] = bias
-    return Drawn(mean, drawn.known[:, k] + bias, drawn.upper[:, k] + bias)
+    mean |= {f"{name} {cause}": part[k] for cause, part in causes.items() if np.any(part[k] > 0.0)}
+    shared = both[k] - sum(part[k] for part in causes.values())
+    return Drawn(mean, drawn.known[:, k] + both[k], drawn.upper[:, k] + both[k], shared)
 
 
 def _times(drawn: Drawn, factor: float) -> Drawn:
     mean = {title: factor * part for title, part in drawn.mean.items()}
-    return Drawn(mean, factor * drawn.known, factor * drawn.upper)
+    return Drawn(mean, factor * drawn.known, factor * drawn.upper, factor * drawn.correlation)
 
 
 def _growth(
@@ -488,6 +548,17 @@ def _growth(
     )
 
 
+def _without(sensors: Sensors, left: Remaining) -> list[str]:
+    """Note on axes with noise that a calibration lacks; AllanjaxError if it lacks all."""
+    axes = [noise.axis for noise in sensors.axes.values()]
+    lacking = [a.name for a in axes if "_" in a.name and (a.sensor, a.name[-1]) not in left.axes]
+    if left.axes and len(lacking) == len(axes):
+        raise AllanjaxError(
+            f"the calibration has none of the axes {', '.join(lacking)}: give that of this sensor"
+        )
+    return [f"{', '.join(lacking)}: not calibrated, noise only"] if left.axes and lacking else []
+
+
 def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
     """Limitations: sensors that are missing, and times for which the errors do not hold."""
     notes = []
@@ -506,9 +577,21 @@ def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
         notes.append(
             "the vertical channel is unstable without a height sensor; the Earth's rotation is not included"
         )
-    if last + result.calibration > sensors.record / 2.0:
+    if any(
+        (part > 1.01 * growth.of(channel)).any()
+        for growth in result.growths
+        for channel, parts in growth.causes.items()
+        for part in parts.values()
+    ):
+        notes.append("some errors that the calibration leaves cancel each other in part: shares exceed 100 %")
+    if result.profile is not None and result.profile.is_long(last):
         notes.append(
-            f"times plus calibration exceed half the record ({duration(sensors.record / 2.0)}): the errors "
+            "the turn is long: it spreads errors from misalignment over both level directions, in which "
+            "together they are smaller than given"
+        )
+    if last + result.at_rest > sensors.record / 2.0:
+        notes.append(
+            f"times plus time at rest exceed half the record ({duration(sensors.record / 2.0)}): the errors "
             "extrapolate the model"
         )
     return notes

@@ -21,7 +21,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -53,6 +53,8 @@ REMEDY = (
     "for a measurement, record the sensor at rest (allanjax check reports for how long) and characterize "
     "the recording; until then choose a value yourself"
 )
+#: Label of the least Allan deviation, which is no coefficient.
+LEAST = "least_allan_deviation"
 #: Default sample rate [Hz] for a sheet's noise, which hardly depends on it.
 RATE = 100.0
 #: Least Allan deviation of flicker noise over B.
@@ -186,7 +188,7 @@ def datasheet(source: str | os.PathLike[str] | Mapping[str, Any]) -> DataSheet:
     if unknown or not present:
         problem = f"unknown key {unknown[0]!r}" if unknown else "no sensor"
         raise AllanjaxError(f"{where}: {problem}; the keys are name, source, [gyro] and [accel]")
-    sheets = {sensor: _Sheet(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
+    sheets = {sensor: Figures(sensor, document[sensor], f"{where}: [{sensor}]") for sensor in present}
     models = {sensor: sheet.model() for sensor, sheet in sheets.items()}
     statements = [f"{sensor}: {line}" for sensor, sheet in sheets.items() for line in sheet.statements]
     for sensor, model in models.items():
@@ -243,17 +245,20 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
         raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error
 
 
-class _Sheet:
-    """Figures of one sensor; collects the assumptions as statements while they are read."""
+class Figures:
+    """Figures of one sensor; collects the assumptions as statements while they are read.
 
-    def __init__(self, sensor: Sensor, figures: Any, where: str) -> None:
-        self.sensor, self.figures, self.where = sensor, figures, where
+    `others` are further figures, by name, with the exponent of time of their SI unit, rate·s^exponent.
+    """
+
+    def __init__(self, sensor: Sensor, figures: Any, where: str, others: Mapping[str, float] = {}) -> None:
+        self.sensor, self.figures, self.where, self.others = sensor, figures, where, others
         self.statements: list[str] = []
         if not isinstance(figures, Mapping):
             raise AllanjaxError(f"{where} is not a table: write its figures below [{sensor}]")
         answers = [key for options in _FIGURES.values() for key in options]
         for key in figures:
-            if key not in (*_FIGURES, *answers, "rate", "conditions"):
+            if key not in (*_FIGURES, *answers, "rate", "conditions", *others):
                 known = ", ".join((*_FIGURES, *answers, "rate", "conditions"))
                 raise AllanjaxError(f"{where}: unknown key {key!r}; the keys are {known}")
 
@@ -273,10 +278,23 @@ class _Sheet:
             raise AllanjaxError(f"{self.where}: no figure; give at least one of {', '.join(_FIGURES)}")
         return Model(tuple(terms))
 
+    def one(self, key: str) -> tuple[str, float]:
+        """What one figure gives [SI], with the label of its coefficient, or LEAST for the least deviation."""
+        exponents = {"in_run_bias_instability": 0.0, "rate_random_walk": -0.5, **self.others}
+        if key in exponents:
+            label, value = key, self._amount(key, exponents[key])
+        else:
+            label, value = "angle_random_walk", self._whites()[key]()
+        if key == "in_run_bias_instability":
+            label = "bias_instability" if self._answer(key, "reading") == "B" else LEAST
+        return label, value or 0.0
+
+    def _whites(self) -> dict[str, Callable[[], float | None]]:
+        return {"random_walk": self._random_walk, "noise_density": self._density, "rms_noise": self._rms}
+
     def _white(self, stepped: float | None) -> float | None:
         """N from the first figure that gives it, else from steps alone."""
-        readers = {"random_walk": self._random_walk, "noise_density": self._density, "rms_noise": self._rms}
-        given = {key: value for key, read in readers.items() if (value := read()) is not None}
+        given = {key: value for key, read in self._whites().items() if (value := read()) is not None}
         if not given:
             if stepped is not None:
                 self.statements.append("N is from the quantization steps alone")

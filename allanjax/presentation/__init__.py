@@ -28,6 +28,7 @@ present(
         "Recording.from_dataframe": "allanjax.record.io.given.as_recording",
         "PowerSpectrum.plot": "allanjax.presentation.spectrum_figure.plot_spectrum",
         "SampleRates.plot": "allanjax.presentation.allan_figure.plot_sample_rates",
+        "SpecCheck.to_junit": "allanjax.presentation.files.to_junit",
         "StateSpace.to_c_header": "allanjax.presentation.files.to_c_header",
         "StateSpace.to_matlab": "allanjax.presentation.files.to_matlab",
         "StateSpace.to_numpy": "allanjax.presentation.files.to_numpy",

@@ -9,10 +9,12 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from allanjax.base.errors import AllanjaxError
+from allanjax.comparison.specification import SpecCheck
 from allanjax.estimate.as_json import to_dict
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import Fit
@@ -29,9 +31,11 @@ _COEFFICIENT_COLUMNS = (
 )
 
 
-def write_json(fit: Fit, path: str | os.PathLike[str], check: Check | None = None) -> None:
-    """Write `to_dict(fit)` to a file of JSON, with the check of its recording if there is one."""
-    write_document(with_check(fit, check), path)
+def write_json(
+    fit: Fit, path: str | os.PathLike[str], check: Check | None = None, spec: SpecCheck | None = None
+) -> None:
+    """Write `to_dict(fit)` to a file of JSON, with checks of its recording and of limits if there are any."""
+    write_document(with_checks(fit, check, spec), path)
 
 
 def write_document(document: Any, path: str | os.PathLike[str]) -> None:
@@ -43,9 +47,36 @@ def write_document(document: Any, path: str | os.PathLike[str]) -> None:
     Path(path).write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
-def with_check(fit: Fit, check: Check | None) -> dict[str, Any]:
-    """The fit as plain dictionaries, with the check of its recording if there is one."""
-    return to_dict(fit) if check is None else {**to_dict(fit), "check": check.to_dict()}
+def with_checks(fit: Fit, check: Check | None, spec: SpecCheck | None = None) -> dict[str, Any]:
+    """The fit as plain dictionaries, with checks of its recording and of limits if there are any."""
+    checks = {"check": check, "spec": spec}
+    return {**to_dict(fit), **{key: x.to_dict() for key, x in checks.items() if x is not None}}
+
+
+def to_junit(spec: SpecCheck) -> str:
+    """The checks of limits as JUnit XML."""
+    verdicts = [result.verdict for result in spec.results]
+    counts = {"tests": len(verdicts), "failures": verdicts.count("fail"), "errors": 0}
+    about = {key: str(count) for key, count in (counts | {"skipped": verdicts.count("undecided")}).items()}
+    root = ElementTree.Element("testsuites", about)
+    suite = ElementTree.SubElement(root, "testsuite", {"name": f"{spec.name} against {spec.sheet}", **about})
+    for result in spec.results:
+        name = f"{result.limit.title} ({result.limit.meaning})"
+        case = ElementTree.SubElement(suite, "testcase", {"classname": result.axis, "name": name})
+        _, _, value, limit, unit, chance, verdict = result.row()
+        text = f"estimate {value}, limit {limit} {unit}, probability to meet it {chance}"
+        if verdict in ("fail", "undecided"):
+            kind = "failure" if verdict == "fail" else "skipped"
+            ElementTree.SubElement(case, kind, {"message": result.reason or text})
+        ElementTree.SubElement(case, "system-out").text = text
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    # Control characters, which a name may have, are not allowed in XML.
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n'
+        + re.sub(r"[^\t\n -\ud7ff\ue000-\U0010ffff]", "?", text)
+        + "\n"
+    )
 
 
 def curve_csv(fit: Fit) -> str:
@@ -110,17 +141,22 @@ def write_results(
     name: str,
     check: Check | None = None,
     figure_format: str = "png",
+    spec: SpecCheck | None = None,
 ) -> tuple[Path, ...]:
     """Write NAME.json, NAME_{allan,coefficients}.csv and figures NAME_{allan,psd}.png; returns their paths.
 
-    Without a spectrum, as for a recording read in chunks, there is no NAME_psd.png.
+    Without a spectrum, as for a recording read in chunks, there is no NAME_psd.png; with the check of limits
+    there is NAME_spec.xml.
     """
     from allanjax.presentation.spectrum_figure import plot_psd
 
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     paths = [directory / f"{name}.json"]
-    write_json(fit, paths[0], check)
+    write_json(fit, paths[0], check, spec)
+    if spec is not None:
+        paths.append(directory / f"{name}_spec.xml")
+        paths[-1].write_text(spec.to_junit(), encoding="utf-8")
     for suffix, write in FILES:
         paths.append(directory / f"{name}{suffix}")
         write(fit, paths[-1])

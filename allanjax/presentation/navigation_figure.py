@@ -145,8 +145,9 @@ def plot_navigation(result: Navigation, path: str | os.PathLike[str] | None = No
         key = [draw.line_entry(**draw.model_line(f"error, 1σ{interval}"))]
         key += [draw.line_entry(label=name, **of) for name, of in styles.items()]
         loop = "Schuler loop included" if result.schuler else "short-term"
-        facts = f"biases averaged over {duration(result.calibration)} at rest, {result.rate:g} Hz, {loop}"
-        heading = Heading(result.name or "Errors of a navigator at rest", facts, key)
+        facts = f"biases averaged over {duration(result.at_rest)} at rest, {result.rate:g} Hz, {loop}"
+        moving = result.profile.describe() if result.profile else "at rest"
+        heading = Heading(result.name or f"Errors of a navigator {moving}", facts, key)
         figure, panels = _ERRORS.draw(heading, [len(columns)] * len(growths), path)
         for growth, row in zip(growths, panels, strict=True):
             for channel, panel in zip(columns, row, strict=True):

@@ -100,7 +100,7 @@ def calibrated(kind: str, seed: int, first: int, count: int) -> tuple[np.ndarray
     units = [unit_of(kind, seed, first + k) for k in range(count)]
     ratios, errors, p = [], [], []
     axes = tuple(Axis(f"accel_{a}", "accel", "m/s²") for a in "xyz")
-    places = [Position(name, as_orientation(name), k * (T + PAUSE), T) for k, name in enumerate(UPS)]
+    places = [Position(name, as_orientation(name), k * (T + PAUSE), T, G) for k, name in enumerate(UPS)]
     for lacks_drift, records in enumerate(([u.long for u in units], [u.first for u in units])):
         setting = Setting(axes, tuple(places), World(G, 0.0, None), lacks_drift=bool(lacks_drift))
         fits = aj.fit_many(aj.allan_deviation(np.concatenate(records, axis=1), RATE), TERMS[kind])

@@ -122,7 +122,7 @@ def growth(name: str, craft: int, seed: int) -> list[list[str]]:
     z = np.stack([aj.simulate_recording(models, before + n, RATE, seed + k).values for k in range(craft)])
     z = z[:, before:] - z[:, :before].mean(axis=1, keepdims=True)
     errors = strapdown(z[..., :3], z[..., 3:], 1.0 / RATE, [round(t * RATE) for t in TIMES])
-    told = aj.navigate(models, TIMES, rate=RATE, calibration=CALIBRATION, gravity=GRAVITY)
+    told = aj.navigate(models, TIMES, rate=RATE, at_rest=CALIBRATION, gravity=GRAVITY)
     rows = []
     for quantity in QUANTITIES:
         ratio = np.sqrt((errors[quantity] ** 2).mean(axis=1)).T / told[quantity].error
@@ -141,11 +141,11 @@ FITS = {"terms given": "N + K", "terms chosen by the fit": None}
 def held(label: str, hours: float, seed: int) -> tuple[dict[str, np.ndarray], list[tuple[bool, bool]]]:
     """Whether the intervals of a recording hold the truth: of errors, of best azimuth and needed time."""
     models = {f"{s}_{x}": m for s, m in TRUTH.items() for x in "xyz"}
-    truth = aj.navigate(models, LATER, rate=10.0, calibration=300.0)
+    truth = aj.navigate(models, LATER, rate=10.0, at_rest=300.0)
     best = aj.align(models, 51.0, rate=10.0)["gyro_x"].best
     level = aj.align(models, 51.0, 1.5 * best, rate=10.0)
     fit = aj.fit(aj.simulate_recording(models, round(36_000 * hours), 10.0, seed), FITS[label], as_is=True)
-    found, hits, told = aj.navigate(fit, LATER, calibration=300.0), {}, []
+    found, hits, told = aj.navigate(fit, LATER, at_rest=300.0), {}, []
     for quantity in QUANTITIES:
         own, true = found[quantity], truth[quantity].error
         if own.error.shape == true.shape:

@@ -431,3 +431,60 @@ def test_the_table_the_document_and_the_figure_have_the_numbers(calibration):
         assert [label.get_text() for label in panel.get_xticklabels()] == list(SIX)
     assert figure.axes[0].get_ylabel() == "residual [µg]"
     refuses("accel_q", found.plot, "accel_q")
+
+
+def test_two_places_of_known_gravity_tell_bias_and_scale_factor():
+    """(2.27) to (2.29): I = −(1 + S)·g + b at either place; noise by hand, and by 400 simulated sensors."""
+    g, S, b = np.array([9.8082, 9.7726]), 800e-6, 0.03
+    level, T = 2e-5, 640.0
+    model = f"N={level} m/s/√s"
+
+    def measured(readings, **options):
+        records = [at_rest([m], 64, 0.1, name="z down", axes="z") for m in readings]
+        return aj.calibrate(records, gravity=list(g), model=model, as_is=True, **options)
+
+    readings = -(1.0 + S) * g + b + [3e-7, -8e-7]
+    found = measured(readings)
+    scale, bias = found["accel_z"]["scale_factor"], found["accel_z"]["bias"]
+    by_hand = (readings[0] - readings[1]) / (g[1] - g[0]) - 1.0
+    assert scale.value == pytest.approx(by_hand, abs=1e-9)
+    assert bias.value == pytest.approx(readings[0] + (1.0 + by_hand) * g[0], abs=1e-8)
+    sigma = level / np.sqrt(T)
+    assert scale.std == pytest.approx(np.sqrt(2.0) * sigma / (g[0] - g[1]), rel=1e-6)
+    assert bias.std == pytest.approx(sigma * np.hypot(*g) / (g[0] - g[1]), rel=1e-6)
+    # What they add up to at the first place is known as well as its mean.
+    at = np.array([1.0, -g[0]])
+    assert np.sqrt(at @ found["accel_z"].covariance[:2, :2] @ at) == pytest.approx(sigma, rel=1e-3)
+    assert [p["gravity_m_s2"] for p in found.to_dict()["positions"]] == list(g)
+    assert "g = 9.77260 … 9.80820 m/s²" in str(found)
+    assert all(found["accel_z"][f"misalignment_{x}"].remark for x in "xy")
+    rng, hits = np.random.default_rng(3), []
+    for _ in range(400):
+        c = measured(-(1.0 + S) * g + b + sigma * rng.standard_normal(2))["accel_z"]
+        hits.append(
+            [x.interval[0] <= truth <= x.interval[1] for x, truth in ((c["bias"], b), (c["scale_factor"], S))]
+        )
+    # 0.95 ± 0.011.
+    assert np.all(abs(np.mean(hits, axis=0) - 0.95) < 0.03)
+    # A second place that is upside down besides: dense least squares with three gravities.
+    g3, means = np.array([9.8082, 9.7726, 9.8]), np.array([-9.81, -9.774, 9.83])
+    records = {w: at_rest([m], 64, 0.1, axes="z") for w, m in zip("abc", means, strict=True)}
+    ways = ["z down", "z down", "z up"]
+    three = aj.calibrate(list(records.values()), ways, gravity=g3, model=model, as_is=True)["accel_z"]
+    X = np.column_stack([np.ones(3), g3 * [-1, -1, 1]])
+    expected = least_squares(X, means, sigma**2 * np.eye(3))
+    std = np.sqrt(np.diag(expected.covariance))
+    check_estimates((three["bias"], three["scale_factor"]), expected.values - [0.0, 1.0], std)
+
+
+def test_places_of_nearly_the_same_gravity_leave_both_unknown():
+    """A scale factor to no better than 1 % is not applied, and its bias neither."""
+    records = [at_rest([m], 64, 0.1, name="z up", axes="z") for m in (9.80, 9.801)]
+    found = aj.calibrate(records, gravity=[9.8, 9.8003], model="N=2e-4 m/s/√s", as_is=True)
+    assert found["accel_z"]["scale_factor"].std > 0.01
+    assert (found.errors("accel").M[2, 2], found.errors("accel").b[2]) == (1.0, 0.0)
+    assert any("not applied" in note for note in found.notes)
+    for gravity in ([9.8, 9.8, 9.8], [9.8, 98.0], []):
+        refuses("gravity", aj.calibrate, records, gravity=gravity, model=WHITE, as_is=True)
+    # The same place twice determines neither.
+    refuses("scale factor", aj.calibrate, records, gravity=[9.8, 9.8], model=WHITE, as_is=True)

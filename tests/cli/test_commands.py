@@ -241,14 +241,14 @@ def test_horizon(saved, process):
 
 def test_navigate(saved):
     words = ("navigate", saved, "--latitude", 51, "--azimuth", "0.1deg", "--time", 1, "--time", 10)
-    words += ("--calibration", 50, "--gyro-bias", "2 deg/h", "--accel-bias", "1 mg")
+    words += ("--at-rest", 50, "--gyro-bias", "2 deg/h", "--accel-bias", "1 mg")
     biases = {"gyro_bias": "2 deg/h", "accel_bias": "1 mg"}
     fit = aj.load(saved)
-    tables = [aj.navigate(fit, [1, 10], calibration=50, **biases), aj.align(fit, 51, "0.1 deg", **biases)]
+    tables = [aj.navigate(fit, [1, 10], at_rest=50, **biases), aj.align(fit, 51, "0.1 deg", **biases)]
     assert lines_of(ran(*words, "--out", "a.png"))[:-1] == lines_of("\n".join(map(str, tables)))
     assert Path("a.png").exists()
     document = json.loads(ran(*words, "--json", "--schuler"))
-    expected = aj.navigate(fit, [1, 10], calibration=50, schuler=True, **biases)
+    expected = aj.navigate(fit, [1, 10], at_rest=50, schuler=True, **biases)
     assert document["navigation"] == plain(expected.to_dict())
     assert document["alignment"] == plain(tables[1].to_dict())
 
@@ -301,6 +301,25 @@ def test_calibrate_by_names_of_files_and_by_options():
         assert entry == pytest.approx(own, nan_ok=True)
     assert [p["start_s"] for p in document["positions"]] == [0.0, 100.0]
     assert document["gravity_m_s2"] == expected["gravity_m_s2"]
+
+
+def test_from_a_calibration_at_two_places_to_navigation():
+    """A scale factor of 1 %, which two gravities tell, for one second of 8 m/s²."""
+    for name, g in (("calgary", 9.8082), ("quito", 9.7726)):
+        values = at_rest([1.01 * g - 0.1], 64, 20.0, axes="z").values[:, 0]
+        pd.DataFrame({"accel_z [m/s^2]": values}).to_csv(f"{name}.csv", index=False)
+    aj.write_json(bench.fit("small"), "noise.json")
+    words = ("--position", "z+=calgary.csv", "--position", "z up=quito.csv", "--gravity", "9.8082,9.7726")
+    ran("calibrate", *words, "--rate", 20, "--as-is", "--fit", "noise.json", "--out", "out")
+    scale = aj.load_calibration("out/calibration.json")["accel_z"]["scale_factor"]
+    assert scale.value == pytest.approx(0.01, abs=1e-6)
+    moving = ("--acceleration", "0,0,8 m/s^2", "--for", "1 s", "--turn-rate", "5 deg/s", "--uncorrected")
+    moving += ("--calibration", "out/calibration.json", "--at-rest", 50, "--time", 1)
+    found = json.loads(ran("navigate", "noise.json", "--latitude", 51, *moving, "--json"))["navigation"]
+    down = found["errors"]["velocity"]["channels"]["down"]["causes"]["accel_z scale factor"]
+    assert down[0] == pytest.approx(8.0 * np.hypot(scale.value, scale.std), rel=1e-6)
+    assert found["profile"]["turn_rate_rad_s"] == pytest.approx([0.0, 0.0, 5.0 * DEG])
+    assert "sensors" in ran("navigate", "noise.json", "--latitude", 51, *moving)
 
 
 def test_simulate_terms_and_sensors():
@@ -357,6 +376,7 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
         (f"kalman {UNIT}", 1, "--terms"),
         ("horizon none.json --horizon 10", 1, "none.json"),
         ("calibrate", 2, "recordings"),
+        ("calibrate up.csv down.csv --gravity 9.81;9.80", 1, "--gravity"),
         ("calibrate --position file.csv", 1, "orientation"),
         ("simulate --out a.csv", 2, "--terms"),
         ("simulate hg1701 --out a.csv", 2, "hg1700"),

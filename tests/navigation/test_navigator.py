@@ -62,7 +62,7 @@ def test_errors_are_those_of_a_dense_covariance(name):
     axes |= dict.fromkeys(("gyro_x", "accel_y"), aj.AngleRandomWalk(2e-3))
     C, of_white = dense.covariance(model, BEFORE + AFTER, RATE), 2e-3**2 * RATE * np.eye(BEFORE + AFTER)
     for schuler in (False, True):
-        options = {"rate": RATE, "calibration": BEFORE / RATE, "gravity": gravity, "schuler": schuler}
+        options = {"rate": RATE, "at_rest": BEFORE / RATE, "gravity": gravity, "schuler": schuler}
         found = aj.navigate(axes, [AFTER / RATE], **options)
 
         def errors(C, k):
@@ -114,7 +114,7 @@ def test_responses_to_a_bias_are_exact_from_a_millisecond_to_hours(rate, times):
 
 @pytest.fixture(scope="module")
 def result():
-    return aj.navigate(bench.fit("small"), calibration=50.0, gyro_bias="2 deg/h", accel_bias=1e-3)
+    return aj.navigate(bench.fit("small"), at_rest=50.0, gyro_bias="2 deg/h", accel_bias=1e-3)
 
 
 def test_a_fit_is_told_with_causes_and_intervals(result):
@@ -136,7 +136,7 @@ def test_a_fit_is_told_with_causes_and_intervals(result):
             for name, own in numbers.items():
                 assert_array_equal([rows[name], told[name]], [own[k], own[k]])
             assert set(rows.unit) == {unit}
-    assert (document["calibration_s"], document["rate_hz"], document["gravity_m_s2"]) == (50.0, 100.0, G)
+    assert (document["at_rest_s"], document["rate_hz"], document["gravity_m_s2"]) == (50.0, 100.0, G)
     # There is an accelerometer along z only.
     assert any("velocity and position north" in note for note in result.notes)
 
@@ -144,7 +144,7 @@ def test_a_fit_is_told_with_causes_and_intervals(result):
 def test_intervals_of_a_posterior_are_those_of_its_draws():
     """Each variance is linear in the powers of the terms: quantiles of 400 draws, and biases beside them."""
     posterior, t = bench.posterior("small", ("gyro_x", "accel_z")), np.array([1.0, 10.0, 60.0])
-    found = aj.navigate(posterior, t, calibration=40.0, gyro_bias=3e-6, accel_bias=2e-4)
+    found = aj.navigate(posterior, t, at_rest=40.0, gyro_bias=3e-6, accel_bias=2e-4)
     for name, quantity, channel, bias in (
         ("gyro_x", "attitude", "north", 3e-6 * t),
         ("accel_z", "position", "down", 2e-4 * t**2 / 2.0),
@@ -152,7 +152,7 @@ def test_intervals_of_a_posterior_are_those_of_its_draws():
         models, variances = posterior[name].models(400), bias**2
         for k, term in enumerate(models[0].terms):
             # That of a term of amplitude one by itself.
-            unit = aj.navigate({name: type(term)(1.0)}, t, rate=100.0, calibration=40.0)[quantity].of(channel)
+            unit = aj.navigate({name: type(term)(1.0)}, t, rate=100.0, at_rest=40.0)[quantity].of(channel)
             amplitude = term.amplitude_parameter().name
             squares = np.square([getattr(model.terms[k], amplitude) for model in models])
             variances = variances + np.outer(squares, unit**2)
@@ -189,7 +189,7 @@ def test_what_a_result_is_good_for_is_noted():
     bad = without_result(bench.fit("small"), "gyro_x")
     # The record has 163.84 s.
     for time, extrapolated in ((20.0, False), (23.0, True)):
-        notes = " ".join(aj.navigate(bad, [time], calibration=60.0).notes)
+        notes = " ".join(aj.navigate(bad, [time], at_rest=60.0).notes)
         assert ("extrapolate" in notes) == extrapolated
         assert "gyro_x is left out" in notes
     refuses("rate", aj.navigate, bad, rate=100.0)
@@ -200,7 +200,7 @@ def test_what_a_result_is_good_for_is_noted():
 REFUSED = [
     ({"rate": None}, "rate"), ({"data": {}}, "models"), ({"data": {"gyro_q": QUIET}}, "gyro_q"),
     ({"data": {"gyro_x": aj.Model(())}}, "without terms"),
-    ({"times": [0.1]}, "times"), ({"calibration": 0.0}, "calibration"),
+    ({"times": [0.1]}, "times"), ({"at_rest": 0.0}, "at_rest"),
     ({"rate": 1e4, "times": [1e3]}, "210 s"), ({"gyro_bias": -1.0}, "gyro_bias"),
     ({"gyro_bias": "1 m/s²"}, "m/s²"), ({"gravity": 0.0}, "gravity"),
 ]  # fmt: skip

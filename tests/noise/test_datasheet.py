@@ -179,7 +179,7 @@ def test_a_sheet_goes_where_a_fit_goes(elsewhere):
     values = [float(value) for value in re.findall(r"^\w+_noise_density: (.*)$", text, re.M)]
     assert values == pytest.approx([*N.values()], rel=1e-5)
     assert "update_rate: 200" in run(*words, "--rate", 200).stdout
-    grown = aj.navigate(sheet, [100.0], calibration=600.0)
+    grown = aj.navigate(sheet, [100.0], at_rest=600.0)
     assert grown["attitude"].of("down")[0] == pytest.approx(N["gyro"] * math.sqrt(100 + 100**2 / 600))
     found, samples = aj.horizon(sheet, 10.0), aj.simulate_recording(sheet, 20_000, 100.0, 0)
     assert "K not given" in str(found)

@@ -162,11 +162,19 @@ def information(
 
 def bounds(information: Float[np.ndarray, "p p"], present: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
     """Cramér–Rao bound of the standard deviation of each power, if only it and those present are unknown."""
-    found = np.empty(len(present))
-    for k in range(len(present)):
-        own = present | (np.arange(len(present)) == k)
-        F, at = information[np.ix_(own, own)], own[:k].sum()
-        size = np.sqrt(np.diag(F))
-        values, vectors = np.linalg.eigh(F / np.outer(size, size))
-        found[k] = np.sqrt((vectors[at] ** 2 / np.maximum(values, 1e-12)).sum()) / size[at]
-    return found
+    return np.array([bound(information, gradient, present) for gradient in np.eye(len(present))])
+
+
+def bound(
+    information: Float[np.ndarray, "p p"], gradient: Float[np.ndarray, " p"], present: Bool[np.ndarray, " p"]
+) -> float:
+    """Cramér–Rao bound of the standard deviation of a quantity with this gradient by the powers.
+
+    Unknown are the powers that it depends on, and those present.
+    """
+    own = present | (gradient != 0.0)
+    F = information[np.ix_(own, own)]
+    size = np.sqrt(np.diag(F))
+    values, vectors = np.linalg.eigh(F / np.outer(size, size))
+    turned = (gradient[own] / size) @ vectors
+    return float(np.sqrt((turned**2 / np.maximum(values, 1e-12)).sum()))

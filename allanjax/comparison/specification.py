@@ -1,0 +1,408 @@
+"""Whether a sensor meets its specification: limits in a YAML file against the estimates of a fit."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.equality import ByValue
+from allanjax.base.errors import AllanjaxError
+from allanjax.base.late import presented
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
+from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.wording import duration, format_with_error, percent, significant
+from allanjax.estimate.as_json import in_both_units, in_json
+from allanjax.estimate.check import length_for, random_terms, trial_lengths
+from allanjax.estimate.likely_models import likely_models, side_by_side
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.noise.datasheet import LEAST, Figures
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
+from allanjax.noise.notation import term_classes
+from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, si_unit, unit_scale
+
+SCHEMA_VERSION = 1
+Verdict = Literal["pass", "fail", "undecided", "typical"]
+#: Probability from which a limit is met, and up to which it is not.
+MET, MISSED = 0.95, 0.05
+# Keys of a section that answer what a figure leaves open, and figures that are no limits.
+_ANSWERS = ("meaning", "sided", "bandwidth", "bandwidth_is", "reading")
+_NO_LIMITS = ("lsb", "rate", "conditions")
+# Draws of the least deviation, cluster times at which it is sought, and how far a model is extrapolated.
+_DRAWS, _TIMES, _FAR = 2000, 100, 1e6
+
+
+class Limit(NamedTuple):
+    """A limit: its key, the sensor or axis it is for, label, value [SI], usual unit, and meaning."""
+
+    figure: str
+    section: str
+    label: str
+    value: float
+    unit: str
+    meaning: str
+
+    @property
+    def title(self) -> str:
+        """The key in words."""
+        return self.figure.replace("_", " ")
+
+
+#: A specification as `check_spec` takes it: a YAML file, or the same as a dictionary.
+SpecLike: TypeAlias = str | os.PathLike[str] | Mapping[str, Any]
+
+
+@functools.cache
+def _exponents() -> dict[str, float]:
+    """Exponent of time in the unit of the amplitude of every noise term, by its label."""
+    every = (p for made in term_classes().values() for p in Model((made(),)).parameters)
+    return {p.label: p.parameter.time_exponent for p in every if p.parameter.is_amplitude}
+
+
+def read_spec(sheet: SpecLike) -> tuple[str, list[Limit]]:
+    """Name and limits of a sheet, see `check_spec`; AllanjaxError or UnitError if it cannot be read."""
+    where, document = ("specification", sheet) if isinstance(sheet, Mapping) else (str(sheet), _read(sheet))
+    limits: list[Limit] = []
+    for section, given in document.items():
+        sensor = str(section).partition("_")[0]
+        if sensor in SENSORS:
+            limits += _limits(str(section), sensor, given, f"{where}: {section}")
+        elif section not in ("name", "source"):
+            raise AllanjaxError(
+                f"{where}: unknown key {section!r}; the keys are name, source, gyro, accel, and axes such as "
+                "gyro_x"
+            )
+    if not limits:
+        raise AllanjaxError(
+            f"{where}: no limit; write gyro: or accel: and below it e.g. random_walk: 1 deg/√h"
+        )
+    return str(document.get("name", "specification")), limits
+
+
+def _read(sheet: str | os.PathLike[str]) -> Mapping[str, Any]:
+    """Contents of a YAML file."""
+    import yaml
+
+    try:
+        document = yaml.safe_load(Path(sheet).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError) as error:
+        why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
+        raise AllanjaxError(f"{sheet}: {why}; give a YAML file with limits of gyro or accel") from error
+    if not isinstance(document, Mapping):
+        raise AllanjaxError(f"{sheet}: not a table; write gyro: or accel: and its limits below")
+    return {"name": Path(sheet).stem, **document}
+
+
+def _limits(section: str, sensor: Sensor, given: Any, where: str) -> Iterator[Limit]:
+    """Yield the limits of a section: a text each, or a table with `limit` and what is said of it alone."""
+    if not isinstance(given, Mapping):
+        raise AllanjaxError(f"{where} is not a table: write its limits below {section}:")
+    shared = {key: value for key, value in given.items() if key in _ANSWERS}
+    for key, value in given.items():
+        if key in shared:
+            continue
+        own = {**shared, **(value if isinstance(value, Mapping) else {"limit": value})}
+        if key in _NO_LIMITS or "limit" not in own:
+            problem = "is not a limit of noise: leave it out" if key in _NO_LIMITS else "needs limit: 1 UNIT"
+            raise AllanjaxError(f"{where} {key} {problem}")
+        limit, meaning = own.pop("limit"), own.pop("meaning", None)
+        if meaning not in ("maximum", "typical"):
+            raise AllanjaxError(
+                f"{where} {key} needs meaning: maximum (of this unit) or meaning: typical (of many units, so "
+                f"reported only), not {meaning!r}"
+            )
+        label, size = Figures(sensor, {**own, key: limit}, where, _exponents()).one(str(key))
+        unit = default_coefficient_unit(sensor, _exponents().get(label, 0.0))
+        yield Limit(str(key), section, label, size, unit, meaning)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LimitCheck(ByValue):
+    """One limit against the estimate of one axis.
+
+    Attributes:
+        axis: name of the axis; of the sensor if the record has none of its axes.
+        limit: the limit.
+        estimate: the estimate [SI]; None if there is none.
+        probability: least and greatest probability that the true value is below the limit. They are equal for
+            an estimate with an interval; of what is not detected, or still falls at the end of the record,
+            the greatest is 1, or that of the models extrapolated.
+        verdict: "pass" if the least is 95 % or more, "fail" if the greatest is 5 % or less, else "undecided";
+            "typical" for a typical value, which is no limit for one unit.
+        seconds: length of record [s] that would decide if the estimate stays, infinite if that is more than a
+            month; None if it is unknown.
+        reason: why it is undecided, or how far the estimate is from a typical value, in words.
+    """
+
+    axis: str
+    limit: Limit
+    estimate: Estimate | None = None
+    probability: tuple[float, float] = (math.nan, math.nan)
+    verdict: Verdict = "undecided"
+    seconds: float | None = None
+    reason: str = ""
+
+    @property
+    def ratio(self) -> float:
+        """The estimate over the limit; nan without an estimate that is detected."""
+        c = self.estimate
+        return c.value / self.limit.value if c is not None and c.detected else math.nan
+
+    @property
+    def score(self) -> float:
+        """How many standard errors of its logarithm the estimate is above the limit; nan as for `ratio`."""
+        c = self.estimate
+        return -_score(c, self.limit.value) if c is not None and c.detected else math.nan
+
+    def row(self) -> tuple[str, ...]:
+        """The row of the printed table."""
+        limit, (low, high) = self.limit, self.probability
+        shown = ""
+        if self.estimate is not None and (number := self.estimate.in_unit(limit.unit).number):
+            known = number.error > 0.0
+            value = format_with_error(number.value, number.error) if known else significant(number.value)
+            shown = f"{number.before}{value}"
+        size = significant(limit.value / unit_scale(limit.unit))
+        least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
+        chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"
+        return self.axis, limit.title, shown, f"{limit.meaning[:3]} {size}", limit.unit, chances, self.verdict
+
+    def to_dict(self) -> dict[str, Any]:
+        """The check as plain dictionaries; None for what there is not."""
+        return {
+            "axis": self.axis,
+            **{key: getattr(self.limit, key) for key in ("figure", "label", "meaning", "unit")},
+            "limit": self.limit.value / unit_scale(self.limit.unit),
+            "limit_si": self.limit.value,
+            "estimate": self.estimate and in_both_units(self.estimate),
+            "ratio": in_json(self.ratio),
+            "standard_errors_above": in_json(self.score),
+            "probability": in_json(self.probability),
+            "verdict": self.verdict,
+            "needed_s": in_json(self.seconds),
+            "reason": self.reason,
+        }
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class SpecCheck(ByValue, Tabled):
+    """A sensor against its specification.
+
+    Attributes:
+        name: the recording's name.
+        sheet: name of the specification.
+        results: one for each limit and axis.
+    """
+
+    name: str
+    sheet: str
+    results: tuple[LimitCheck, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """That of all limits: "fail" if any is not met, else "undecided" if any is, else "pass"."""
+        found = [result.verdict for result in self.results]
+        return "fail" if "fail" in found else "undecided" if "undecided" in found else "pass"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The checks as plain dictionaries, for JSON."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "recording": {"name": self.name},
+            "specification": self.sheet,
+            "verdict": self.verdict,
+            "limits": [result.to_dict() for result in self.results],
+        }
+
+    @presented
+    def to_junit(self) -> str:
+        """The checks as JUnit XML for continuous integration: a test case for each limit and axis.
+
+        A limit that is not met is a failure, one that is undecided is skipped.
+        """
+        raise NotImplementedError
+
+    def _title(self) -> str:
+        return f"{self.verdict}, against {self.sheet}"
+
+    def _tables(self) -> list[list[Column]]:
+        heads = ("axis", "figure", "estimate ± 1σ", "limit", "unit", "probability", "verdict")
+        return [columns_from(heads, [result.row() for result in self.results])]
+
+    def _notes(self) -> Iterator[str]:
+        yield (
+            "max: maximum, typ: typical; probability: that the true value is below the limit; pass from "
+            f"{percent(MET)} on, fail up to {percent(MISSED)}"
+        )
+        told: dict[tuple[str, str], list[str]] = {}
+        for r in self.results:
+            told.setdefault((r.axis, r.reason), []).append(r.limit.title)
+        yield from (f"{axis} {', '.join(titles)}: {why}" for (axis, why), titles in told.items() if why)
+
+
+def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
+    """Check a sensor against the limits of its specification, with the probability that each is met.
+
+    The sheet is a YAML file, or the same as a dictionary, with the keys of a data sheet (see `datasheet`) and
+    the labels of other coefficients, such as `quantization`. Each limit has a meaning:
+
+        name: acceptance test
+        gyro:
+          meaning: maximum          # the true value of this unit must be below it
+          noise_density: 0.008 deg/s/√Hz
+          sided: one
+          in_run_bias_instability: {limit: 8 deg/h, reading: minimum, meaning: typical}
+        gyro_z:                     # replaces the gyro's limit of the same coefficient
+          random_walk: {limit: 0.4 deg/√h, meaning: maximum}
+
+    A `typical` value is that of many units, so that half of them are above it: how far is reported, and it
+    neither passes nor fails. The probability is that of the estimate's distribution, normal in the logarithm
+    of an amplitude; what is not detected can pass by its upper limit, but not fail. The reading `minimum` is
+    the least Allan deviation of the likely models. If that is at the end of the record, the true minimum may
+    be lower, and the limit is missed only if the models extrapolated without end are above it.
+
+    Raises:
+        AllanjaxError: the file cannot be read; a key is unknown; a figure is ambiguous or has no meaning.
+        UnitError: a unit of another dimension.
+    """
+    (title, limits), results = read_spec(sheet), list[LimitCheck]()
+    axes = [*(of.axis for of in fit.results), *(of.axis for of in fit.dead)]
+    for axis in axes:
+        own = {limit.label for limit in limits if limit.section == axis.name}
+        for limit in limits:
+            if limit.section == axis.name or (limit.section == axis.sensor and limit.label not in own):
+                results.append(_checked(fit, axis.name, limit))
+    there = {name for axis in axes for name in (axis.name, axis.sensor)}
+    for limit in (limit for limit in limits if limit.section not in there):
+        results.append(LimitCheck(limit.section, limit, reason="the record has no such axis"))
+    return SpecCheck(fit.name, title, tuple(results))
+
+
+def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
+    """A limit against the estimate of an axis."""
+    if name in fit.without_result:
+        return LimitCheck(name, limit, reason=f"no result: {fit.without_result[name]}")
+    of = fit[name]
+    if not of.measured:
+        return LimitCheck(name, limit, reason=of.verdict)
+    if limit.label == LEAST:
+        c, floor = _least(fit, of)
+    elif limit.label in of.coefficients:
+        c = floor = of.coefficients[limit.label]
+    else:
+        return LimitCheck(name, limit, reason="this term was not fitted; fit it with terms= (--terms)")
+    if c.held:
+        return LimitCheck(name, limit, c, reason="the value was given and not estimated")
+    chance = _probability(c, limit.value), _probability(floor, limit.value) if floor.detected else 1.0
+    found = LimitCheck(name, limit, c, chance)
+    if limit.meaning == "typical":
+        far = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
+        return dataclasses.replace(found, verdict="typical", reason=far if c.detected else "")
+    if chance[0] >= MET or chance[1] <= MISSED:
+        return dataclasses.replace(found, verdict="pass" if chance[0] >= MET else "fail")
+    if c is not floor:
+        return dataclasses.replace(found, reason="the Allan deviation still falls at the end: record longer")
+    seconds = _length(fit, of, limit, c)
+    reason = "record longer; how much is unknown for this model"
+    if seconds == math.inf:
+        reason = "not even a month would decide if the estimate stays"
+    elif seconds is not None:
+        reason = f"a record of {duration(seconds)} would decide if the estimate stays"
+    return dataclasses.replace(found, seconds=seconds, reason=reason)
+
+
+def _score(c: Estimate, limit: float) -> float:
+    """How many standard errors a limit is above an estimate, in ln, by the end of the interval on its side.
+
+    For an undetected amplitude it is that of the powers, by the upper limit.
+    """
+    if not c.detected:
+        return (limit**2 - c.value**2) / _power_std(c)
+    end, far = c.interval[int(limit > c.value)], math.log(limit / c.value)
+    spread = abs(math.log(end / c.value)) / TWO_SIDED_95 if end > 0.0 else c.std / c.value
+    return far / max(spread, 1e-12)
+
+
+def _probability(c: Estimate, limit: float) -> float:
+    """Probability that the true value is below a limit; nan if an undetected one has no limit of its own."""
+    from scipy.special import ndtr
+
+    return float(ndtr(_score(c, limit))) if c.detected or _power_std(c) < math.inf else math.nan
+
+
+def _power_std(c: Estimate) -> float:
+    """Standard deviation of the square of an amplitude; infinite for one without a limit."""
+    if c.detected:
+        return 2.0 * c.value * c.std
+    most = math.inf if c.upper_limit is None else c.upper_limit
+    return (most**2 - c.value**2) / ONE_SIDED_95
+
+
+def _curve(fit: Fit, model: Model) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+    """Cluster times [s] within the record, and then beyond it, and the model's Allan variances there."""
+    first, last = (float(fit.curve.cluster_time[k]) for k in (0, -1))
+    time = np.append(np.geomspace(first, last, _TIMES), last * np.geomspace(2.0, _FAR, _TIMES))
+    return time, np.asarray(model.sampled(fit.curve.rate).allan_variance(time))
+
+
+def _least(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
+    """Least Allan deviation within the record, with the draws of the likely models.
+
+    If the fitted one is at the end of the record, it is an upper limit only, and the second estimate is the
+    least of the models extrapolated, unless that is zero.
+    """
+    likely = side_by_side(likely_models(fit, of.axis.name, _DRAWS, np.random.default_rng(0)))
+    drawn = likely.power @ np.stack([_curve(fit, term)[1] for term in likely.terms])
+    fitted, unit = _curve(fit, of.model)[1], default_coefficient_unit(of.axis.sensor, 0.0)
+
+    def estimate(to: int, detected: bool) -> Estimate:
+        draws = np.sqrt(drawn[:, :to].min(axis=1))
+        levels = [0.025, 0.16, 0.5, 0.84, 0.975, MET]
+        low, low_68, value, high_68, high, most = np.quantile(draws, levels).tolist()
+        return Estimate(
+            axis=of.axis,
+            label=LEAST,
+            value=value,
+            std=(high_68 - low_68) / 2.0,
+            interval=(low, high),
+            interval_68=(low_68, high_68),
+            unit=si_unit(unit),
+            usual_unit=unit,
+            upper_limit=None if detected else most,
+            detected=detected,
+        )
+
+    if int(np.argmin(fitted[:_TIMES])) < _TIMES - 1:
+        return (estimate(_TIMES, True),) * 2
+    return estimate(_TIMES, False), estimate(2 * _TIMES, bool(fitted.min() > 1e-3 * fitted[_TIMES - 1]))
+
+
+def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
+    """Length of record [s] that would decide, infinite beyond a month; None if unknown for these terms."""
+    terms = random_terms()
+    names = [term.name() for term in terms]
+    known = limit.label in (*names, LEAST) and set(of.model.term_labels) <= set(names)
+    if not known or of.incomplete or of.further:
+        return None
+    gradient = np.array([name == limit.label for name in names], float)
+    if limit.label == LEAST:
+        time, fitted = _curve(fit, of.model)
+        at = time[np.argmin(fitted[:_TIMES])]
+        unit = [term.sampled(fit.curve.rate).with_unit_amplitude().allan_variance(at) for term in terms]
+        gradient = np.array(unit, float)
+    values = {label: x.value for label, x in of.coefficients.items() if x.detected}
+    power = np.array([values.get(name, 0.0) ** 2 for name in names])
+    std = _power_std(c)
+    if not std < math.inf:
+        return None
+    target = std * abs(_score(c, limit.value)) / ONE_SIDED_95
+    trials = list(trial_lengths(terms, fit.curve.rate, fit.curve.n))
+    return length_for(target, std, gradient, power, trials) or math.inf
