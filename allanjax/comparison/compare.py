@@ -27,12 +27,15 @@ from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
+from allanjax.comparison.grades import grade, grades
 from allanjax.comparison.sensors import Comparable, Compared, compared
 from allanjax.estimate.tables import SYMBOLS, detail
 from allanjax.navigation.likely import Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
+from allanjax.noise.datasheet import LEAST
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
+from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.units import SENSORS, Sensor
 
 if TYPE_CHECKING:
@@ -144,8 +147,10 @@ class Row(NamedTuple):
     def unit(self) -> str:
         """Unit in which all are shown: their own if it is the same, else the usual one."""
         known = [c for c in self.estimates if c is not None]
-        own = {c.usual_unit for c in known}
-        return own.pop() if len(own) == 1 else usual_unit(known[0].parameter, self.sensor)  # type: ignore[arg-type]
+        own, parameter = {c.usual_unit for c in known}, known[0].parameter
+        if len(own) > 1 and parameter is not None:
+            return usual_unit(parameter, self.sensor)
+        return known[0].usual_unit if len(own) > 1 else own.pop()
 
     def cells(self, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
         """Row of the printed table for each sensor that has the coefficient."""
@@ -266,7 +271,7 @@ class Comparison(ByValue, Tabled):
         heads = ("axis", "coefficient", "sensor", "value", "ratio", "95 %", "verdict")
         cells = [cell for row in self.rows for cell in row.cells(self.labels)]
         times = [f"after {duration(t)}" for t in HORIZONS]
-        tables = [columns_from(heads, cells), self._identified()]
+        tables = [columns_from(heads, cells), self._identified(), self._graded()]
         for title, growths in (("drift", self.drifts), ("error", self.growths)):
             if growths:
                 rows = [(g.name, self.labels[g.sensor], *map(_shown, [g.name] * 3, *g[2:])) for g in growths]
@@ -286,8 +291,22 @@ class Comparison(ByValue, Tabled):
         heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
         return columns_from(("terms of", "sensor", *heads), cells)
 
+    def _graded(self) -> list[Column]:
+        """Grade of each sensor by its random walk and its least Allan deviation."""
+        cells = []
+        for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
+            found = [self._grade(kind, k, label) for label in (AngleRandomWalk.name(), LEAST)]
+            if any(found):
+                cells.append((kind, name, *found))
+        return columns_from(("grade of", "sensor", "by random walk", "by drift"), cells)
+
+    def _grade(self, kind: Sensor, k: int, label: str) -> str:
+        of_axes = (row.estimates[k] for row in self.rows if (row.sensor, row.label) == (kind, label))
+        return grade([c for c in of_axes if c is not None], kind, label)
+
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
+        yield f"grade: at best, by the worst axis; drift by the least Allan deviation; limits: {grades()[1]}"
 
 
 def _mark(c: Estimate | None) -> str:
@@ -387,8 +406,8 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
     for axis in axes:
         every = [one.of(axis) for one in sensors]
         # Terms that only one sensor has are its structure, except for the basic ones.
-        held = [n for of in every for n, c in of.items() if c.is_amplitude and (c.detected or c.held)]
-        names = dict.fromkeys(n for n in held if n in SYMBOLS or held.count(n) > 1)
+        held = [n for of in every for n, c in of.items() if _compares(c) and (c.detected or c.held)]
+        names = dict.fromkeys(n for n in held if n in (*SYMBOLS, LEAST) or held.count(n) > 1)
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
             found = tuple(of.get(label) for of in every)
             base = found[reference]
@@ -410,6 +429,11 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
         )
         for i, row in enumerate(rows)
     )
+
+
+def _compares(c: Estimate) -> bool:
+    """Whether sensors are compared in a quantity: an amplitude, or the least Allan deviation."""
+    return c.is_amplitude or c.label == LEAST
 
 
 def _noise_of(one: Compared) -> Sensors:

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-import functools
+import dataclasses
 import os
-import tomllib
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
+from allanjax.comparison.specification import least_deviation
 from allanjax.critic.result import Critique
 from allanjax.estimate.as_json import load
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import Fit
 from allanjax.navigation.likely import NoiseLike
-from allanjax.noise.datasheet import DataSheet, datasheet, datasheets
+from allanjax.noise.datasheet import LEAST, MINIMUM, DataSheet, datasheet, datasheets
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.simulate import SENSORS, SensorPreset
+from allanjax.noise.terms import BiasInstability
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, unit_scale
+from allanjax.record.units import SI, unit_scale
 
 #: What can be compared: fits, critiques, recordings, data sheets, presets, curves, and their files or names.
 Comparable: TypeAlias = Fit | Critique | DataSheet | SensorPreset | AllanDeviation | RecordingLike
@@ -35,7 +35,8 @@ class Compared(NamedTuple):
     Attributes:
         label: what it is called.
         source: what is known of it, in words.
-        coefficients: estimates by axis and label [SI]; a data sheet has those of "gyro" and "accel".
+        coefficients: estimates by axis and label [SI]; a data sheet has those of "gyro" and "accel". Beside
+            the amplitudes it is the least Allan deviation, `LEAST`.
         noise: its noise, for the growth of errors; None if no axis is a measurement.
         models: noise model of each axis that has one.
         rate: sample rate [Hz].
@@ -67,7 +68,7 @@ def compared(data: Comparable, label: str = "") -> Compared:
     """
     data = _opened(data)
     if isinstance(data, DataSheet):
-        values = {str(sensor): data.coefficients(sensor) for sensor in data.models}
+        values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}
         models = {str(sensor): model for sensor, model in data.models.items()}
         source = f"data sheet: {data.source}" if data.source else "data sheet"
         return Compared(label or data.name, source, values, data, models, 100.0)
@@ -75,7 +76,7 @@ def compared(data: Comparable, label: str = "") -> Compared:
         return _of_preset(data, label)
     found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
     measured = {r.axis.name: r for r in found.results if r.measured}
-    values = {name: dict(r.coefficients) for name, r in measured.items()}
+    values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
     models = {name: r.model for name, r in measured.items()}
     noise, hours = (found if values else None), found.curve.n / found.curve.rate / 3600.0
     source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
@@ -90,10 +91,10 @@ def _of_preset(preset: SensorPreset, label: str) -> Compared:
     for axis in preset.axes:
         own = Axis(axis.name, axis.name.partition("_")[0], SI[axis.name.partition("_")[0]]["rate"])  # type: ignore[arg-type, index]
         parameters = {p.label: p for p in axis.model.parameters if p.parameter.is_amplitude}
-        values[axis.name] = {
-            label: _tabulated(own, label, p, known)
-            for (label, p), known in zip(parameters.items(), axis.coefficients.values(), strict=True)
-        }
+        pairs = zip(parameters.items(), axis.coefficients.values(), strict=True)
+        values[axis.name] = _with_least(
+            {label: _tabulated(own, label, p, known) for (label, p), known in pairs}
+        )
     models = {axis.name: axis.model for axis in preset.axes}
     rate = preset.axes[0].rate
     return Compared(label or preset.name, preset.description, values, models, models, rate)
@@ -106,6 +107,14 @@ def _tabulated(axis: Axis, label: str, parameter: Any, known: Any) -> Estimate:
     about: dict[str, Any] = {"axis": axis, "label": label, "parameter": parameter.parameter}
     about |= {"term": parameter.term_label, "usual_unit": known.unit}
     return Estimate(value=value, std=std, interval=ends[1.96], interval_68=ends[0.994], **about)
+
+
+def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Coefficients with the least Allan deviation that follows from bias instability, 0.664 B."""
+    if (c := coefficients.get(BiasInstability.name())) is None:
+        return coefficients
+    least = dataclasses.replace(c.times(MINIMUM), label=LEAST, parameter=None, unit=c.unit)
+    return coefficients | {LEAST: least}
 
 
 def _opened(data: Comparable) -> Any:
@@ -135,29 +144,3 @@ def _opened(data: Comparable) -> Any:
     except AllanjaxError as error:
         presets = f"presets are {', '.join(SENSORS)}; data sheets are {', '.join(datasheets())}"
         raise AllanjaxError(f"{name!r} is neither a file nor a known sensor; {presets}") from error
-
-
-# --- Grades -------------------------------------------------------------------------------------------------
-
-
-class Grade(NamedTuple):
-    """Largest random walk and bias of a grade [SI], by sensor and label."""
-
-    name: str
-    limits: Mapping[Sensor, Mapping[str, float]]
-
-
-@functools.cache
-def grades() -> tuple[tuple[Grade, ...], str]:
-    """The grades, the best first, and their source."""
-    text = files(__package__).joinpath("grades.toml").read_text(encoding="utf-8")
-    tables = tomllib.loads(text)
-    source = str(tables.pop("source"))
-    found = []
-    for name, of in tables.items():
-        limits: dict[Sensor, dict[str, float]] = {}
-        for sensor, quantities in of.items():
-            pairs = ((label, *quantity.split(maxsplit=1)) for label, quantity in quantities.items())
-            limits[sensor] = {label: float(value) * unit_scale(unit) for label, value, unit in pairs}
-        found.append(Grade(name, limits))
-    return tuple(found), source

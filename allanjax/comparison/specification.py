@@ -294,7 +294,7 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
     if not of.measured:
         return LimitCheck(name, limit, reason=of.verdict)
     if limit.label == LEAST:
-        c, floor = _least(fit, of)
+        c, floor = least_deviation(fit, of)
     elif limit.label in of.coefficients:
         c = floor = of.coefficients[limit.label]
     else:
@@ -353,7 +353,7 @@ def _curve(fit: Fit, model: Model) -> tuple[Float[np.ndarray, " t"], Float[np.nd
     return time, np.asarray(model.sampled(fit.curve.rate).allan_variance(time))
 
 
-def _least(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
+def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
     """Least Allan deviation within the record, with the draws of the likely models.
 
     If the fitted one is at the end of the record, it is an upper limit only, and the second estimate is the

@@ -26,14 +26,14 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     different = sum(bool(d.differs) for d in tested)
     reference = comparison.labels[comparison.reference]
     verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
-    coefficients, terms, *growths = (Table.of(columns) for columns in comparison._tables())
+    coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
     names = axes_of(comparison.sensors)
     charts = [
         Chart(SENSORS[sensor].capitalize(), views)
         for sensor in SENSORS
         if (views := [_view(comparison, name, sensor) for name in names if name.startswith(sensor)])
     ]
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(charts), coefficients, terms])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(charts), coefficients, terms, graded])
     yield Section("Drift and growth of errors", growths)
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 

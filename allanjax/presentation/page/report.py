@@ -125,9 +125,9 @@ def page_about(parts: Sequence[Reported], title: str | None = None, first: Seque
 def _complete(one: Reported) -> Reported:
     """With the samples and the spectrum, if there are samples."""
     recording, spectrum = one.recording, one.spectrum
-    if one.critique is not None:
+    if (found := one.critique) is not None and (recording is None or recording.duration != found.duration):
         # Places of findings are those in the part that was criticized.
-        recording = one.critique.recording()
+        recording = found.recording()
     if spectrum is None and recording is not None:
         spectrum = power_spectrum(recording)
     return one._replace(recording=recording, spectrum=spectrum)

@@ -197,6 +197,8 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     pairs = [("before", before), ("after", after)] if before is not after else [("record", before)]
     groups = [name for name, _ in pairs]
     found = [summaries(stage) for _, stage in pairs]
+    for _, stage in pairs:
+        stage.forget()
     unit = SI[axis.axis.sensor]["rate"]
     kinds = (
         (("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), (rate_unit(axis.axis), (unit, 1.0))),
