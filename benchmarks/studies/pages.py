@@ -2,8 +2,8 @@
 
 A record of six axes with a random walk, a line, a step and an outlier is fitted and criticized in a process
 of its own; then its page is made, twice: the first one also loads the template. Memory is the peak of the
-process after the page less that before it. The page of a fleet has made-up units of six axes and three coefficients
-each. Pages are opened by no browser here; the tests do that.
+process after the page less that before it. The page of a fleet has made-up units of six axes and three
+coefficients each. Pages are opened by no browser here; the tests do that.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ rows = [(f"unit {u}", axis, axis[:-2], label, of[axis[0] == "a"])
 frame = pd.DataFrame(rows, columns=["recording", "axis", "sensor", "coefficient", "unit"])
 value = np.exp(0.1 * rng.standard_normal(len(frame)))
 frame = frame.assign(value=value, std=0.02 * value, lower_95=0.96 * value, upper_95=1.04 * value)
-frame = frame.assign(file="f", group="", detected=True, measured=True, upper_limit_95=np.nan, p_value=0.5, terms="", remarks="",
-                     warnings="", outlying=value > 1.33)
+frame = frame.assign(file="f", group="", detected=True, measured=True, upper_limit_95=np.nan, p_value=0.5)
+frame = frame.assign(terms="", remarks="", warnings="", outlying=value > 1.33)
 fleet = aj.FleetResult(frame, (), (), 0)
 begun = time.perf_counter()
 page = aj.report(fleet, pages={f"unit {u}": f"recordings/unit{u}.html" for u in range(units)})

@@ -4,7 +4,7 @@
   const charts = JSON.parse(document.getElementById("data").textContent);
   const root = document.documentElement;
   const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
-  let si = false;
+  let si = false, onPaper = false;
 
   function make(tag, attributes, ...children) {
     const element = document.createElement(tag);
@@ -49,7 +49,11 @@
     const first = Math.floor(Math.log10(min)), last = Math.ceil(Math.log10(max)), step = Math.ceil((last - first) / 9);
     const found = [];
     for (let power = first; power <= last; power += step) for (const factor of last - first > 3 ? [1] : [1, 2, 5]) found.push(+(factor * 10 ** power).toPrecision(3));
-    return found.filter(v => v >= min && v <= max);
+    const inside = found.filter(v => v >= min && v <= max);
+    if (inside.length > 1) return inside;
+    // Less than an octave: even steps.
+    const gap = 10 ** Math.floor(Math.log10((max - min) / 2)), many = (max - min) / gap > 8 ? 5 : (max - min) / gap > 4 ? 2 : 1;
+    return Array.from({length: 12}, (_, k) => +((Math.ceil(min / gap / many) + k) * gap * many).toPrecision(8)).filter(v => v <= max);
   }
 
   const css = name => getComputedStyle(root).getPropertyValue(name).trim();
@@ -67,7 +71,7 @@
       this.shown = new Set(this.view.groups.keys());
       this.hidden = new Set(this.view.hidden);
       this.controls = make("div", {className: "controls", role: "group", "aria-label": `What ${data.title} shows`});
-      this.readout = make("div", {className: "readout", "aria-live": "polite", textContent: "Point at the chart to read values; drag to zoom."});
+      this.readout = make("div", {className: "readout", "aria-live": "polite"});
       figure.insertBefore(this.controls, this.plot);
       figure.append(this.readout);
       if (data.slider) this.addSlider();
@@ -117,7 +121,7 @@
     }
 
     draw() {
-      const view = this.view, [unit, size] = this.unit(), width = Math.max(this.plot.clientWidth, 240);
+      const view = this.view, [unit, size] = this.unit(), width = onPaper ? 680 : Math.max(this.plot.clientWidth, 240);
       const logs = {x: view.log.includes("x"), y: view.log.includes("y")};
       const safe = v => v == null || (logs.y && v <= 0) ? null : v / size;
       const tables = [], series = [{}], bands = [];
@@ -420,8 +424,12 @@
   // On paper everything is shown, on white.
   addEventListener("beforeprint", () => {
     for (const details of document.querySelectorAll("details")) details.open = true;
+    onPaper = true;
     setTheme(false);
     figures.forEach(draw);
   });
-  addEventListener("afterprint", () => setTheme(dark.matches));
+  addEventListener("afterprint", () => {
+    onPaper = false;
+    setTheme(dark.matches);
+  });
 })();
