@@ -290,8 +290,8 @@ def test_a_thousand_units_are_found_sorted_and_linked_without_as_many_rows(chrom
     with browser.opened(chromium, thousand) as tab:
         table = tab.page.locator(".units")
         assert table.locator("tbody tr").count() == 100
-        table.get_by_role("button", name="gyro_x angle random walk").click()
-        table.get_by_role("button", name="gyro_x angle random walk").click()
+        table.get_by_role("button", name="gyro_x N [deg/√h]").click()
+        table.get_by_role("button", name="gyro_x N [deg/√h]").click()
         first = table.locator("tbody tr").first
         assert first.locator("td").nth(1).inner_text() == "3.00"
         table.get_by_role("searchbox").fill("0017")

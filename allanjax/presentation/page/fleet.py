@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from allanjax.estimate.tables import SYMBOLS
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import lines_of, tables
 from allanjax.noise.estimate import title_of
@@ -37,7 +38,7 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     style = "care" if outlying or fleet.errors else "good"
     verdict = f"{len(outlying) or 'No'} outlying unit{'' if len(outlying) == 1 else 's'}"
     blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
-    blocks += [Table.of(columns) for columns in tables(table)]
+    blocks += [Table.of(columns) for columns in tables(table) if sum(any(c.cells) for c in columns) > 1]
     blocks += [Text(line, "note") for line in lines_of(table)]
     blocks += [Text(note, "warning") for note in fleet.notes]
     if fleet.errors:
@@ -79,7 +80,8 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
 def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     """One row per unit: its coefficients, which are limits where it has a "<", and its remarks."""
     shown = table[table["measured"]]
-    columns = list(dict.fromkeys(zip(shown["coefficient"], shown["axis"], shown["unit"], strict=True)))
+    known = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
+    columns = list(dict.fromkeys(zip(known["coefficient"], known["axis"], known["unit"], strict=True)))
     cells: dict[str, dict[tuple[str, str], Any]] = {}
     fields = ("recording", "coefficient", "axis", "value", "detected", "upper_limit_95")
     for name, coefficient, axis, value, detected, limit in zip(*(shown[f] for f in fields), strict=True):
@@ -93,5 +95,6 @@ def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
         marked += [len(rows)] if unit in outlying else []
         first = [unit, pages[unit]] if unit in pages else unit
         rows.append([first, *(own.get((c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
-    names = [f"{axis} {coefficient.replace('_', ' ')} [{unit}]" for coefficient, axis, unit in columns]
+    symbols = [SYMBOLS.get(label, label.replace("_", " ")) for label, *_ in columns]
+    names = [f"{axis} {symbol} [{unit}]" for symbol, (_, axis, unit) in zip(symbols, columns, strict=True)]
     return Units(["unit", *names, "remarks"], rows, marked)
