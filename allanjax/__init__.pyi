@@ -11,6 +11,10 @@ from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
 from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
+from allanjax.comparison.joint import joint_fit as joint_fit
+from allanjax.comparison.random_effects import RandomEffects as RandomEffects
+from allanjax.comparison.random_effects import random_effects as random_effects
+from allanjax.comparison.repeatability import JointFit as JointFit
 from allanjax.critic.critique import critique as critique
 from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.finding import Finding as Finding

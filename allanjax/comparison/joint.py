@@ -1,0 +1,365 @@
+"""Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
+
+Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording has
+coefficients of its own; a term that is weak in all of them is also sought by its common power.
+
+The square v of an amplitude is estimated from the recording's Allan variances V by v̂ = (D'C⁻¹D)⁻¹D'C⁻¹V for
+all terms together, with the covariance C under the joint model: it is linear in V, unbiased and has a known
+variance even where the term is absent, when v̂ is as often negative as positive. Neither a limit nor an estimate
+that cannot be negative could be averaged. So that the weights do not depend on what they weigh, C is that of
+powers that are drawn towards the common one (the best linear prediction of random effects).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.normal import TWO_SIDED_95
+from allanjax.comparison.random_effects import RandomEffects, random_effects
+from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
+from allanjax.estimate.as_json import load
+from allanjax.estimate.axis_fits import check_terms
+from allanjax.estimate.bulk import BulkFit, fit_many
+from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
+from allanjax.estimate.evidence import over_prior
+from allanjax.estimate.fit import fit
+from allanjax.estimate.inference import Hypotheses, estimate_of, reported
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.selection import AxisSelection, TermSet
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.notation import ModelLike
+from allanjax.noise.terms import Markov, basic_terms
+from allanjax.record.recording import Axis
+
+# Largest relative error of an amplitude, in all recordings, whose logarithms are compared.
+_PRECISE = 0.1
+# Bayes factor above which a term that single recordings do not show is in the joint model ("strong").
+_ODDS = 20.0
+# Rounds in which weights and powers settle.
+_ROUNDS = 4
+_Terms = Float[np.ndarray, "records terms"]
+
+
+def joint_fit(
+    recordings: Sequence[Any],
+    model: ModelLike | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    **options: Any,
+) -> JointFit:
+    """Fit recordings of one unit on several days, or of units of one type, by one set of terms per axis.
+
+    Without a model, the terms of an axis are those of the highest joint evidence (as `select_terms` chooses),
+    and basic terms whose common power has a Bayes factor above 20. The values, the common value and the scatter
+    follow from the Allan deviations of all recordings, see the module and `random_effects`; those of an axis
+    with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
+
+    Args:
+        recordings: at least two recordings, or whatever `fit` takes, fits, or paths of saved fits (.json).
+        model: the terms, as in `fit`, but none that must be estimated from the record itself.
+        names: names of the recordings; by default their own.
+        options: options of `fit` for recordings.
+
+    Raises:
+        FitError: fewer than two recordings; no axis that two of them have measured; without a model, a fit
+            that did not choose its terms; a line, a resonance or a transient.
+    """
+    fits = [_fit(each, model, options) for each in recordings]
+    if len(fits) < 2:
+        raise FitError(f"joint_fit compares at least two recordings, not {len(fits)}")
+    called = [f.name or str(k) for k, f in enumerate(fits, 1)] if names is None else list(map(str, names))
+    if len(called) != len(fits):
+        raise AllanjaxError(f"{len(fits)} recordings need {len(fits)} names, not {len(called)}")
+    called = [name if called.index(name) == k else f"{name}-{k + 1}" for k, name in enumerate(called)]
+    results, notes = [], list[str]()
+    for axis in dict.fromkeys(name for f in fits for name in f.axes):
+        here = {name: f for name, f in zip(called, fits, strict=True) if axis in f and f[axis].measured}
+        if absent := [name for name in called if name not in here]:
+            notes.append(f"{axis}: without {', '.join(absent)}, where it is absent or not a measurement")
+        if len(here) > 1:
+            results.append(_of_axis(axis, here, model))
+    if not results:
+        raise FitError(f"no axis is a measurement in two recordings; {'; '.join(notes)}")
+    return JointFit(tuple(called), tuple(results), tuple(notes))
+
+
+def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
+    if isinstance(of, str | Path) and Path(of).suffix == ".json":
+        loaded = load(of)
+        if isinstance(loaded, dict):
+            raise AllanjaxError(f"{of}: contains several fits; give one NAME.json for each recording")
+        return loaded
+    return of if isinstance(of, Fit) else fit(of, model, **options)
+
+
+def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> AxisJoint:
+    """The joint fit of one axis of the recordings that have it."""
+    axis, selection = next(iter(fits.values()))[name].axis, None
+    if model is None:
+        selection = _joint_ranking(axis, fits)
+        chosen = selection.chosen.terms
+        full = basic_terms() + Markov() if "markov" in chosen else basic_terms()
+    else:
+        full = model_to_fit(model, [axis])
+        check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
+        chosen = full.term_labels
+    records = _Records.of(name, fits, full, full.without([t for t in full.term_labels if t not in chosen]))
+    active, found = np.isin(full.term_labels, chosen), dict[str, float]()
+    # Without a curve that its terms describe there is nothing to search.
+    while model is None and records.groups and not active.all():
+        gains = {k: records.log_bayes_factor(active, k) for k in np.flatnonzero(~active).tolist()}
+        best = max(gains, key=lambda k: gains[k])
+        if gains[best] < np.log(_ODDS):
+            break
+        active[best] = True
+    for k in np.flatnonzero(active).tolist() if records.groups and active.sum() > 1 else ():
+        label = full.terms[k].amplitude_parameter().name
+        amplitude = next(p.label for p in full.parameters if p.term == k and p.parameter.name == label)
+        if not any(
+            amplitude in r.coefficients and r.coefficients[amplitude].detected for r in records.results
+        ):
+            if (gain := records.log_bayes_factor(active & (np.arange(len(full)) != k), k)) > np.log(_ODDS):
+                found[full.term_labels[k]] = gain
+    coefficients = records.coefficients(axis, active, found)
+    return AxisJoint(axis, tuple(fits), coefficients, selection, found)
+
+
+def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
+    """The sets of terms that were ranked in all recordings, by the sum of their log evidences."""
+    rankings = []
+    for name, f in fits.items():
+        if f.selection is None:
+            raise FitError(
+                f"{name}: the fit did not choose its terms; give model=, or fit it without a model"
+            )
+        rankings.append(f.selection[axis.name])
+    each = [{s.terms: s for s in ranking.ranking} for ranking in rankings]
+    common = [terms for terms in each[0] if all(terms in sets for sets in each)]
+    total = np.array([sum(sets[terms].log_evidence for sets in each) for terms in common])
+    probability = np.exp(total - np.logaddexp.reduce(total))
+    found = [
+        TermSet(terms, each[0][terms].parameters, float(behind), float(p))
+        for terms, behind, p in zip(common, total - total.max(), probability, strict=True)
+    ]
+    found.sort(key=lambda s: -s.log_evidence)
+    return AxisSelection(axis, tuple(found), max(r.discrepancy for r in rankings))
+
+
+class _Forms(NamedTuple):
+    """Estimates of powers and shapes of every recording, their variances, and their skewness."""
+
+    value: Float[np.ndarray, "records params"]
+    variance: Float[np.ndarray, "records params"]
+    skewness: Float[np.ndarray, "records params"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Records:
+    """One axis of several recordings; `groups` are those of one length and rate, by their rows.
+
+    The curves of the others (`given`, by row) do not suffice: their fits' estimates are used.
+    """
+
+    full: Model
+    results: list[AxisFit]
+    names: list[str]
+    groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
+    given: list[int]
+
+    @classmethod
+    def of(cls, name: str, fits: Mapping[str, Fit], full: Model, chosen: Model) -> _Records:
+        results, names = [f[name] for f in fits.values()], list(fits)
+        places: dict[Any, list[int]] = {}
+        given = []
+        for row, f in enumerate(fits.values()):
+            if results[row].own_template is not None or f.curve.others:
+                given.append(row)
+                continue
+            key = f.curve.n, f.curve.rate, f.curve.estimator, tuple(f.curve.cluster_size.tolist())
+            places.setdefault(key, []).append(row)
+        groups = []
+        for rows in places.values():
+            curves = [list(fits.values())[row].curve for row in rows]
+            columns = [curve.deviation[:, list(curve.names).index(name)] for curve in curves]
+            axes = [dataclasses.replace(results[row].axis, name=names[row]) for row in rows]
+            deviation = np.stack(columns, axis=1)
+            curve = dataclasses.replace(
+                curves[0], deviation=deviation, edf=np.ones_like(deviation), axes=tuple(axes)
+            )
+            groups.append((np.array(rows), curve, _hypotheses(curve, full, chosen)))
+        return cls(full, results, names, groups, given)
+
+    def forms(self, active: Bool[np.ndarray, " terms"], power: _Terms) -> _Forms:
+        """Linear estimates of the active terms with weights of these powers; NaN where there is none."""
+        shapes = len(free_shapes(self.full))
+        found = np.full((3, len(self.results), len(self.full) + shapes), np.nan)
+        for rows, _, at in self.groups:
+            p = power[rows]
+            there = p[:, at.tangent.owner] > 0.0
+            estimated = np.concatenate(
+                [np.broadcast_to(active & free_powers(self.full), p.shape), there], axis=1
+            )
+            X, weighed, covariance, step = at.linearized(p, estimated)
+            variance = np.einsum("rpp->rp", covariance)
+            # As in `Hypotheses.scores`.
+            third = 2.0 * np.sum((weighed @ covariance) * (X @ covariance) ** 2, axis=1)
+            sd = np.sqrt(np.where(estimated, variance, np.nan))
+            most = np.full(sd.shape, np.inf)
+            most[:, : len(self.full)] = 2.0 * sd[:, : len(self.full)] / np.maximum(p, 1e-300)
+            wider = np.array([self.results[row].widening for row in rows])[:, None]
+            found[:, rows] = step, (sd * wider) ** 2, np.minimum(third / sd**3, most)
+            found[0, rows, : len(self.full)] += p
+        for row in self.given:
+            for k, p in enumerate(p for p in self.full.parameters if p.parameter.is_amplitude):
+                c = self.results[row]._coefficients.get(p.label)
+                if c is not None and np.isfinite(c.std) and not c.held:
+                    low = c.interval[0] if c.detected else c.value
+                    half = TWO_SIDED_95 * (2.0 if c.detected else 1.0)
+                    found[:, row, k] = c.value**2, ((c.interval[1] ** 2 - low**2) / half) ** 2, 0.0
+        return _Forms(*found)
+
+    def settled(self, active: Bool[np.ndarray, " terms"]) -> tuple[_Forms, _Terms]:
+        """Estimates and powers drawn towards the common ones, after a few rounds."""
+        power = np.zeros((len(self.results), len(self.full)))
+        for rows, _, at in self.groups:
+            power[rows] = np.where(active, at.power, 0.0)
+        for _ in range(_ROUNDS):
+            forms = self.forms(active, power)
+            for k in np.flatnonzero(active):
+                known = np.isfinite(forms.variance[:, k])
+                v, s = forms.value[known, k], np.sqrt(forms.variance[known, k])
+                if known.sum() > 1:
+                    mean, tau = _mean_and_scatter(v, s)
+                    v = (v * tau**2 + max(mean, 0.0) * s**2) / (tau**2 + s**2)
+                power[known, k] = np.maximum(v, 0.0)
+        return forms, power
+
+    def log_bayes_factor(self, active: Bool[np.ndarray, " terms"], k: int) -> float:
+        """ln of the Bayes factor of another term whose power is the same in all recordings.
+
+        The likelihood is normal about the common power, with the weights of a model without the term; the prior
+        is that of `evidence`.
+        """
+        _, power = self.settled(active)
+        forms = self.forms(active | (np.arange(len(active)) == k), power)
+        known = np.isfinite(forms.variance[:, k])
+        weight = 1.0 / forms.variance[known, k]
+        v, sd = weight @ forms.value[known, k] / weight.sum(), weight.sum() ** -0.5
+        low, high = np.sqrt(max(v - 8.0 * sd, 0.0)), np.sqrt(max(v, 0.0) + 8.0 * sd)
+        ends = np.array([[low]]), np.array([[high]]), np.array([[np.sqrt(sd)]])
+        return float(over_prior(lambda c: (v**2 - (c**2 - v) ** 2) / (2.0 * sd**2), *ends)[0])
+
+    def coefficients(
+        self, axis: Axis, active: Bool[np.ndarray, " terms"], found: Mapping[str, float]
+    ) -> dict[str, JointCoefficient]:
+        """The coefficients of the active terms, with what is common to all recordings."""
+        forms, power = self.settled(active)
+        template = self.full.without([t for t, a in zip(self.full.term_labels, active, strict=True) if not a])
+        own = _own_estimates(self, template, axis)
+        shapes, result = [p.label for p in free_shapes(self.full)], {}
+        labels = [p.label for p in self.full.parameters if p.parameter.is_amplitude] + shapes
+        for p in reported(template):
+            if not p.free or p.label not in labels:
+                continue
+            k = labels.index(p.label)
+            known = [
+                r for r in range(len(self.names)) if np.isfinite(forms.variance[r, k]) and p.label in own[r]
+            ]
+            if len(known) < 2:
+                continue
+            value, variance, skewness = (x[known, k] for x in forms)
+            sd, names = np.sqrt(variance), [self.names[r] for r in known]
+            # The error at the common power: that at the recording's own would depend on what it weighs.
+            at = np.maximum(power[known, min(k, len(self.full) - 1)], 1e-300)
+            scale, shape = "logarithm", not p.parameter.is_amplitude
+            if shape:
+                value = np.log([own[r][p.label].value - p.parameter.lower for r in known])
+            elif np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
+                value, sd, skewness = 0.5 * np.log(value), sd / (2.0 * at), None
+            else:
+                scale = "square"
+            effects = random_effects(value, sd, names, skewness=None if shape else skewness)
+            records = {self.names[r]: own[r][p.label] for r in known}
+            gain = found.get(p.term_label) if p.parameter.is_amplitude else None
+            seen = gain is not None or any(c.detected for c in records.values())
+            common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
+            result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
+        return result
+
+
+def _mean_and_scatter(v: Float[np.ndarray, " k"], s: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    e = random_effects(v, s)
+    return e.common, e.scatter
+
+
+def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses:
+    """Curves with all terms, at the best fit of the chosen ones."""
+    first, count = fit_many(curve, chosen), len(curve.names)
+    power, shape = np.zeros((count, len(full))), np.zeros((count, len(free_shapes(full))))
+    values = dict(zip(first.coefficients, first.value.T, strict=True))
+    for p in full.parameters:
+        if p.parameter.is_amplitude and p.label in values:
+            power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
+    for k, p in enumerate(free_shapes(full)):
+        u = np.log(values[p.label] - p.parameter.lower)
+        shape[:, k] = np.where(np.isfinite(u), u, np.nanmedian(u))
+    tangent = AllanDesign.of(full, curve).tangent(shape)
+    error = 2.0 * np.nan_to_num(first.discrepancy)
+    none = np.zeros(power.shape, bool)
+    return Hypotheses(tangent, curve.variance.T, none, none, power, error, np.zeros(shape.shape, bool))
+
+
+def _own_estimates(records: _Records, template: Model, axis: Axis) -> list[dict[str, Estimate]]:
+    """Each recording's estimates of the joint model's coefficients by label."""
+    own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in records.results]
+    for rows, curve, _ in records.groups:
+        bulk: BulkFit = fit_many(curve, template)
+        for place, row in enumerate(rows.tolist()):
+            own[row] = {}
+            for k, p in enumerate(reported(template)):
+                value, std, low, high, limit = (
+                    float(x[place, k])
+                    for x in (bulk.value, bulk.std, bulk.lower, bulk.upper, bulk.upper_limit)
+                )
+                if np.isfinite(value):
+                    seen = bool(bulk.detected[place, k])
+                    ends = [low, high, max(value - std, 0.0), value + std, limit]
+                    c = estimate_of(p, axis, value, std, ends, seen)
+                    own[row][p.label] = c.widened(records.results[row].widening)
+    return own
+
+
+def _common(
+    p: ModelParameter, axis: Axis, e: RandomEffects, squared: bool, seen: bool, gain: float | None
+) -> tuple[Estimate, Estimate]:
+    """Common value and scatter of a coefficient, from the statistics of its logarithm or its square."""
+    lower, relative = p.parameter.lower, np.array([e.scatter, *e.scatter_interval, e.scatter_limit])
+    ends = np.array([e.common, *e.interval, *e.interval_68, e.limits[1]])
+    if squared:
+        # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²).
+        mean = max(e.common, 1e-300)
+        value, *ends = (np.sqrt(np.maximum(ends, 0.0)) * (1.0 + (e.scatter / mean) ** 2) ** -0.25).tolist()
+        std, relative = 0.5 * value * e.std / mean, 0.5 * np.sqrt(np.log1p((relative / mean) ** 2))
+    else:
+        value, *ends = (lower + np.exp(np.minimum(ends, 300.0))).tolist()
+        std = (value - lower) * e.std
+    more: dict[str, Any] = {"bayes_factor": None if gain is None else float(np.exp(min(gain, 700.0)))}
+    common = estimate_of(p, axis, value, std, ends, seen or ends[0] > 0.0, **more)
+    # Where there is no common value, there is no scatter about it.
+    size, low, high, limit = (
+        (value - lower) * relative if common.detected and value else np.full(4, np.nan)
+    ).tolist()
+    numbers = [low, high, max(size - (high - low) / 4.0, 0.0), size + (high - low) / 4.0, limit]
+    scatter = estimate_of(
+        p, axis, size, (high - low) / (2.0 * TWO_SIDED_95), numbers, e.scatters and size > 0.0
+    )
+    return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)
