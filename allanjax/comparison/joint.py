@@ -1,18 +1,19 @@
 """Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
 
-Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording has
-coefficients of its own; a term that is weak in all of them is also sought by its common power.
+Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording
+has coefficients of its own; a term that is weak in all of them is also sought by its common power.
 
-The square v of an amplitude is estimated from the recording's Allan variances V by v̂ = (D'C⁻¹D)⁻¹D'C⁻¹V for
-all terms together, with the covariance C under the joint model: it is linear in V, unbiased and has a known
-variance even where the term is absent, when v̂ is as often negative as positive. Neither a limit nor an estimate
-that cannot be negative could be averaged. So that the weights do not depend on what they weigh, C is that of
-powers that are drawn towards the common one (the best linear prediction of random effects).
+The squares v of all amplitudes are estimated from a recording's Allan variances V by (D'C⁻¹D)⁻¹D'C⁻¹V,
+with the covariance C under the joint model. That is linear in V, unbiased, and of known variance even where a
+term is absent, when it is as often negative as positive: neither limits nor estimates that cannot be negative
+could be averaged. So that weights do not depend on what they weigh, C is that of powers that are drawn
+towards the common one (the best linear prediction of random effects).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,11 +24,11 @@ from jaxtyping import Bool, Float, Int
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.comparison.random_effects import RandomEffects, random_effects
+from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
 from allanjax.estimate.as_json import load
 from allanjax.estimate.axis_fits import check_terms
-from allanjax.estimate.bulk import BulkFit, fit_many
+from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
 from allanjax.estimate.evidence import over_prior
 from allanjax.estimate.fit import fit
@@ -47,6 +48,7 @@ _ODDS = 20.0
 # Rounds in which weights and powers settle.
 _ROUNDS = 4
 _Terms = Float[np.ndarray, "records terms"]
+_Flags = Bool[np.ndarray, " terms"]
 
 
 def joint_fit(
@@ -59,9 +61,9 @@ def joint_fit(
     """Fit recordings of one unit on several days, or of units of one type, by one set of terms per axis.
 
     Without a model, the terms of an axis are those of the highest joint evidence (as `select_terms` chooses),
-    and basic terms whose common power has a Bayes factor above 20. The values, the common value and the scatter
-    follow from the Allan deviations of all recordings, see the module and `random_effects`; those of an axis
-    with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
+    and basic terms whose common power has a Bayes factor above 20. The values, the common value and the
+    scatter follow from the Allan deviations of all recordings, see the module and `random_effects`; those of
+    an axis with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
 
     Args:
         recordings: at least two recordings, or whatever `fit` takes, fits, or paths of saved fits (.json).
@@ -112,25 +114,23 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         full = model_to_fit(model, [axis])
         check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
         chosen = full.term_labels
-    records = _Records.of(name, fits, full, full.without([t for t in full.term_labels if t not in chosen]))
     active, found = np.isin(full.term_labels, chosen), dict[str, float]()
-    # Without a curve that its terms describe there is nothing to search.
-    while model is None and records.groups and not active.all():
+    records = _Records.of(name, fits, full, active)
+    # Without curves that the terms alone describe there is nothing to search.
+    while records.groups and model is None and not active.all():
         gains = {k: records.log_bayes_factor(active, k) for k in np.flatnonzero(~active).tolist()}
         best = max(gains, key=lambda k: gains[k])
         if gains[best] < np.log(_ODDS):
             break
         active[best] = True
-    for k in np.flatnonzero(active).tolist() if records.groups and active.sum() > 1 else ():
-        label = full.terms[k].amplitude_parameter().name
-        amplitude = next(p.label for p in full.parameters if p.term == k and p.parameter.name == label)
-        if not any(
-            amplitude in r.coefficients and r.coefficients[amplitude].detected for r in records.results
-        ):
-            if (gain := records.log_bayes_factor(active & (np.arange(len(full)) != k), k)) > np.log(_ODDS):
-                found[full.term_labels[k]] = gain
-    coefficients = records.coefficients(axis, active, found)
-    return AxisJoint(axis, tuple(fits), coefficients, selection, found)
+    for p in full.parameters if records.groups and active.sum() > 1 else ():
+        each = [r.coefficients.get(p.label) for r in records.results]
+        alone = not p.parameter.is_amplitude or any(c is not None and c.detected for c in each)
+        if active[p.term] and not alone:
+            others = active & (np.arange(len(full)) != p.term)
+            if (gain := records.log_bayes_factor(others, p.term)) > np.log(_ODDS):
+                found[p.term_label] = gain
+    return AxisJoint(axis, tuple(fits), records.coefficients(axis, active, found), selection, found)
 
 
 def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
@@ -166,68 +166,57 @@ class _Forms(NamedTuple):
 class _Records:
     """One axis of several recordings; `groups` are those of one length and rate, by their rows.
 
-    The curves of the others (`given`, by row) do not suffice: their fits' estimates are used.
+    The curves of all others do not suffice: their fits' own estimates are used.
     """
 
     full: Model
-    results: list[AxisFit]
     names: list[str]
+    results: list[AxisFit]
     groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
-    given: list[int]
 
     @classmethod
-    def of(cls, name: str, fits: Mapping[str, Fit], full: Model, chosen: Model) -> _Records:
-        results, names = [f[name] for f in fits.values()], list(fits)
-        places: dict[Any, list[int]] = {}
-        given = []
-        for row, f in enumerate(fits.values()):
-            if results[row].own_template is not None or f.curve.others:
-                given.append(row)
-                continue
-            key = f.curve.n, f.curve.rate, f.curve.estimator, tuple(f.curve.cluster_size.tolist())
-            places.setdefault(key, []).append(row)
+    def of(cls, name: str, fits: Mapping[str, Fit], full: Model, active: _Flags) -> _Records:
+        results, alike = [f[name] for f in fits.values()], dict[Any, list[int]]()
+        curves = [f.curve for f in fits.values()]
+        for row, (curve, result) in enumerate(zip(curves, results, strict=True)):
+            if result.own_template is None and not curve.others:
+                place = curve.n, curve.rate, curve.estimator, tuple(curve.cluster_size.tolist())
+                alike.setdefault(place, []).append(row)
         groups = []
-        for rows in places.values():
-            curves = [list(fits.values())[row].curve for row in rows]
-            columns = [curve.deviation[:, list(curve.names).index(name)] for curve in curves]
-            axes = [dataclasses.replace(results[row].axis, name=names[row]) for row in rows]
+        for rows in alike.values():
+            columns = [curves[row].deviation[:, curves[row].names.index(name)] for row in rows]
+            axes = tuple(dataclasses.replace(results[row].axis, name=f"{row}") for row in rows)
             deviation = np.stack(columns, axis=1)
             curve = dataclasses.replace(
-                curves[0], deviation=deviation, edf=np.ones_like(deviation), axes=tuple(axes)
+                curves[rows[0]], deviation=deviation, edf=np.ones(deviation.shape), axes=axes
             )
-            groups.append((np.array(rows), curve, _hypotheses(curve, full, chosen)))
-        return cls(full, results, names, groups, given)
+            groups.append((np.array(rows), curve, _hypotheses(curve, full, _only(full, active))))
+        return cls(full, list(fits), results, groups)
 
-    def forms(self, active: Bool[np.ndarray, " terms"], power: _Terms) -> _Forms:
+    def forms(self, active: _Flags, power: _Terms) -> _Forms:
         """Linear estimates of the active terms with weights of these powers; NaN where there is none."""
-        shapes = len(free_shapes(self.full))
-        found = np.full((3, len(self.results), len(self.full) + shapes), np.nan)
+        terms = len(self.full)
+        found = np.full((3, len(self.results), terms + len(free_shapes(self.full))), np.nan)
+        for row, p in itertools.product(range(len(self.results)), self.full.parameters):
+            c = self.results[row].coefficients.get(p.label)
+            if c is not None and p.parameter.is_amplitude and np.isfinite(c.std) and not c.held:
+                low, ends = (c.interval[0], 2.0) if c.detected else (c.value, 1.0)
+                std = (c.interval[1] ** 2 - low**2) / (ends * TWO_SIDED_95)
+                found[:, row, p.term] = c.value**2, std**2, 0.0
         for rows, _, at in self.groups:
-            p = power[rows]
-            there = p[:, at.tangent.owner] > 0.0
-            estimated = np.concatenate(
-                [np.broadcast_to(active & free_powers(self.full), p.shape), there], axis=1
-            )
+            p, fitted = power[rows], np.broadcast_to(active & free_powers(self.full), power[rows].shape)
+            estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
             X, weighed, covariance, step = at.linearized(p, estimated)
-            variance = np.einsum("rpp->rp", covariance)
+            sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
             # As in `Hypotheses.scores`.
             third = 2.0 * np.sum((weighed @ covariance) * (X @ covariance) ** 2, axis=1)
-            sd = np.sqrt(np.where(estimated, variance, np.nan))
-            most = np.full(sd.shape, np.inf)
-            most[:, : len(self.full)] = 2.0 * sd[:, : len(self.full)] / np.maximum(p, 1e-300)
-            wider = np.array([self.results[row].widening for row in rows])[:, None]
-            found[:, rows] = step, (sd * wider) ** 2, np.minimum(third / sd**3, most)
-            found[0, rows, : len(self.full)] += p
-        for row in self.given:
-            for k, p in enumerate(p for p in self.full.parameters if p.parameter.is_amplitude):
-                c = self.results[row]._coefficients.get(p.label)
-                if c is not None and np.isfinite(c.std) and not c.held:
-                    low = c.interval[0] if c.detected else c.value
-                    half = TWO_SIDED_95 * (2.0 if c.detected else 1.0)
-                    found[:, row, k] = c.value**2, ((c.interval[1] ** 2 - low**2) / half) ** 2, 0.0
+            third[:, :terms] = np.minimum(third[:, :terms], 2.0 * sd[:, :terms] ** 4 / np.maximum(p, 1e-300))
+            wider = np.array([[self.results[row].widening] for row in rows])
+            found[:, rows] = step, (sd * wider) ** 2, np.maximum(third, 0.0) / sd**3
+            found[0, rows, :terms] += p
         return _Forms(*found)
 
-    def settled(self, active: Bool[np.ndarray, " terms"]) -> tuple[_Forms, _Terms]:
+    def settled(self, active: _Flags) -> tuple[_Forms, _Terms]:
         """Estimates and powers drawn towards the common ones, after a few rounds."""
         power = np.zeros((len(self.results), len(self.full)))
         for rows, _, at in self.groups:
@@ -238,16 +227,17 @@ class _Records:
                 known = np.isfinite(forms.variance[:, k])
                 v, s = forms.value[known, k], np.sqrt(forms.variance[known, k])
                 if known.sum() > 1:
-                    mean, tau = _mean_and_scatter(v, s)
+                    laws = Laws(v, s)
+                    mean = float(laws.fitted(v, tau := laws.scatter())[0])
                     v = (v * tau**2 + max(mean, 0.0) * s**2) / (tau**2 + s**2)
                 power[known, k] = np.maximum(v, 0.0)
         return forms, power
 
-    def log_bayes_factor(self, active: Bool[np.ndarray, " terms"], k: int) -> float:
+    def log_bayes_factor(self, active: _Flags, k: int) -> float:
         """ln of the Bayes factor of another term whose power is the same in all recordings.
 
-        The likelihood is normal about the common power, with the weights of a model without the term; the prior
-        is that of `evidence`.
+        The likelihood is normal about the common power, with the weights of a model without the term; the
+        prior is that of `evidence`.
         """
         _, power = self.settled(active)
         forms = self.forms(active | (np.arange(len(active)) == k), power)
@@ -259,46 +249,63 @@ class _Records:
         return float(over_prior(lambda c: (v**2 - (c**2 - v) ** 2) / (2.0 * sd**2), *ends)[0])
 
     def coefficients(
-        self, axis: Axis, active: Bool[np.ndarray, " terms"], found: Mapping[str, float]
+        self, axis: Axis, active: _Flags, found: Mapping[str, float]
     ) -> dict[str, JointCoefficient]:
         """The coefficients of the active terms, with what is common to all recordings."""
-        forms, power = self.settled(active)
-        template = self.full.without([t for t, a in zip(self.full.term_labels, active, strict=True) if not a])
-        own = _own_estimates(self, template, axis)
-        shapes, result = [p.label for p in free_shapes(self.full)], {}
-        labels = [p.label for p in self.full.parameters if p.parameter.is_amplitude] + shapes
-        for p in reported(template):
-            if not p.free or p.label not in labels:
+        (forms, power), template, result = self.settled(active), _only(self.full, active), {}
+        own = self._own_estimates(template, axis)
+        shapes = [p.label for p in free_shapes(self.full)]
+        places = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
+        places |= {label: len(self.full) + k for k, label in enumerate(shapes)}
+        for p in (p for p in reported(template) if p.free):
+            k = places[p.label]
+            records = {
+                r: own[r][p.label]
+                for r in range(len(self.names))
+                if np.isfinite(forms.variance[r, k]) and p.label in own[r]
+            }
+            if len(records) < 2:
                 continue
-            k = labels.index(p.label)
-            known = [
-                r for r in range(len(self.names)) if np.isfinite(forms.variance[r, k]) and p.label in own[r]
-            ]
-            if len(known) < 2:
-                continue
-            value, variance, skewness = (x[known, k] for x in forms)
-            sd, names = np.sqrt(variance), [self.names[r] for r in known]
-            # The error at the common power: that at the recording's own would depend on what it weighs.
-            at = np.maximum(power[known, min(k, len(self.full) - 1)], 1e-300)
-            scale, shape = "logarithm", not p.parameter.is_amplitude
-            if shape:
-                value = np.log([own[r][p.label].value - p.parameter.lower for r in known])
-            elif np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
-                value, sd, skewness = 0.5 * np.log(value), sd / (2.0 * at), None
+            value, variance, skewness = (x[list(records), k] for x in forms)
+            sd, scale = np.sqrt(variance), "logarithm"
+            if p.label in shapes:
+                value = np.log([c.value - p.parameter.lower for c in records.values()])
+                skewness = np.zeros(len(value))
             else:
-                scale = "square"
-            effects = random_effects(value, sd, names, skewness=None if shape else skewness)
-            records = {self.names[r]: own[r][p.label] for r in known}
+                # The error at the power drawn to the common one: that at its own depends on what it weighs.
+                at = np.maximum(power[list(records), k], 1e-300)
+                if np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
+                    value, sd, skewness = 0.5 * np.log(value), sd / (2.0 * at), np.zeros(len(value))
+                else:
+                    scale = "square"
+            named = {self.names[r]: c for r, c in records.items()}
+            effects = random_effects(value, sd, list(named), skewness=skewness)
             gain = found.get(p.term_label) if p.parameter.is_amplitude else None
-            seen = gain is not None or any(c.detected for c in records.values())
+            seen = gain is not None or any(c.detected for c in named.values())
             common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
-            result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
+            result[p.label] = JointCoefficient(common, named, scatter, effects, scale)
         return result
 
+    def _own_estimates(self, template: Model, axis: Axis) -> list[dict[str, Estimate]]:
+        """Each recording's estimates of the joint model's coefficients by label."""
+        own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in self.results]
+        for rows, curve, _ in self.groups:
+            bulk = fit_many(curve, template)
+            numbers = np.stack([bulk.value, bulk.std, bulk.lower, bulk.upper, bulk.upper_limit])
+            for place, row in enumerate(rows.tolist()):
+                own[row] = {}
+                for k, p in enumerate(reported(template)):
+                    value, std, low, high, limit = numbers[:, place, k].tolist()
+                    ends = [low, high, max(value - std, p.parameter.lower), value + std, limit]
+                    c = estimate_of(p, axis, value, std, ends, bool(bulk.detected[place, k]))
+                    if np.isfinite(value):
+                        own[row][p.label] = c.widened(self.results[row].widening)
+        return own
 
-def _mean_and_scatter(v: Float[np.ndarray, " k"], s: Float[np.ndarray, " k"]) -> tuple[float, float]:
-    e = random_effects(v, s)
-    return e.common, e.scatter
+
+def _only(full: Model, active: _Flags) -> Model:
+    """The model without the terms that are not active."""
+    return full.without(list(itertools.compress(full.term_labels, ~active)))
 
 
 def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses:
@@ -318,32 +325,12 @@ def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses
     return Hypotheses(tangent, curve.variance.T, none, none, power, error, np.zeros(shape.shape, bool))
 
 
-def _own_estimates(records: _Records, template: Model, axis: Axis) -> list[dict[str, Estimate]]:
-    """Each recording's estimates of the joint model's coefficients by label."""
-    own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in records.results]
-    for rows, curve, _ in records.groups:
-        bulk: BulkFit = fit_many(curve, template)
-        for place, row in enumerate(rows.tolist()):
-            own[row] = {}
-            for k, p in enumerate(reported(template)):
-                value, std, low, high, limit = (
-                    float(x[place, k])
-                    for x in (bulk.value, bulk.std, bulk.lower, bulk.upper, bulk.upper_limit)
-                )
-                if np.isfinite(value):
-                    seen = bool(bulk.detected[place, k])
-                    ends = [low, high, max(value - std, 0.0), value + std, limit]
-                    c = estimate_of(p, axis, value, std, ends, seen)
-                    own[row][p.label] = c.widened(records.results[row].widening)
-    return own
-
-
 def _common(
     p: ModelParameter, axis: Axis, e: RandomEffects, squared: bool, seen: bool, gain: float | None
 ) -> tuple[Estimate, Estimate]:
     """Common value and scatter of a coefficient, from the statistics of its logarithm or its square."""
     lower, relative = p.parameter.lower, np.array([e.scatter, *e.scatter_interval, e.scatter_limit])
-    ends = np.array([e.common, *e.interval, *e.interval_68, e.limits[1]])
+    ends = np.array([e.common, *e.interval, *e.interval_68, e.limit])
     if squared:
         # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²).
         mean = max(e.common, 1e-300)
@@ -359,7 +346,5 @@ def _common(
         (value - lower) * relative if common.detected and value else np.full(4, np.nan)
     ).tolist()
     numbers = [low, high, max(size - (high - low) / 4.0, 0.0), size + (high - low) / 4.0, limit]
-    scatter = estimate_of(
-        p, axis, size, (high - low) / (2.0 * TWO_SIDED_95), numbers, e.scatters and size > 0.0
-    )
+    scatter = estimate_of(p, axis, size, (high - low) / (2.0 * TWO_SIDED_95), numbers, low > 0.0)
     return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)

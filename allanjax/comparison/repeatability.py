@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from allanjax.base.wording import plain, significant
 from allanjax.comparison.random_effects import RandomEffects
 from allanjax.estimate.as_json import in_json
 from allanjax.estimate.selection import AxisSelection
-from allanjax.noise.estimate import Estimate, called
+from allanjax.noise.estimate import Estimate, called, title_of
 from allanjax.record.recording import Axis
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA_VERSION = 1
+# Rows of the printed table below the recordings.
+_SUMMARY = ("common", "95 % from", "to", "scatter", "relative", "STD", "all alike", "odd one")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -32,12 +34,12 @@ class JointCoefficient(ByValue):
     """One coefficient of one axis in several recordings.
 
     Attributes:
-        common: its common value, with the Bayes factor of its term if only all recordings together show it.
+        common: its common value, the median of log-normal scatter; with a Bayes factor if only all recordings
+            together show its term.
         records: its value in each recording, with the recording's own interval.
         scatter: standard deviation between recordings beyond what the intervals explain, in its own unit.
-        effects: the statistics behind these, of what `scale` names.
-        scale: "logarithm", or "square" of an amplitude that some recording does not determine to 10 %. The
-            common value is the median of a log-normal scatter.
+        effects: the statistics of `scale`: its logarithm, or its square if a recording does not determine the
+            amplitude to 10 %, as only squares are unbiased and may be averaged where a term hardly shows.
     """
 
     common: Estimate
@@ -48,51 +50,41 @@ class JointCoefficient(ByValue):
 
     @property
     def relative_scatter(self) -> float:
-        """Scatter relative to the common value, or its upper limit if no scatter is detected."""
+        """Scatter over the common value, or the scatter's upper limit if it is not detected."""
         size = self.scatter.value if self.scatter.detected else self.scatter.upper_limit
-        return float("nan") if size is None or not self.common.value else size / self.common.value
+        return size / self.common.value if size and self.common.value else float("nan")
 
     @property
     def sample_std(self) -> float:
-        """Standard deviation of the recordings' values [SI], as in the thesis's tables 5.1 and 5.3."""
+        """Standard deviation of the recordings' values [SI], as in Hou (2004), tables 5.1 and 5.3."""
         return float(np.std([c.value for c in self.records.values()], ddof=1))
 
-    def column(self) -> Column:
-        """Column of the printed table: the recordings, and the statistics below them."""
-        unit, e = self.common.usual_unit, self.effects
-        factor = self.common.in_unit().value / self.common.value if self.common.value else 1.0
-        limit = "" if self.scatter.detected else "< "
-        relative = self.relative_scatter
-        return column(
-            f"{self.common.symbol or self.common.title}",
-            unit,
-            [
-                *(c.in_unit().number for c in self.records.values()),
-                self.common.in_unit().number,
-                *(Number(end * factor) for end in self.common.interval),
-                self.scatter.in_unit().number,
-                f"{limit}{significant(100.0 * relative, 2)} %" if np.isfinite(relative) else "",
-                Number(self.sample_std * factor),
-                f"p = {plain(e.p_value, 2)}",
-                f"{e.odd_one}, p = {plain(e.odd_p_value, 2)}" if e.odd_one else "",
-            ],
-        )
+    def column(self, names: Sequence[str]) -> Column:
+        """Column of the printed table: the recordings of these names, and the statistics below them."""
+        common, e, relative = self.common.in_unit(), self.effects, self.relative_scatter
+        std = dataclasses.replace(self.common, value=self.sample_std).in_unit().value
+        sign = "" if self.scatter.detected else "< "
+        cells = [
+            *(self.records[name].in_unit().number if name in self.records else None for name in names),
+            common.number,
+            *map(Number, common.interval),
+            self.scatter.in_unit().number,
+            f"{sign}{significant(100.0 * relative, 2)} %" if np.isfinite(relative) else "",
+            Number(std),
+            f"p = {plain(e.p_value, 2)}",
+            f"{e.odd_one}, p = {plain(e.odd_p_value, 2)}" if e.odd_one else "",
+        ]
+        return column(common.symbol or common.title, common.unit, cells)
 
-    def to_dict(self) -> dict[str, Any]:
-        """The numbers in types of JSON."""
-        return {
-            "common": in_json(self.common),
-            "bayes_factor": self.common.bayes_factor,
-            "recordings": {name: in_json(c) for name, c in self.records.items()},
-            "scatter": in_json(self.scatter),
-            "relative_scatter": in_json(self.relative_scatter),
-            "sample_std_si": self.sample_std,
-            "scale": self.scale,
-            "statistics": self.effects.to_dict(),
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Rows of the data frame: one per recording, and one of what they have in common."""
+        yield from ({"recording": name, **c.row()} for name, c in self.records.items())
+        scatter, e = self.scatter.row(), self.effects
+        yield {
+            **{"recording": "common", **self.common.row(), "relative_scatter": self.relative_scatter},
+            **{f"scatter_{key}": scatter[key] for key in ("value", "lower_95", "upper_95", "upper_limit_95")},
+            **{"p_value": e.p_value, "odd_one": e.odd_one, "odd_p_value": e.odd_p_value},
         }
-
-
-_SUMMARY = ("common", "95 % from", "to", "scatter", "relative", "STD", "all alike", "odd one out")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -101,7 +93,7 @@ class AxisJoint(ByValue):
 
     Attributes:
         axis: the axis.
-        names: names of the recordings that are compared.
+        names: names of the recordings.
         coefficients: coefficients by label.
         selection: ranking of the sets of terms by the product of the recordings' evidences; None for a model
             that was given.
@@ -118,41 +110,25 @@ class AxisJoint(ByValue):
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW"."""
         label = called(name, {label: c.common for label, c in self.coefficients.items()})
         if label is None:
-            raise FitError(
-                f"{self.axis.name} has no coefficient {name!r}; it has {', '.join(self.coefficients)}"
-            )
+            has = ", ".join(self.coefficients)
+            raise FitError(f"{self.axis.name} has no common coefficient {name!r}; it has {has}")
         return self.coefficients[label]
-
-    def table(self) -> list[Column]:
-        """Columns of the printed table: one per coefficient, with a row for each recording."""
-        return [
-            Column(self.axis.name, [*self.names, *_SUMMARY]),
-            *(c.column() for c in self.coefficients.values()),
-        ]
 
     def to_dataframe(self) -> pd.DataFrame:
         """One row per coefficient and recording, and one of what they have in common, in the usual unit."""
         import pandas as pd
 
-        rows = []
-        for c in self.coefficients.values():
-            rows += [{"recording": name, **of.row()} for name, of in c.records.items()]
-            scatter = c.scatter.row()
-            statistics = {f"scatter_{key}": scatter[key] for key in ("value", "lower_95", "upper_95")}
-            statistics |= {"relative_scatter": c.relative_scatter, "p_value": c.effects.p_value}
-            statistics |= {"odd_one": c.effects.odd_one, "odd_p_value": c.effects.odd_p_value}
-            rows.append({"recording": "common", **c.common.row(), **statistics})
-        return pd.DataFrame(rows)
+        return pd.DataFrame([row for c in self.coefficients.values() for row in c.rows()])
 
     def to_dict(self) -> dict[str, Any]:
-        """The axis in types of JSON."""
-        ranking = () if self.selection is None else self.selection.ranking
-        return {
-            **in_json(self.axis),
-            "selection": [in_json(s) for s in ranking],
-            "found_jointly": {term: {"log_bayes_factor": x} for term, x in self.found_jointly.items()},
-            "coefficients": {label: c.to_dict() for label, c in self.coefficients.items()},
+        """The axis in types of JSON, as `JointFit.to_dict`."""
+        found = {
+            label: {**vars(c), "sample_std_si": c.sample_std, "effects": vars(c.effects)}
+            for label, c in self.coefficients.items()
         }
+        ranking = () if self.selection is None else self.selection.ranking
+        more = {"log_bayes_factors": self.found_jointly, "selection": ranking, "coefficients": found}
+        return {**in_json(self.axis), **in_json(more)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -161,7 +137,7 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
 
     Attributes:
         names: names of the recordings.
-        results: one per axis that all of them have.
+        results: one per axis that at least two of them have.
         notes: what was left out, and why.
     """
 
@@ -172,7 +148,9 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
     notes: tuple[str, ...] = ()
 
     @presented
-    def plot(self, axes: Any = None, path: str | os.PathLike[str] | None = None) -> Figure:
+    def plot(
+        self, axes: Sequence[str] | str | None = None, path: str | os.PathLike[str] | None = None
+    ) -> Figure:
         """Draw each coefficient of every recording, the common value and the scatter; see `plot_joint`."""
         raise NotImplementedError
 
@@ -186,14 +164,19 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
         return f"joint fit of {len(self.names)} recordings"
 
     def _tables(self) -> list[list[Column]]:
-        return [axis.table() for axis in self.results]
-
-    def _notes(self) -> list[str]:
-        found = [
-            f"{axis.axis.name} {term.replace('_', ' ')}: only all recordings together show it, Bayes factor "
-            f"{significant(float(np.exp(min(x, 700.0))), 2)}"
-            for axis in self.results
-            for term, x in axis.found_jointly.items()
+        return [
+            [
+                Column(a.axis.name, [*a.names, *_SUMMARY]),
+                *(c.column(a.names) for c in a.coefficients.values()),
+            ]
+            for a in self.results
         ]
-        legend = "scatter: between recordings beyond what their intervals explain; all alike: p-value of none"
-        return [*found, *(f"note: {note}" for note in self.notes), legend]
+
+    def _notes(self) -> Iterator[str]:
+        for axis in self.results:
+            for term, gain in axis.found_jointly.items():
+                factor = significant(float(np.exp(min(gain, 700.0))), 2)
+                name = f"{axis.axis.name} {title_of(term, axis.axis.sensor)}"
+                yield f"{name}: no recording shows it alone, but all together (Bayes factor {factor})"
+        yield from (f"note: {note}" for note in self.notes)
+        yield "scatter: between recordings, beyond what their intervals explain; all alike: that there is none"
