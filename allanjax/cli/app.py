@@ -12,7 +12,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli import calibrate, convert, fleet, recordings, results, simulate  # noqa: F401
+from allanjax.cli import calibrate, convert, fleet, recordings, repeat, results, simulate  # noqa: F401
 from allanjax.cli.interrupt import end_on_interrupt
 from allanjax.cli.options import COMMANDS, epilog
 
@@ -71,7 +71,8 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    "check characterize critique fleet export horizon navigate statespace kalman calibrate simulate convert"
+    "check characterize critique fleet repeat export horizon navigate statespace kalman calibrate simulate "
+    "convert"
 )
 for _name in f"{_ORDER} schema demo".split():
     _command, _epilog = COMMANDS[_name]

@@ -168,7 +168,7 @@ class Laws:
         return high
 
     def scatter_limit(self, p: float) -> float:
-        """The τ at which Q is at a low quantile; if it is below that at zero, the τ of values without errors."""
+        """The τ at which Q is at a low quantile; if it is lower at zero, the τ of values without errors."""
         return self.scatter(p) or float(np.sqrt(self.dof * np.var(self.x, ddof=1) / quantile(p, self.dof)))
 
     def odd_one(self, tau: float) -> tuple[int, float]:
@@ -208,7 +208,7 @@ def random_effects(
 
     Args:
         values: at least two values [k], e.g. of a coefficient on several days.
-        stds: their standard errors, or one for all; without them the scatter is that of the values themselves.
+        stds: their standard errors, or one for all; without them the scatter is that of the values.
         names: their names; by default "1", "2", ….
         skewness: skewness ≥ 0 of their errors; by default 0, of normal ones.
 

@@ -56,20 +56,24 @@ class JointCoefficient(ByValue):
 
     @property
     def sample_std(self) -> float:
-        """Standard deviation of the recordings' values [SI], as in Hou (2004), tables 5.1 and 5.3."""
-        return float(np.std([c.value for c in self.records.values()], ddof=1))
+        """Standard deviation of the values [SI], as in Hou (2004), table 5.1; NaN unless all are detected."""
+        values = [c.value if c.detected else np.nan for c in self.records.values()]
+        return float(np.std(values, ddof=1))
 
     def column(self, names: Sequence[str]) -> Column:
         """Column of the printed table: the recordings of these names, and the statistics below them."""
         common, e, relative = self.common.in_unit(), self.effects, self.relative_scatter
         std = dataclasses.replace(self.common, value=self.sample_std).in_unit().value
-        sign = "" if self.scatter.detected else "< "
+        percents = [significant(100.0 * x / self.common.value, 2) for x in self.scatter.interval if x > 0.0]
+        spread = f"{significant(100.0 * relative, 2)} %"
+        spread = f"{spread} ({' … '.join(percents)})" if self.scatter.detected else f"< {spread}"
+        size = self.scatter.in_unit()
         cells = [
             *(self.records[name].in_unit().number if name in self.records else None for name in names),
             common.number,
             *map(Number, common.interval),
-            self.scatter.in_unit().number,
-            f"{sign}{significant(100.0 * relative, 2)} %" if np.isfinite(relative) else "",
+            Number(size.value) if size.detected else size.number,
+            spread if np.isfinite(relative) else "",
             Number(std),
             f"p = {plain(e.p_value, 2)}",
             f"{e.odd_one}, p = {plain(e.odd_p_value, 2)}" if e.odd_one else "",
@@ -81,9 +85,13 @@ class JointCoefficient(ByValue):
         yield from ({"recording": name, **c.row()} for name, c in self.records.items())
         scatter, e = self.scatter.row(), self.effects
         yield {
-            **{"recording": "common", **self.common.row(), "relative_scatter": self.relative_scatter},
+            "recording": "common",
+            **self.common.row(),
+            "relative_scatter": self.relative_scatter,
             **{f"scatter_{key}": scatter[key] for key in ("value", "lower_95", "upper_95", "upper_limit_95")},
-            **{"p_value": e.p_value, "odd_one": e.odd_one, "odd_p_value": e.odd_p_value},
+            "p_value": e.p_value,
+            "odd_one": e.odd_one,
+            "odd_p_value": e.odd_p_value,
         }
 
 
@@ -179,4 +187,4 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
                 name = f"{axis.axis.name} {title_of(term, axis.axis.sensor)}"
                 yield f"{name}: no recording shows it alone, but all together (Bayes factor {factor})"
         yield from (f"note: {note}" for note in self.notes)
-        yield "scatter: between recordings, beyond what their intervals explain; all alike: that there is none"
+        yield "scatter: between recordings, beyond what their intervals explain; all alike: p of none"

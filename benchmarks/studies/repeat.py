@@ -1,12 +1,12 @@
 """Do the intervals of a joint fit's common values and scatters cover the truth, and does it find weak terms?
 
-Fleets of recordings (164 s at 100 Hz) with N + B + K, each coefficient log-normal about the common value with
-a known relative scatter. A recording determines N to 0.6 % and B to about 8 %, and K is detected in few. Nine
-axes of a recording are nine fleets. Covered: share of fleets whose 95 % interval holds the common value, and the
-scatter. Falsely: share in which equal recordings differ (p < 0.05), and in which one is the odd one. Then fits
-that choose their terms themselves, with K and without: how often single recordings and all together find it.
-At last two real sensors, ADIS16405. The only other program for several recordings, the R package mgmwm (Bakalli
-et al. 2023), fits them one common model and has no scatter between them.
+Fleets of recordings (164 s at 100 Hz) with N + B + K, each coefficient log-normal about the common value
+with a known relative scatter. A recording determines N to 0.6 % and B to about 8 %, and K is detected in
+few. Nine axes of a recording are nine fleets. Covered: share of fleets whose 95 % interval holds the common
+value, and the scatter. Falsely: share in which equal recordings differ (p < 0.05), and in which one is the
+odd one. Then fits that choose their terms themselves, with K and without: how often single recordings and
+all together find it. At last two real sensors, ADIS16405. The only other program for several recordings, the
+R package mgmwm (Bakalli et al. 2023), fits them one common model and has no scatter between them.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def fleet(count: int, scatter: float, seed: int) -> list[tuple[Any, ...]]:
 
 
 def terms(count: int, with_k: bool, seed: int) -> list[float]:
-    """Whether K is found jointly, by one recording, the share that do, and whether others are found falsely."""
+    """Whether K is found jointly, by one recording, by what share, and whether others are found falsely."""
     rng = np.random.default_rng(seed)
     truth = {label: c for label, c in TRUTH.items() if with_k or label != "rate_random_walk"}
     recordings = [recording(rng, truth, 0.0, 1, f"day {k + 1}") for k in range(count)]
