@@ -193,16 +193,27 @@ class _Records:
             groups.append((np.array(rows), curve, _hypotheses(curve, full, _only(full, active))))
         return cls(full, list(fits), results, groups)
 
+    @property
+    def places(self) -> dict[str, int]:
+        """Columns of the forms by label: powers of the terms, then shapes."""
+        amplitudes = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
+        return amplitudes | {p.label: len(self.full) + k for k, p in enumerate(free_shapes(self.full))}
+
     def forms(self, active: _Flags, power: _Terms) -> _Forms:
         """Linear estimates of the active terms with weights of these powers; NaN where there is none."""
         terms = len(self.full)
         found = np.full((3, len(self.results), terms + len(free_shapes(self.full))), np.nan)
         for row, p in itertools.product(range(len(self.results)), self.full.parameters):
             c = self.results[row].coefficients.get(p.label)
-            if c is not None and p.parameter.is_amplitude and np.isfinite(c.std) and not c.held:
+            if c is None or c.held or not np.isfinite(c.std):
+                continue
+            if p.parameter.is_amplitude:
                 low, ends = (c.interval[0], 2.0) if c.detected else (c.value, 1.0)
                 std = (c.interval[1] ** 2 - low**2) / (ends * TWO_SIDED_95)
-                found[:, row, p.term] = c.value**2, std**2, 0.0
+                found[:, row, self.places[p.label]] = c.value**2, std**2, 0.0
+            elif c.detected:
+                distance = c.value - p.parameter.lower
+                found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
         for rows, _, at in self.groups:
             p, fitted = power[rows], np.broadcast_to(active & free_powers(self.full), power[rows].shape)
             estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
@@ -254,11 +265,8 @@ class _Records:
         """The coefficients of the active terms, with what is common to all recordings."""
         (forms, power), template, result = self.settled(active), _only(self.full, active), {}
         own = self._own_estimates(template, axis)
-        shapes = [p.label for p in free_shapes(self.full)]
-        places = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
-        places |= {label: len(self.full) + k for k, label in enumerate(shapes)}
         for p in (p for p in reported(template) if p.free):
-            k = places[p.label]
+            k = self.places[p.label]
             records = {
                 r: own[r][p.label]
                 for r in range(len(self.names))
@@ -268,7 +276,7 @@ class _Records:
                 continue
             value, variance, skewness = (x[list(records), k] for x in forms)
             sd, scale = np.sqrt(variance), "logarithm"
-            if p.label in shapes:
+            if not p.parameter.is_amplitude:
                 value = np.log([c.value - p.parameter.lower for c in records.values()])
                 skewness = np.zeros(len(value))
             else:
@@ -333,14 +341,14 @@ def _common(
     ends = np.array([e.common, *e.interval, *e.interval_68, e.limit])
     if squared:
         # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²).
-        mean = max(e.common, 1e-300)
+        mean = e.common if e.common > 0.0 else np.inf
         value, *ends = (np.sqrt(np.maximum(ends, 0.0)) * (1.0 + (e.scatter / mean) ** 2) ** -0.25).tolist()
         std, relative = 0.5 * value * e.std / mean, 0.5 * np.sqrt(np.log1p((relative / mean) ** 2))
     else:
         value, *ends = (lower + np.exp(np.minimum(ends, 300.0))).tolist()
         std = (value - lower) * e.std
     more: dict[str, Any] = {"bayes_factor": None if gain is None else float(np.exp(min(gain, 700.0)))}
-    common = estimate_of(p, axis, value, std, ends, seen or ends[0] > 0.0, **more)
+    common = estimate_of(p, axis, value, std, ends, value > 0.0 and (seen or ends[0] > 0.0), **more)
     # Where there is no common value, there is no scatter about it.
     size, low, high, limit = (
         (value - lower) * relative if common.detected and value else np.full(4, np.nan)

@@ -13,7 +13,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Number, PerAxis, column
-from allanjax.base.wording import plain, significant
+from allanjax.base.wording import format_p_value, significant
 from allanjax.comparison.random_effects import RandomEffects
 from allanjax.estimate.as_json import in_json
 from allanjax.estimate.selection import AxisSelection
@@ -75,8 +75,8 @@ class JointCoefficient(ByValue):
             Number(size.value) if size.detected else size.number,
             spread if np.isfinite(relative) else "",
             Number(std),
-            f"p = {plain(e.p_value, 2)}",
-            f"{e.odd_one}, p = {plain(e.odd_p_value, 2)}" if e.odd_one else "",
+            format_p_value(e.p_value),
+            f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "",
         ]
         return column(common.symbol or common.title, common.unit, cells)
 
@@ -187,4 +187,4 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
                 name = f"{axis.axis.name} {title_of(term, axis.axis.sensor)}"
                 yield f"{name}: no recording shows it alone, but all together (Bayes factor {factor})"
         yield from (f"note: {note}" for note in self.notes)
-        yield "scatter: between recordings, beyond what their intervals explain; all alike: p of none"
+        yield "scatter: between recordings, beyond what their intervals explain; all alike: chance without it"

@@ -51,21 +51,16 @@ def plot_joint(
         heading = Heading(f"{len(names)} recordings", "values of the joint fit", key)
         figure, rows = sheet.draw(heading, [len(axis.coefficients) for axis in results], path)
         for axis, panels in zip(results, rows, strict=True):
-            for (c, panel), first in zip(
-                zip(axis.coefficients.values(), panels, strict=True),
-                [True] + [False] * len(panels),
-                strict=False,
-            ):
-                draw.dress(panel, f"{axis.axis.name}: {c.common.title}", x=_label(c))
+            for k, (c, panel) in enumerate(zip(axis.coefficients.values(), panels, strict=True)):
+                draw.dress(panel, axis.axis.name, x=_label(c))
                 panel.set_ylim(len(names) - 0.3, -0.7)
-                panel.set_yticks(range(len(names)), [draw.literal(name) for name in names] if first else [])
+                panel.set_yticks(range(len(names)), [] if k else [draw.literal(name) for name in names])
                 _draw(panel, c, joint.names)
         return draw.saved(figure, path)
 
 
 def _label(c: JointCoefficient) -> str:
-    symbol = c.common.symbol or c.common.title
-    return symbol if c.common.usual_unit == "1" else f"{symbol} [{c.common.usual_unit}]"
+    return c.common.title if c.common.usual_unit == "1" else f"{c.common.title} [{c.common.usual_unit}]"
 
 
 def _draw(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
