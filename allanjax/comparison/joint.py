@@ -114,7 +114,11 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         full = model_to_fit(model, [axis])
         check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
         chosen = full.term_labels
-    active, found = np.isin(full.term_labels, chosen), dict[str, float]()
+    active, found, rivals = (
+        np.isin(full.term_labels, chosen),
+        dict[str, float](),
+        dict[str, tuple[str, ...]](),
+    )
     records = _Records.of(name, fits, full, active)
     # Without curves that the terms alone describe there is nothing to search.
     while records.groups and model is None and not active.all():
@@ -123,6 +127,9 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         if gains[best] < np.log(_ODDS):
             break
         active[best] = True
+        near = (k for k, x in gains.items() if k != best and x > gains[best] - np.log(_ODDS))
+        if names := tuple(full.term_labels[k] for k in near):
+            rivals[full.term_labels[best]] = names
     for p in full.parameters if records.groups and active.sum() > 1 else ():
         each = [r.coefficients.get(p.label) for r in records.results]
         alone = not p.parameter.is_amplitude or any(c is not None and c.detected for c in each)
@@ -130,7 +137,8 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
             others = active & (np.arange(len(full)) != p.term)
             if (gain := records.log_bayes_factor(others, p.term)) > np.log(_ODDS):
                 found[p.term_label] = gain
-    return AxisJoint(axis, tuple(fits), records.coefficients(axis, active, found), selection, found)
+    coefficients = records.coefficients(axis, active, found)
+    return AxisJoint(axis, tuple(fits), coefficients, selection, found, rivals)
 
 
 def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA_VERSION = 1
+# ln of the largest Bayes factor that is printed as a number.
+_PLENTY = 13.8
 # Rows of the printed table below the recordings.
 _SUMMARY = ("common", "95 % from", "to", "scatter", "relative", "STD", "all alike", "odd one")
 
@@ -106,6 +108,7 @@ class AxisJoint(ByValue):
         selection: ranking of the sets of terms by the product of the recordings' evidences; None for a model
             that was given.
         found_jointly: terms that no single recording detects, with ln of their Bayes factor [nats].
+        rivals: terms from which the recordings together cannot distinguish one of these (Bayes factor < 20).
     """
 
     axis: Axis
@@ -113,6 +116,7 @@ class AxisJoint(ByValue):
     coefficients: Mapping[str, JointCoefficient]
     selection: AxisSelection | None
     found_jointly: Mapping[str, float]
+    rivals: Mapping[str, tuple[str, ...]]
 
     def __getitem__(self, name: str) -> JointCoefficient:
         """A coefficient by its label, its symbol or another usual name, e.g. "N" or "ARW"."""
@@ -135,7 +139,8 @@ class AxisJoint(ByValue):
             for label, c in self.coefficients.items()
         }
         ranking = () if self.selection is None else self.selection.ranking
-        more = {"log_bayes_factors": self.found_jointly, "selection": ranking, "coefficients": found}
+        more: dict[str, Any] = {"log_bayes_factors": self.found_jointly, "rivals": self.rivals}
+        more |= {"selection": ranking, "coefficients": found}
         return {**in_json(self.axis), **in_json(more)}
 
 
@@ -183,8 +188,10 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
     def _notes(self) -> Iterator[str]:
         for axis in self.results:
             for term, gain in axis.found_jointly.items():
-                factor = significant(float(np.exp(min(gain, 700.0))), 2)
-                name = f"{axis.axis.name} {title_of(term, axis.axis.sensor)}"
-                yield f"{name}: no recording shows it alone, but all together (Bayes factor {factor})"
+                factor = significant(float(np.exp(gain)), 2) if gain < _PLENTY else "above 10⁶"
+                name, *others = (title_of(t, axis.axis.sensor) for t in (term, *axis.rivals.get(term, ())))
+                rivals = f"; it may be {' or '.join(others)}" if others else ""
+                text = f"no recording shows it alone, but all together (Bayes factor {factor}){rivals}"
+                yield f"{axis.axis.name} {name}: {text}"
         yield from (f"note: {note}" for note in self.notes)
         yield "scatter: between recordings, beyond what their intervals explain; all alike: chance without it"
