@@ -2,6 +2,7 @@
 # A new term is named in its own room only.
 
 from allanjax import critic as critic
+from allanjax.allan.curve import read_curve as read_curve
 from allanjax.allan.deviation import AllanDeviation as AllanDeviation
 from allanjax.allan.deviation import allan_deviation as allan_deviation
 from allanjax.base.cache import enable_compilation_cache as enable_compilation_cache

@@ -70,6 +70,7 @@ def check(
     "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
     "allanjax characterize *.csv --start 60 --json > fits.json",
     "allanjax characterize week.parquet --stream",
+    "allanjax characterize curve.csv --curve --rate 100 --duration 3h --gyro-unit deg/h",
 )
 def characterize(
     files: Files,
@@ -82,6 +83,18 @@ def characterize(
             "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
         ),
     ] = False,
+    curve: Annotated[
+        bool,
+        typer.Option(
+            "--curve",
+            help="The files are Allan curves (cluster times and a column per axis) without their recordings; "
+            "needs --rate and --duration of these for intervals. NAME_psd.png is not written.",
+        ),
+    ] = False,
+    duration: Annotated[
+        str | None,
+        typer.Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
+    ] = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
     as_json: Annotated[
@@ -96,9 +109,14 @@ def characterize(
     still processed.
     """
 
+    if (stream and curve) or (duration and not curve):
+        raise typer.BadParameter("--duration is that of a --curve, which --stream cannot read")
+
     def work(file: Input, directory: Path | None) -> Outcome:
         check = spectrum = None
-        if stream:
+        if curve:
+            fit = _read_curve_and_fit(file, options, duration)
+        elif stream:
             fit = _accumulate_and_fit(file, options)
         else:
             check, spectrum, fit = read_and_fit(file, options)
@@ -141,6 +159,18 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Check, PowerSpectru
             check = pool.submit(check_of, recording, inspection)
             fit = options.fit(recording, inspection)
             return check.result(), spectrum.result(), fit
+
+
+def _read_curve_and_fit(file: Input, options: FitOptions, duration: str | None) -> "Fit":
+    """Fit of an Allan curve without its recording."""
+    from allanjax.allan.curve import read_curve
+    from allanjax.estimate.fit import fit_curve
+
+    reading = options.reading
+    with stage(f"{file.label}: fitting the curve (the first run also compiles)"):
+        units = {"gyro_unit": reading.gyro_unit, "accel_unit": reading.accel_unit}
+        found = read_curve(file.path, reading.rate, duration, **units, columns=reading.columns)
+        return fit_curve(dataclasses.replace(found, name=file.name), options.model, options.objective)
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
