@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.allan.estimators import difference_count
+from allanjax.allan.estimators import cluster_sizes, difference_count
 from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
 from allanjax.base.wording import duration as in_words
 from allanjax.base.wording import percent, plain
@@ -28,7 +28,15 @@ from allanjax.record.columns import recognise, split_unit
 from allanjax.record.io import ReadOptions
 from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.recording import Axis
-from allanjax.record.units import SENSORS, Sensor, convert, parse_quantity, parse_sample_unit, rate_unit_of
+from allanjax.record.units import (
+    SENSORS,
+    Sensor,
+    convert,
+    is_unit,
+    parse_quantity,
+    parse_sample_unit,
+    rate_unit_of,
+)
 from allanjax.record.validation import Source
 
 # Words that name a deviation or variance; and columns of other things, which are left out.
@@ -42,7 +50,7 @@ _OTHER_KINDS = re.compile(r"(?:^|_)(?:mdev|mvar|hdev|ohdev|tdev|totdev|modified|
 _TIME = re.compile(r"taus?|τ|period|t|time|(?:cluster|averaging|correlation)_time|tau_?s")
 # Relative change of a cluster time by rounding to whole samples that a note reports.
 _ROUNDED = 1e-3
-# Most cluster times per octave, beyond which neighbours are nearly the same estimate.
+# Most cluster times per octave that are used.
 _PER_OCTAVE = 4
 # Columns of allan_variance_ros, whose files have no header.
 _ROS = "period [s],accel_x [m/s²],accel_y [m/s²],accel_z [m/s²],gyro_x [deg/s],gyro_y [deg/s],gyro_z [deg/s]"
@@ -244,10 +252,12 @@ def _curve(
             f"{n / rate:.6g} s; correct duration= (--duration) or rate= (--rate)"
         )
     notes += [f"no intervals without {text}" for text in assumed]
-    # One estimate for each size, and of each quarter of an octave the first.
-    keep = np.unique(np.floor(_PER_OCTAVE * np.log2(sizes) + 1e-9), return_index=True)[1]
-    keep = keep[np.unique(sizes[keep], return_index=True)[1]]
-    keep = np.union1d(keep, [len(sizes) - 1]) if sizes[-1] > sizes[keep[-1]] else keep
+    # Of equal sizes the first; and no more than `fit` takes, as neighbours are nearly the same estimate.
+    keep = np.unique(sizes, return_index=True)[1]
+    grid = cluster_sizes(2 * int(sizes[-1]), rate, _PER_OCTAVE)
+    grid = grid[grid >= sizes[0]]
+    if len(keep) > len(grid):
+        keep = np.unique([np.argmin(abs(np.log(sizes / size))) for size in grid])
     if len(keep) < len(sizes):
         notes.append(f"{len(keep)} of {len(sizes)} cluster times are used, at most {_PER_OCTAVE} per octave")
     sizes, deviation = sizes[keep], deviation[keep]
@@ -269,12 +279,11 @@ def _curve(
 
 def seconds(time: float | str) -> float:
     """A time in s, from a number or text such as "3h", "20 min" or "7200"; AllanjaxError if it is none."""
-    quantity = (float(time), "s") if isinstance(time, int | float) else parse_quantity(time)
     try:
-        value, unit = quantity or (math.nan, "s")
-        found = float(convert(value, unit or "s", "s"))
-    except AllanjaxError:
-        found = math.nan
+        found = float(time)
+    except ValueError:
+        value, unit = parse_quantity(time) or (math.nan, "s")
+        found = value * convert(1.0, unit, "s") if is_unit(unit) else math.nan
     if not 0.0 < found < math.inf:
         raise AllanjaxError(f"duration= (--duration) must be a time such as 3h, 20 min or 7200, not {time!r}")
     return found
