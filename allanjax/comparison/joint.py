@@ -114,11 +114,8 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         full = model_to_fit(model, [axis])
         check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
         chosen = full.term_labels
-    active, found, rivals = (
-        np.isin(full.term_labels, chosen),
-        dict[str, float](),
-        dict[str, tuple[str, ...]](),
-    )
+    found, rivals = dict[str, float](), dict[str, tuple[str, ...]]()
+    active = np.isin(full.term_labels, chosen)
     records = _Records.of(name, fits, full, active)
     # Without curves that the terms alone describe there is nothing to search.
     while records.groups and model is None and not active.all():
@@ -146,9 +143,7 @@ def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
     rankings = []
     for name, f in fits.items():
         if f.selection is None:
-            raise FitError(
-                f"{name}: the fit did not choose its terms; give model=, or fit it without a model"
-            )
+            raise FitError(f"{name}: the fit did not choose its terms; give model=, or fit without one")
         rankings.append(f.selection[axis.name])
     each = [{s.terms: s for s in ranking.ranking} for ranking in rankings]
     common = [terms for terms in each[0] if all(terms in sets for sets in each)]
@@ -334,7 +329,13 @@ def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses
             power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
     for k, p in enumerate(free_shapes(full)):
         u = np.log(values[p.label] - p.parameter.lower)
-        shape[:, k] = np.where(np.isfinite(u), u, np.nanmedian(u))
+        # Where no recording has the term, any shape will do.
+        usual = (
+            np.median(u[np.isfinite(u)])
+            if np.isfinite(u).any()
+            else 0.5 * np.log(curve.n) - np.log(curve.rate)
+        )
+        shape[:, k] = np.where(np.isfinite(u), u, usual)
     tangent = AllanDesign.of(full, curve).tangent(shape)
     error = 2.0 * np.nan_to_num(first.discrepancy)
     none = np.zeros(power.shape, bool)
@@ -358,9 +359,8 @@ def _common(
     more: dict[str, Any] = {"bayes_factor": None if gain is None else float(np.exp(min(gain, 700.0)))}
     common = estimate_of(p, axis, value, std, ends, value > 0.0 and (seen or ends[0] > 0.0), **more)
     # Where there is no common value, there is no scatter about it.
-    size, low, high, limit = (
-        (value - lower) * relative if common.detected and value else np.full(4, np.nan)
-    ).tolist()
-    numbers = [low, high, max(size - (high - low) / 4.0, 0.0), size + (high - low) / 4.0, limit]
-    scatter = estimate_of(p, axis, size, (high - low) / (2.0 * TWO_SIDED_95), numbers, low > 0.0)
+    scale = value - lower if common.detected else np.nan
+    size, low, high, limit = (scale * relative).tolist()
+    # Its interval is far from symmetric, so that there is no standard deviation.
+    scatter = estimate_of(p, axis, size, np.nan, [low, high, np.nan, np.nan, limit], low > 0.0)
     return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)
