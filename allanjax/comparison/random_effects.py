@@ -147,13 +147,11 @@ class Laws:
 
     def scatter(self, p: float | None = None) -> float:
         """The τ at which Q is at its quantile, or at its mean k − 1; zero if Q is below it at zero."""
+        fixed = self.dof if p is None else float(quantile(p, self.dof))
 
         def beyond(tau: float) -> bool:
-            if p is None:
-                least: Any = self.dof
-            elif self.normal:
-                least = quantile(p, self.dof)
-            else:
+            least: Any = fixed
+            if p is not None and not self.normal:
                 least = np.quantile(self.fitted(self.simulated(tau), tau)[2], p)
             return bool(self.fitted(self.x, tau)[2] > least)
 

@@ -69,10 +69,10 @@ def test_values_with_equal_errors_have_the_classic_statistics():
 
 @pytest.mark.parametrize(("k", "tau"), [(3, 0.0), (3, 1.0), (10, 0.3), (10, 2.0)])
 def test_intervals_cover_common_value_and_scatter(k, tau):
-    """In 600 sets of values the shares scatter by 0.009: within 0.03 with Bonferroni's allowance."""
+    """In 400 sets of values the shares scatter by 0.011: 0.03 off is improbable in twelve shares."""
     rng = np.random.default_rng([k, int(10 * tau)])
     s, hits = np.geomspace(0.7, 1.4, k), []
-    for _ in range(600):
+    for _ in range(400):
         found = aj.random_effects(tau * rng.standard_normal(k) + s * rng.standard_normal(k), s)
         low, high = found.scatter_interval
         hits.append(
@@ -88,7 +88,7 @@ def test_skewed_errors_are_allowed_for():
     """Means of gamma variates: of ten, Student's interval covers 89 %, as it is short where they are low."""
     rng, q = np.random.default_rng(3), 0.8
     hits = []
-    for _ in range(150):
+    for _ in range(120):
         x = rng.gamma(q**-2, q**2, 10)
         low, high = aj.random_effects(x, np.full(10, q * x.mean()), skewness=2.0 * q).interval
         hits.append(low < 1.0 < high)
@@ -109,7 +109,7 @@ def days():
 
 
 def test_a_joint_fit_gives_common_value_and_scatter(days):
-    joint, c = aj.joint_fit(days), crossing(GYRO, B=1.0)
+    joint, c = aj.joint_fit(days, "N + B", as_is=True), crossing(GYRO, B=1.0)
     axis = joint["gyro_x"]
     assert set(axis.coefficients) == set(labelled(**c))
     for label, true in labelled(**c).items():
@@ -149,7 +149,7 @@ def test_a_term_that_no_recording_shows_is_found_by_all_together():
     assert axis.found_jointly["rate_random_walk"] > np.log(1000.0)
     assert axis.rivals == {"rate_random_walk": ("drift_ramp",)}
     assert "rate random walk: no recording shows it alone, but all together" in str(joint)
-    without = aj.joint_fit([aj.fit(day(200 + k, f"{k}", N=GYRO)) for k in range(6)])["gyro_x"]
+    without = aj.joint_fit([aj.fit(day(200 + k, f"{k}", N=GYRO)) for k in range(4)])["gyro_x"]
     assert list(without.coefficients) == ["angle_random_walk"]
     assert not without.found_jointly
 
