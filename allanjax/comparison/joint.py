@@ -106,15 +106,16 @@ def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
 def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> AxisJoint:
     """The joint fit of one axis of the recordings that have it."""
     axis, selection = next(iter(fits.values()))[name].axis, None
+    found, rivals = dict[str, float](), dict[str, tuple[str, ...]]()
     if model is None:
         selection = _joint_ranking(axis, fits)
         chosen = selection.chosen.terms
+        rivals |= {term: others for term, others in selection.doubtful().items() if others}
         full = basic_terms() + Markov() if "markov" in chosen else basic_terms()
     else:
         full = model_to_fit(model, [axis])
         check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
         chosen = full.term_labels
-    found, rivals = dict[str, float](), dict[str, tuple[str, ...]]()
     active = np.isin(full.term_labels, chosen)
     records = _Records.of(name, fits, full, active)
     # Without curves that the terms alone describe there is nothing to search.
@@ -286,7 +287,9 @@ class _Records:
                 # The error at the power drawn to the common one: that at its own depends on what it weighs.
                 at = np.maximum(power[list(records), k], 1e-300)
                 if np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
-                    value, sd, skewness = 0.5 * np.log(value), sd / (2.0 * at), np.zeros(len(value))
+                    sd, skewness = sd / (2.0 * at), np.zeros(len(value))
+                    # The logarithm of an unbiased square is low by half its relative variance.
+                    value = 0.5 * np.log(value) + sd**2
                 else:
                     scale = "square"
             named = {self.names[r]: c for r, c in records.items()}
@@ -349,9 +352,11 @@ def _common(
     lower, relative = p.parameter.lower, np.array([e.scatter, *e.scatter_interval, e.scatter_limit])
     ends = np.array([e.common, *e.interval, *e.interval_68, e.limit])
     if squared:
-        # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²).
+        # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²). A τ that is not
+        # detected may be chance, and many times the m of a weak term.
         mean = e.common if e.common > 0.0 else np.inf
-        value, *ends = (np.sqrt(np.maximum(ends, 0.0)) * (1.0 + (e.scatter / mean) ** 2) ** -0.25).tolist()
+        tau = e.scatter if e.scatter_interval[0] > 0.0 else 0.0
+        value, *ends = (np.sqrt(np.maximum(ends, 0.0)) * (1.0 + (tau / mean) ** 2) ** -0.25).tolist()
         std, relative = 0.5 * value * e.std / mean, 0.5 * np.sqrt(np.log1p((relative / mean) ** 2))
     else:
         value, *ends = (lower + np.exp(np.minimum(ends, 300.0))).tolist()

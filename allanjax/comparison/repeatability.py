@@ -189,9 +189,10 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
         for axis in self.results:
             for term, gain in axis.found_jointly.items():
                 factor = significant(float(np.exp(gain)), 2) if gain < _PLENTY else "above 10⁶"
-                name, *others = (title_of(t, axis.axis.sensor) for t in (term, *axis.rivals.get(term, ())))
-                rivals = f"; it may be {' or '.join(others)}" if others else ""
-                text = f"no recording shows it alone, but all together (Bayes factor {factor}){rivals}"
-                yield f"{axis.axis.name} {name}: {text}"
+                text = f"no recording shows it alone, but all together (Bayes factor {factor})"
+                yield f"{axis.axis.name} {title_of(term, axis.axis.sensor)}: {text}"
+            for term, rivals in axis.rivals.items():
+                name, *others = (title_of(t, axis.axis.sensor) for t in (term, *rivals))
+                yield f"{axis.axis.name} {name}: it may be {' or '.join(others)} as well"
         yield from (f"note: {note}" for note in self.notes)
         yield "scatter: between recordings, beyond what their intervals explain; all alike: chance without it"
