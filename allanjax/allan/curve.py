@@ -30,6 +30,7 @@ from allanjax.record.io.formats import format_of, name_of
 from allanjax.record.recording import Axis
 from allanjax.record.units import (
     SENSORS,
+    SI,
     Sensor,
     convert,
     is_unit,
@@ -183,7 +184,7 @@ def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: str
     for column in named:
         sensor, name = column.sensor, column.name
         if sensor is None:
-            given = [s for s in SENSORS if units[s]]
+            given = [s for s in SENSORS if units[s]] or [s for s in SENSORS if _fits(column.unit, s)]
             if len(given) != 1 or len(named) > 1:
                 raise RecordingError(
                     f"{source}: column {column.label!r} does not say which axis it is; give gyro_unit= or "
@@ -197,15 +198,21 @@ def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: str
                 f"{source}: column {column.label!r} has no unit; give {sensor}_unit= (--{sensor}-unit), or "
                 f"write it in the header: `{header}`"
             )
-        try:
-            if parse_sample_unit(unit, sensor).quantity != "rate":
-                raise UnitError(f"{unit!r} is not a unit of deviations")
-        except UnitError as error:
-            raise UnitError(f"{source}: column {column.label!r}: {error}") from error
+        if not _fits(unit, sensor):
+            told = f"{unit!r} is not a unit of deviations; give {sensor}_unit= (--{sensor}-unit), e.g. "
+            raise UnitError(f"{source}: column {column.label!r}: {told}{SI[sensor]['rate']}")
         axes.append(Axis(name, sensor, rate_unit_of(unit, sensor)[0]))
     if len({axis.name for axis in axes}) < len(axes):
         raise RecordingError(f"{source}: two columns are of the same axis; skip one with columns=")
     return tuple(axes)
+
+
+def _fits(unit: str | None, sensor: Sensor) -> bool:
+    """Whether a unit is one of a sensor's rates."""
+    try:
+        return unit is not None and parse_sample_unit(unit, sensor).quantity == "rate"
+    except UnitError:
+        return False
 
 
 def _curve(

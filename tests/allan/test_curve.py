@@ -61,6 +61,9 @@ def test_tables_of_other_programs_are_read(curve, tmp_path):
     found = aj.read_curve(written(tmp_path / "s.csv", head, *numbers), gyro_unit="deg/h")
     assert (found.names, found.n, found.rate, found.determined) == (("gyro",), 16_384, 100.0, True)
     np.testing.assert_allclose(found.deviation[:, 0], curve.deviation[:, 0], rtol=1e-5)
+    # A unit tells the sensor of a deviation without an axis.
+    path = written(tmp_path / "u.csv", "tau,adev [µg],ade,n", tau, values[0], values[0], curve.count)
+    assert aj.read_curve(path, 100.0).names == ("accel",)
     # allan_variance_ros has no header: accelerometers come first, in m/s², then gyros in deg/s.
     gyros = [x / 3600.0 for x in values]
     path = written(tmp_path / "r.csv", "", tau, *[0.01 * x for x in gyros], *gyros, separator=" ")
