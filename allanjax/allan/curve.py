@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.deviation import AllanDeviation
@@ -259,12 +259,7 @@ def _curve(
             f"{n / rate:.6g} s; correct duration= (--duration) or rate= (--rate)"
         )
     notes += [f"no intervals without {text}" for text in assumed]
-    # Of equal sizes the first; and no more than `fit` takes, as neighbours are nearly the same estimate.
-    keep = np.unique(sizes, return_index=True)[1]
-    grid = cluster_sizes(2 * int(sizes[-1]), rate, _PER_OCTAVE)
-    grid = grid[grid >= sizes[0]]
-    if len(keep) > len(grid):
-        keep = np.unique([np.argmin(abs(np.log(sizes / size))) for size in grid])
+    keep = _kept(sizes, rate)
     if len(keep) < len(sizes):
         notes.append(f"{len(keep)} of {len(sizes)} cluster times are used, at most {_PER_OCTAVE} per octave")
     sizes, deviation = sizes[keep], deviation[keep]
@@ -282,6 +277,17 @@ def _curve(
         notes=tuple(notes),
         determined=not assumed,
     )
+
+
+def _kept(sizes: Int[np.ndarray, " m"], rate: float) -> Int[np.ndarray, " kept"]:
+    """Indices of the sizes to use: of equal ones the first, and no more than a fit of a record takes."""
+    keep = np.unique(sizes, return_index=True)[1]
+    grid = cluster_sizes(2 * int(sizes[-1]), rate, _PER_OCTAVE)
+    grid = grid[grid >= sizes[0]]
+    # Neighbours are nearly the same estimate.
+    if len(keep) > len(grid):
+        keep = np.unique([np.argmin(abs(np.log(sizes / size))) for size in grid])
+    return keep
 
 
 def seconds(time: float | str) -> float:
