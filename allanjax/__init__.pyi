@@ -2,6 +2,7 @@
 # A new term is named in its own room only.
 
 from allanjax import critic as critic
+from allanjax.allan.curve import read_curve as read_curve
 from allanjax.allan.deviation import AllanDeviation as AllanDeviation
 from allanjax.allan.deviation import allan_deviation as allan_deviation
 from allanjax.allan.dynamic import DynamicAllan as DynamicAllan
@@ -16,6 +17,10 @@ from allanjax.calibration.result import Calibration as Calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
 from allanjax.comparison.compare import Comparison as Comparison
 from allanjax.comparison.compare import compare as compare
+from allanjax.comparison.joint import joint_fit as joint_fit
+from allanjax.comparison.random_effects import RandomEffects as RandomEffects
+from allanjax.comparison.random_effects import random_effects as random_effects
+from allanjax.comparison.repeatability import JointFit as JointFit
 from allanjax.comparison.specification import SpecCheck as SpecCheck
 from allanjax.comparison.specification import check_spec as check_spec
 from allanjax.critic.critique import critique as critique

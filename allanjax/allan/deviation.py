@@ -59,6 +59,8 @@ class AllanDeviation(ByValue, OfAxes):
         rate: sample rate [Hz].
         axes: the recording's axes, or None for an array.
         others: rate samples of each other segment whose differences are averaged, too.
+        name, notes: name of the file and what was assumed, if the curve was read from one (`read_curve`).
+        determined: whether rate and length are known, without which a fit has no intervals.
     """
 
     PER_AXIS: ClassVar[tuple[str, ...]] = ("deviation", "edf")
@@ -75,6 +77,9 @@ class AllanDeviation(ByValue, OfAxes):
     axes: tuple[Axis, ...] | None = None
     estimator: Estimator = "exact"
     others: tuple[int, ...] = ()
+    name: str = ""
+    notes: tuple[str, ...] = ()
+    determined: bool = True
 
     @classmethod
     def of_pyramid(

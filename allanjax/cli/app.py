@@ -12,7 +12,17 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli import calibrate, compare, convert, fleet, recordings, report, results, simulate  # noqa: F401
+from allanjax.cli import (  # noqa: F401
+    calibrate,
+    compare,
+    convert,
+    fleet,
+    recordings,
+    repeat,
+    report,
+    results,
+    simulate,
+)
 from allanjax.cli.interrupt import end_on_interrupt
 from allanjax.cli.options import COMMANDS, epilog
 
@@ -71,8 +81,19 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    *("check", "characterize", "critique", "report", "compare", "spec", "fleet", "export"),
-    *("horizon", "navigate", "statespace", "kalman", "calibrate", "simulate", "convert", "schema", "demo"),
+    *("check", "characterize", "critique", "report", "compare", "spec", "fleet", "repeat"),
+    *(
+        "export",
+        "horizon",
+        "navigate",
+        "statespace",
+        "kalman",
+        "calibrate",
+        "simulate",
+        "convert",
+        "schema",
+        "demo",
+    ),
 )
 for _name in _ORDER:
     _command, _epilog = COMMANDS[_name]

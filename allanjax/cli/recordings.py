@@ -84,6 +84,7 @@ def check(
     "allanjax characterize *.csv --start 60 --json > fits.json",
     "allanjax characterize week.parquet --stream",
     "allanjax characterize imu.csv --spec limits.yaml",
+    "allanjax characterize curve.csv --curve --rate 100 --duration 3h --gyro-unit deg/h",
 )
 def characterize(
     files: Files,
@@ -103,6 +104,18 @@ def characterize(
             "write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is undecided.",
             metavar="LIMITS.yaml",
         ),
+    ] = None,
+    curve: Annotated[
+        bool,
+        typer.Option(
+            "--curve",
+            help="The files are Allan curves (cluster times and a column per axis) without their recordings; "
+            "needs --rate and --duration of these for intervals. NAME_psd.png is not written.",
+        ),
+    ] = False,
+    duration: Annotated[
+        str | None,
+        typer.Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
     ] = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
@@ -126,9 +139,14 @@ def characterize(
             read_spec(spec)
     verdicts: list[str] = []
 
+    if (stream and curve) or (duration and not curve):
+        raise typer.BadParameter("--duration is that of a --curve, which --stream cannot read")
+
     def work(file: Input, directory: Path | None) -> Outcome:
         recording = check = spectrum = None
-        if stream:
+        if curve:
+            fit = _read_curve_and_fit(file, options, duration)
+        elif stream:
             fit = _accumulate_and_fit(file, options)
         else:
             recording, check, spectrum, fit = read_and_fit(file, options)
@@ -178,6 +196,18 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Recording, Check, P
             check = pool.submit(check_of, recording, inspection)
             fit = options.fit(recording, inspection)
             return recording, check.result(), spectrum.result(), fit
+
+
+def _read_curve_and_fit(file: Input, options: FitOptions, duration: str | None) -> "Fit":
+    """Fit of an Allan curve without its recording."""
+    from allanjax.allan.curve import read_curve
+    from allanjax.estimate.fit import fit_curve
+
+    reading = options.reading
+    with stage(f"{file.label}: fitting the curve (the first run also compiles)"):
+        units = {"gyro_unit": reading.gyro_unit, "accel_unit": reading.accel_unit}
+        found = read_curve(file.path, reading.rate, duration, **units, columns=reading.columns)
+        return fit_curve(dataclasses.replace(found, name=file.name), options.model, options.objective)
 
 
 def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":

@@ -45,7 +45,7 @@ _Spectra: TypeAlias = Sequence[AxisSpectrum]
 
 
 def fit_allan(
-    curve: AllanDeviation, spectra: _Spectra, axes: Sequence[Axis], template: Model, active: InUse
+    curve: AllanDeviation, spectra: _Spectra | None, axes: Sequence[Axis], template: Model, active: InUse
 ) -> tuple[AxisFit, ...]:
     """Fit every axis by generalized least squares of its Allan variances, with the lines of its spectrum."""
     design = AllanDesign.of(template, curve, ALLAN_CAPACITY)
@@ -95,7 +95,7 @@ def check_terms(template: Model, reason: str) -> None:
 def _fit_estimates(
     design: AllanDesign,
     variances: Float[np.ndarray, "m axes"],
-    spectra: _Spectra,
+    spectra: _Spectra | None,
     axes: Sequence[Axis],
     template: Model,
     active: InUse,
@@ -103,7 +103,8 @@ def _fit_estimates(
     """Fits of every axis to its estimates; see `fit_allan`."""
     results, geometry = [], design.geometry
     for k, axis in enumerate(axes):
-        model, here, lines, peaks = template, active[[k]], spectra[k].lines, spectra[k].peaks
+        model, here = template, active[[k]]
+        lines, peaks = (spectra[k].lines, spectra[k].peaks) if spectra else ({}, ())
         if lines:
             # The record determines a line far better than its Allan variances do.
             model = _with_lines(template, lines)

@@ -121,7 +121,7 @@ def _around(power: _Places, used: _Flags, information: _Square, slope: _Places, 
     h, p, g, c0 = (x[used][:, None] for x in (own / spread, power, slope, scale))
     low, high = np.sqrt(np.maximum(p - 8.0 / np.sqrt(h), 0.0)), np.sqrt(p + 8.0 / np.sqrt(h))
     factors = np.zeros(power.shape)
-    factors[used] = _over_prior(lambda c: g * c**2 - 0.5 * h * (c**2 - p) ** 2, low, high, c0)
+    factors[used] = over_prior(lambda c: g * c**2 - 0.5 * h * (c**2 - p) ** 2, low, high, c0)
     return value + factors.sum(axis=1)
 
 
@@ -130,10 +130,10 @@ def _of_ramps(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]
     R0, u = abs(slope)[:, None], precision[:, None]
     std, p = 1.0 / np.sqrt(u), R0 * u
     exponent = lambda R: np.logaddexp(R * p, -R * p) - np.log(2.0) - 0.5 * u * R**2  # noqa: E731
-    return _over_prior(exponent, np.maximum(R0 - 8.0 * std, 0.0), R0 + 8.0 * std, std)
+    return over_prior(exponent, np.maximum(R0 - 8.0 * std, 0.0), R0 + 8.0 * std, std)
 
 
-def _over_prior(
+def over_prior(
     exponent: Callable[[_Points], _Points], low: _Column, high: _Column, scale: _Column
 ) -> Float[np.ndarray, " k"]:
     """ln ∫ prior(c) exp(exponent(c)) dc between two ends, beyond which there is nothing."""

@@ -9,11 +9,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from allanjax.allan.deviation import allan_deviation
+from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.cache import release_programs
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
-from allanjax.estimate.axis_fits import check_count, fit_allan, fit_wavelet, judged, with_curve
+from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, fit_wavelet, judged, with_curve
 from allanjax.estimate.design import model_to_fit
 from allanjax.estimate.deterministic import AxisSpectrum, InUse, Regressors, needs_record
 from allanjax.estimate.exact import check_exact, fit_exact
@@ -39,7 +39,7 @@ Objective = Literal["allan", "whittle", "wavelet", "exact"]
 
 
 def fit(
-    recording: RecordingLike,
+    recording: RecordingLike | AllanDeviation,
     model: ModelLike | None = None,
     objective: Objective = "allan",
     *,
@@ -75,7 +75,9 @@ def fit(
     segment, in which filters, resonances and lines are searched for; a note reports it.
 
     Args:
-        recording: a result of `read`; or samples [samples, axes], a data frame, or the path of a file.
+        recording: a result of `read`; or samples [samples, axes], a data frame, or the path of a file; or a
+            curve without its record (`read_curve`), to which "allan" fits the five basic terms or the given
+            ones.
         model: sum of terms, or its text as on the command line, `"N + B + K"`. Parameters with a value start
             there; held ones stay there. The time of a step and the time constant of a warm-up need a value
             and are held; such terms need "whittle".
@@ -105,9 +107,34 @@ def fit(
     """
     if model in get_args(Objective):
         raise AllanjaxError(f'{model!r} is an objective, not a model; pass objective="{model}"')
+    if isinstance(recording, AllanDeviation):
+        return fit_curve(recording, model, objective)
     recording = as_recording(recording, rate, gyro_unit, accel_unit, names, gaps)
     seen = inspected(recording, model, regressors, as_is, vibrating)
     return fit_inspected(recording, seen, model, objective, regressors, plain, wavelet, as_is)
+
+
+def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: Objective = "allan") -> Fit:
+    """Fit of a curve without its record; see `fit`.
+
+    Raises:
+        FitError: another objective than "allan"; a term that needs the record itself; too few cluster times.
+        AllanjaxError: a curve of another kind, or without units.
+    """
+    if curve.kind != "allan" or curve.axes is None:
+        raise AllanjaxError(f"a fit needs Allan deviations with units, not a {curve.kind} curve without axes")
+    if objective != "allan":
+        raise FitError(f'objective="{objective}" needs the record itself; leave it out for a curve')
+    template = basic_terms() if model is None else model_to_fit(model, curve.axes)
+    check_terms(template, "needs the record itself; leave it out for a curve")
+    check_count(len(curve.cluster_size), "Allan variances", curve.n, template, curve.name)
+    active = np.ones((len(curve.axes), len(template)), bool)
+    fitted = fit_allan(curve, None, curve.axes, template, active)
+    results, curve = with_curve(curve, template, fitted)
+    if not curve.determined:
+        results = tuple(r.unmeasured(not_measured=("curve",)) if r.converged else r for r in results)
+    bare = dataclasses.replace(curve, name="", notes=(), determined=True)
+    return Fit(curve.name, template, bare, results, curve.notes)
 
 
 def fit_inspected(

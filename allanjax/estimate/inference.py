@@ -57,7 +57,7 @@ def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: 
     """
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
-    axes = _Axes(tangent, V, active, active & free_powers(model), power, solution.power_error, has_shape)
+    axes = Hypotheses(tangent, V, active, active & free_powers(model), power, solution.power_error, has_shape)
     covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1))[2]
     # Both sides of every term of every axis are tested together.
     axis, term, side = (x.ravel() for x in np.indices((*power.shape, 2)))
@@ -66,7 +66,7 @@ def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: 
     return estimates_of(model, active, power, solution.shape, covariance, ends.reshape(*power.shape, -1))
 
 
-class _Axes(NamedTuple):
+class Hypotheses(NamedTuple):
     """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
     `V` holds the estimates. `active` marks the terms in use, `fitted` those whose power is estimated, and
@@ -81,8 +81,8 @@ class _Axes(NamedTuple):
     error: _PerAxis
     has_shape: _Flags
 
-    def of_axes(self, axes: Int[np.ndarray, " few"]) -> _Axes:
-        return _Axes(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
+    def of_axes(self, axes: Int[np.ndarray, " few"]) -> Hypotheses:
+        return Hypotheses(self.tangent.of_axes(axes), *(x[axes] for x in self[1:]))
 
     def linearized(
         self, power: _Terms, estimated: _Flags

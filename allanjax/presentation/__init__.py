@@ -23,6 +23,7 @@ present(
         "Fit.plot": "allanjax.presentation.allan_figure.plot_allan",
         "Fit.to_dict": "allanjax.estimate.as_json.to_dict",
         "FleetResult.plot": "allanjax.presentation.fleet_figure.plot_fleet",
+        "JointFit.plot": "allanjax.presentation.joint_figure.plot_joint",
         "Navigation.plot": "allanjax.presentation.navigation_figure.plot_navigation",
         "Posterior.plot": "allanjax.presentation.posterior_figure.plot_posterior",
         "Recording.from_dataframe": "allanjax.record.io.given.as_recording",

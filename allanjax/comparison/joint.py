@@ -1,0 +1,371 @@
+"""Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
+
+Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording
+has coefficients of its own; a term that is weak in all of them is also sought by its common power.
+
+The squares v of all amplitudes are estimated from a recording's Allan variances V by (D'C⁻¹D)⁻¹D'C⁻¹V,
+with the covariance C under the joint model. That is linear in V, unbiased, and of known variance even where a
+term is absent, when it is as often negative as positive: neither limits nor estimates that cannot be negative
+could be averaged. So that weights do not depend on what they weigh, C is that of powers that are drawn
+towards the common one (the best linear prediction of random effects).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from allanjax.allan.deviation import AllanDeviation
+from allanjax.base.errors import AllanjaxError, FitError
+from allanjax.base.normal import TWO_SIDED_95
+from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
+from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
+from allanjax.estimate.as_json import load
+from allanjax.estimate.axis_fits import check_terms
+from allanjax.estimate.bulk import fit_many
+from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
+from allanjax.estimate.evidence import over_prior
+from allanjax.estimate.fit import fit
+from allanjax.estimate.inference import Hypotheses, estimate_of, reported
+from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.selection import AxisSelection, TermSet
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.notation import ModelLike
+from allanjax.noise.terms import Markov, basic_terms
+from allanjax.record.recording import Axis
+
+# Largest relative error of an amplitude, in all recordings, whose logarithms are compared.
+_PRECISE = 0.1
+# Bayes factor above which a term that single recordings do not show is in the joint model ("strong").
+_ODDS = 20.0
+# Rounds in which weights and powers settle.
+_ROUNDS = 4
+_Terms = Float[np.ndarray, "records terms"]
+_Flags = Bool[np.ndarray, " terms"]
+
+
+def joint_fit(
+    recordings: Sequence[Any],
+    model: ModelLike | None = None,
+    *,
+    names: Sequence[str] | None = None,
+    **options: Any,
+) -> JointFit:
+    """Fit recordings of one unit on several days, or of units of one type, by one set of terms per axis.
+
+    Without a model, the terms of an axis are those of the highest joint evidence (as `select_terms` chooses),
+    and basic terms whose common power has a Bayes factor above 20. The values, the common value and the
+    scatter follow from the Allan deviations of all recordings, see the module and `random_effects`; those of
+    an axis with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
+
+    Args:
+        recordings: at least two recordings, or whatever `fit` takes, fits, or paths of saved fits (.json).
+        model: the terms, as in `fit`, but none that must be estimated from the record itself.
+        names: names of the recordings; by default their own.
+        options: options of `fit` for recordings.
+
+    Raises:
+        FitError: fewer than two recordings; no axis that two of them have measured; without a model, a fit
+            that did not choose its terms; a line, a resonance or a transient.
+    """
+    fits = [_fit(each, model, options) for each in recordings]
+    if len(fits) < 2:
+        raise FitError(f"joint_fit compares at least two recordings, not {len(fits)}")
+    called = [f.name or str(k) for k, f in enumerate(fits, 1)] if names is None else list(map(str, names))
+    if len(called) != len(fits):
+        raise AllanjaxError(f"{len(fits)} recordings need {len(fits)} names, not {len(called)}")
+    called = [name if called.index(name) == k else f"{name}-{k + 1}" for k, name in enumerate(called)]
+    results, notes = [], list[str]()
+    for axis in dict.fromkeys(name for f in fits for name in f.axes):
+        here = {name: f for name, f in zip(called, fits, strict=True) if axis in f and f[axis].measured}
+        if absent := [name for name in called if name not in here]:
+            notes.append(f"{axis}: without {', '.join(absent)}, where it is absent or not a measurement")
+        if len(here) > 1:
+            results.append(_of_axis(axis, here, model))
+    if not results:
+        raise FitError(f"no axis is a measurement in two recordings; {'; '.join(notes)}")
+    return JointFit(tuple(called), tuple(results), tuple(notes))
+
+
+def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
+    if isinstance(of, str | Path) and Path(of).suffix == ".json":
+        loaded = load(of)
+        if isinstance(loaded, dict):
+            raise AllanjaxError(f"{of}: contains several fits; give one NAME.json for each recording")
+        return loaded
+    return of if isinstance(of, Fit) else fit(of, model, **options)
+
+
+def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> AxisJoint:
+    """The joint fit of one axis of the recordings that have it."""
+    axis, selection = next(iter(fits.values()))[name].axis, None
+    found, rivals = dict[str, float](), dict[str, tuple[str, ...]]()
+    if model is None:
+        selection = _joint_ranking(axis, fits)
+        chosen = selection.chosen.terms
+        rivals |= {term: others for term, others in selection.doubtful().items() if others}
+        full = basic_terms() + Markov() if "markov" in chosen else basic_terms()
+    else:
+        full = model_to_fit(model, [axis])
+        check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
+        chosen = full.term_labels
+    active = np.isin(full.term_labels, chosen)
+    records = _Records.of(name, fits, full, active)
+    # Without curves that the terms alone describe there is nothing to search.
+    while records.groups and model is None and not active.all():
+        gains = {k: records.log_bayes_factor(active, k) for k in np.flatnonzero(~active).tolist()}
+        best = max(gains, key=lambda k: gains[k])
+        if gains[best] < np.log(_ODDS):
+            break
+        active[best] = True
+        near = (k for k, x in gains.items() if k != best and x > gains[best] - np.log(_ODDS))
+        if names := tuple(full.term_labels[k] for k in near):
+            rivals[full.term_labels[best]] = names
+    for p in full.parameters if records.groups and active.sum() > 1 else ():
+        each = [r.coefficients.get(p.label) for r in records.results]
+        alone = not p.parameter.is_amplitude or any(c is not None and c.detected for c in each)
+        if active[p.term] and not alone:
+            others = active & (np.arange(len(full)) != p.term)
+            if (gain := records.log_bayes_factor(others, p.term)) > np.log(_ODDS):
+                found[p.term_label] = gain
+    coefficients = records.coefficients(axis, active, found)
+    return AxisJoint(axis, tuple(fits), coefficients, selection, found, rivals)
+
+
+def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
+    """The sets of terms that were ranked in all recordings, by the sum of their log evidences."""
+    rankings = []
+    for name, f in fits.items():
+        if f.selection is None:
+            raise FitError(f"{name}: the fit did not choose its terms; give model=, or fit without one")
+        rankings.append(f.selection[axis.name])
+    each = [{s.terms: s for s in ranking.ranking} for ranking in rankings]
+    common = [terms for terms in each[0] if all(terms in sets for sets in each)]
+    total = np.array([sum(sets[terms].log_evidence for sets in each) for terms in common])
+    probability = np.exp(total - np.logaddexp.reduce(total))
+    found = [
+        TermSet(terms, each[0][terms].parameters, float(behind), float(p))
+        for terms, behind, p in zip(common, total - total.max(), probability, strict=True)
+    ]
+    found.sort(key=lambda s: -s.log_evidence)
+    return AxisSelection(axis, tuple(found), max(r.discrepancy for r in rankings))
+
+
+class _Forms(NamedTuple):
+    """Estimates of powers and shapes of every recording, their variances, and their skewness."""
+
+    value: Float[np.ndarray, "records params"]
+    variance: Float[np.ndarray, "records params"]
+    skewness: Float[np.ndarray, "records params"]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Records:
+    """One axis of several recordings; `groups` are those of one length and rate, by their rows.
+
+    The curves of all others do not suffice: their fits' own estimates are used.
+    """
+
+    full: Model
+    names: list[str]
+    results: list[AxisFit]
+    groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
+
+    @classmethod
+    def of(cls, name: str, fits: Mapping[str, Fit], full: Model, active: _Flags) -> _Records:
+        results, alike = [f[name] for f in fits.values()], dict[Any, list[int]]()
+        curves = [f.curve for f in fits.values()]
+        for row, (curve, result) in enumerate(zip(curves, results, strict=True)):
+            if result.own_template is None and not curve.others:
+                place = curve.n, curve.rate, curve.estimator, tuple(curve.cluster_size.tolist())
+                alike.setdefault(place, []).append(row)
+        groups = []
+        for rows in alike.values():
+            columns = [curves[row].deviation[:, curves[row].names.index(name)] for row in rows]
+            axes = tuple(dataclasses.replace(results[row].axis, name=f"{row}") for row in rows)
+            deviation = np.stack(columns, axis=1)
+            curve = dataclasses.replace(
+                curves[rows[0]], deviation=deviation, edf=np.ones(deviation.shape), axes=axes
+            )
+            groups.append((np.array(rows), curve, _hypotheses(curve, full, _only(full, active))))
+        return cls(full, list(fits), results, groups)
+
+    @property
+    def places(self) -> dict[str, int]:
+        """Columns of the forms by label: powers of the terms, then shapes."""
+        amplitudes = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
+        return amplitudes | {p.label: len(self.full) + k for k, p in enumerate(free_shapes(self.full))}
+
+    def forms(self, active: _Flags, power: _Terms) -> _Forms:
+        """Linear estimates of the active terms with weights of these powers; NaN where there is none."""
+        terms = len(self.full)
+        found = np.full((3, len(self.results), terms + len(free_shapes(self.full))), np.nan)
+        for row, p in itertools.product(range(len(self.results)), self.full.parameters):
+            c = self.results[row].coefficients.get(p.label)
+            if c is None or c.held or not np.isfinite(c.std):
+                continue
+            if p.parameter.is_amplitude:
+                low, ends = (c.interval[0], 2.0) if c.detected else (c.value, 1.0)
+                std = (c.interval[1] ** 2 - low**2) / (ends * TWO_SIDED_95)
+                found[:, row, self.places[p.label]] = c.value**2, std**2, 0.0
+            elif c.detected:
+                distance = c.value - p.parameter.lower
+                found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
+        for rows, _, at in self.groups:
+            p, fitted = power[rows], np.broadcast_to(active & free_powers(self.full), power[rows].shape)
+            estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
+            X, weighed, covariance, step = at.linearized(p, estimated)
+            sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
+            # As in `Hypotheses.scores`.
+            third = 2.0 * np.sum((weighed @ covariance) * (X @ covariance) ** 2, axis=1)
+            third[:, :terms] = np.minimum(third[:, :terms], 2.0 * sd[:, :terms] ** 4 / np.maximum(p, 1e-300))
+            wider = np.array([[self.results[row].widening] for row in rows])
+            found[:, rows] = step, (sd * wider) ** 2, np.maximum(third, 0.0) / sd**3
+            found[0, rows, :terms] += p
+        return _Forms(*found)
+
+    def settled(self, active: _Flags) -> tuple[_Forms, _Terms]:
+        """Estimates and powers drawn towards the common ones, after a few rounds."""
+        power = np.zeros((len(self.results), len(self.full)))
+        for rows, _, at in self.groups:
+            power[rows] = np.where(active, at.power, 0.0)
+        for _ in range(_ROUNDS):
+            forms = self.forms(active, power)
+            for k in np.flatnonzero(active):
+                known = np.isfinite(forms.variance[:, k])
+                v, s = forms.value[known, k], np.sqrt(forms.variance[known, k])
+                if known.sum() > 1:
+                    laws = Laws(v, s)
+                    mean = float(laws.fitted(v, tau := laws.scatter())[0])
+                    v = (v * tau**2 + max(mean, 0.0) * s**2) / (tau**2 + s**2)
+                power[known, k] = np.maximum(v, 0.0)
+        return forms, power
+
+    def log_bayes_factor(self, active: _Flags, k: int) -> float:
+        """ln of the Bayes factor of another term whose power is the same in all recordings.
+
+        The likelihood is normal about the common power, with the weights of a model without the term; the
+        prior is that of `evidence`.
+        """
+        _, power = self.settled(active)
+        forms = self.forms(active | (np.arange(len(active)) == k), power)
+        known = np.isfinite(forms.variance[:, k])
+        weight = 1.0 / forms.variance[known, k]
+        v, sd = weight @ forms.value[known, k] / weight.sum(), weight.sum() ** -0.5
+        low, high = np.sqrt(max(v - 8.0 * sd, 0.0)), np.sqrt(max(v, 0.0) + 8.0 * sd)
+        ends = np.array([[low]]), np.array([[high]]), np.array([[np.sqrt(sd)]])
+        return float(over_prior(lambda c: (v**2 - (c**2 - v) ** 2) / (2.0 * sd**2), *ends)[0])
+
+    def coefficients(
+        self, axis: Axis, active: _Flags, found: Mapping[str, float]
+    ) -> dict[str, JointCoefficient]:
+        """The coefficients of the active terms, with what is common to all recordings."""
+        (forms, power), template, result = self.settled(active), _only(self.full, active), {}
+        own = self._own_estimates(template, axis)
+        for p in (p for p in reported(template) if p.free):
+            k = self.places[p.label]
+            records = {
+                r: own[r][p.label]
+                for r in range(len(self.names))
+                if np.isfinite(forms.variance[r, k]) and p.label in own[r]
+            }
+            if len(records) < 2:
+                continue
+            value, variance, skewness = (x[list(records), k] for x in forms)
+            sd, scale = np.sqrt(variance), "logarithm"
+            if not p.parameter.is_amplitude:
+                value = np.log([c.value - p.parameter.lower for c in records.values()])
+                skewness = np.zeros(len(value))
+            else:
+                # The error at the power drawn to the common one: that at its own depends on what it weighs.
+                at = np.maximum(power[list(records), k], 1e-300)
+                if np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
+                    sd, skewness = sd / (2.0 * at), np.zeros(len(value))
+                    # The logarithm of an unbiased square is low by half its relative variance.
+                    value = 0.5 * np.log(value) + sd**2
+                else:
+                    scale = "square"
+            named = {self.names[r]: c for r, c in records.items()}
+            effects = random_effects(value, sd, list(named), skewness=skewness)
+            gain = found.get(p.term_label) if p.parameter.is_amplitude else None
+            seen = gain is not None or any(c.detected for c in named.values())
+            common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
+            result[p.label] = JointCoefficient(common, named, scatter, effects, scale)
+        return result
+
+    def _own_estimates(self, template: Model, axis: Axis) -> list[dict[str, Estimate]]:
+        """Each recording's estimates of the joint model's coefficients by label."""
+        own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in self.results]
+        for rows, curve, _ in self.groups:
+            bulk = fit_many(curve, template)
+            numbers = np.stack([bulk.value, bulk.std, bulk.lower, bulk.upper, bulk.upper_limit])
+            for place, row in enumerate(rows.tolist()):
+                own[row] = {}
+                for k, p in enumerate(reported(template)):
+                    value, std, low, high, limit = numbers[:, place, k].tolist()
+                    ends = [low, high, max(value - std, p.parameter.lower), value + std, limit]
+                    c = estimate_of(p, axis, value, std, ends, bool(bulk.detected[place, k]))
+                    if np.isfinite(value):
+                        own[row][p.label] = c.widened(self.results[row].widening)
+        return own
+
+
+def _only(full: Model, active: _Flags) -> Model:
+    """The model without the terms that are not active."""
+    return full.without(list(itertools.compress(full.term_labels, ~active)))
+
+
+def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses:
+    """Curves with all terms, at the best fit of the chosen ones."""
+    first, count = fit_many(curve, chosen), len(curve.names)
+    power, shape = np.zeros((count, len(full))), np.zeros((count, len(free_shapes(full))))
+    values = dict(zip(first.coefficients, first.value.T, strict=True))
+    for p in full.parameters:
+        if p.parameter.is_amplitude and p.label in values:
+            power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
+    for k, p in enumerate(free_shapes(full)):
+        u = np.log(values[p.label] - p.parameter.lower)
+        # Where no recording has the term, any shape will do.
+        usual = (
+            np.median(u[np.isfinite(u)])
+            if np.isfinite(u).any()
+            else 0.5 * np.log(curve.n) - np.log(curve.rate)
+        )
+        shape[:, k] = np.where(np.isfinite(u), u, usual)
+    tangent = AllanDesign.of(full, curve).tangent(shape)
+    error = 2.0 * np.nan_to_num(first.discrepancy)
+    none = np.zeros(power.shape, bool)
+    return Hypotheses(tangent, curve.variance.T, none, none, power, error, np.zeros(shape.shape, bool))
+
+
+def _common(
+    p: ModelParameter, axis: Axis, e: RandomEffects, squared: bool, seen: bool, gain: float | None
+) -> tuple[Estimate, Estimate]:
+    """Common value and scatter of a coefficient, from the statistics of its logarithm or its square."""
+    lower, relative = p.parameter.lower, np.array([e.scatter, *e.scatter_interval, e.scatter_limit])
+    ends = np.array([e.common, *e.interval, *e.interval_68, e.limit])
+    if squared:
+        # Of a log-normal square with mean m and variance τ², the median is m/√(1 + τ²/m²). A τ that is not
+        # detected may be chance, and many times the m of a weak term.
+        mean = e.common if e.common > 0.0 else np.inf
+        tau = e.scatter if e.scatter_interval[0] > 0.0 else 0.0
+        value, *ends = (np.sqrt(np.maximum(ends, 0.0)) * (1.0 + (tau / mean) ** 2) ** -0.25).tolist()
+        std, relative = 0.5 * value * e.std / mean, 0.5 * np.sqrt(np.log1p((relative / mean) ** 2))
+    else:
+        value, *ends = (lower + np.exp(np.minimum(ends, 300.0))).tolist()
+        std = (value - lower) * e.std
+    more: dict[str, Any] = {"bayes_factor": None if gain is None else float(np.exp(min(gain, 700.0)))}
+    common = estimate_of(p, axis, value, std, ends, value > 0.0 and (seen or ends[0] > 0.0), **more)
+    # Where there is no common value, there is no scatter about it.
+    scale = value - lower if common.detected else np.nan
+    size, low, high, limit = (scale * relative).tolist()
+    # Its interval is far from symmetric, so that there is no standard deviation.
+    scatter = estimate_of(p, axis, size, np.nan, [low, high, np.nan, np.nan, limit], low > 0.0)
+    return common, dataclasses.replace(scatter, upper_limit=limit if np.isfinite(limit) else None)
