@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
 #: Horizons of the drift and the growth of errors [s]; probability of any difference among equal sensors.
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
+# Short names of quantities without a symbol.
+_SHORT = {LEAST: "min σ"}
 # One-sided 95 % of the normal law.
 _ONE_SIDED = float(ndtri(0.95))
 
@@ -75,7 +77,7 @@ class Difference(NamedTuple):
             return "not testable"
         larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0 or self.ratio > 1.0
         word = ("larger" if larger else "smaller") if self.differs else "no difference"
-        return f"{word}, p {'< 0.0001' if self.corrected < 1e-4 else f'= {plain(self.corrected, 2)}'}"
+        return f"{word}, p {'< 10⁻⁴' if self.corrected < 1e-4 else f'= {plain(self.corrected, 2)}'}"
 
 
 def difference(one: Estimate, reference: Estimate) -> Difference:
@@ -158,7 +160,15 @@ class Row(NamedTuple):
             if c is not None:
                 ratio = "" if d is None or not np.isfinite(d.ratio) else significant(d.ratio)
                 ends, words = ("", "") if d is None else (_between(d.interval), d.words)
-                yield self.axis, c.symbol or c.title, name, detail(c, self.unit)[2], ratio, ends, words
+                yield (
+                    self.axis,
+                    c.symbol or _SHORT.get(c.label, c.title),
+                    name,
+                    detail(c, self.unit)[2],
+                    ratio,
+                    ends,
+                    words,
+                )
 
 
 class Growth(NamedTuple):
@@ -280,7 +290,7 @@ class Comparison(ByValue, Tabled):
 
     def _identified(self) -> list[Column]:
         """Terms that each sensor has on any axis, as in Hou (2004) table 5.6; "<": only a limit is known."""
-        labels = list(dict.fromkeys(row.label for row in self.rows))
+        labels = list(dict.fromkeys(row.label for row in self.rows if row.label != LEAST))
         labels.sort(key=[*SYMBOLS, *labels].index)
         cells = []
         for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
@@ -473,7 +483,7 @@ def _growths(k: int, one: Compared) -> Iterator[Growth]:
         # Its axes make no navigator.
         return
     for name, quantity, channel in (("heading", "attitude", "down"), ("position", "position", "north")):
-        growth = grown.get(quantity)
+        growth = next((g for g in grown.growths if g.quantity == quantity), None)
         if growth is not None and channel in growth.channels:
             at = growth.channels.index(channel)
             yield Growth(k, name, growth.error[at], growth.lower[at], growth.upper[at])
