@@ -60,7 +60,7 @@ def _panel(comparison: Comparison, axis: Axis) -> Panel:
             shown = [
                 c
                 for c in one.of(axis.name).values()
-                if c.is_amplitude and (c.detected or c.held) and c.symbol in "NBK"
+                if c.is_amplitude and (c.detected or c.held) and c.symbol in "NBKQR"
             ]
             key.append(KeyEntry(f"{one.label}: {', '.join(map(_value, shown)) or 'nothing detected'}", look))
 

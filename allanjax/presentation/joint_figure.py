@@ -20,7 +20,7 @@ _COMMON, _ODD = draw.COLOURS[0], draw.COLOURS[3]
 # Inches for each recording, and for the letters of its name; most letters of a name, its end.
 _ROW, _LETTER, _LETTERS = 0.19, 0.075, 24
 # Most that the scale reaches beyond the values and the common interval, as a share of their range.
-_BEYOND = 0.6
+_BEYOND = 1.0
 
 
 def plot_joint(
@@ -83,10 +83,13 @@ def _draw(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
             panel.plot(x.value, y, **draw.dots(3.6, color=colour))
         elif x.upper_limit is not None:
             panel.plot(x.upper_limit, y, "v", color=draw.ink(0.6), mfc="none", markersize=4.0)
-        shown.append(x.value if x.detected else x.upper_limit or x.value)
+        shown += x.interval if x.detected else (x.upper_limit or x.value,)
     low, high = np.nanmin(shown), np.nanmax(shown)
     values = [x.in_unit().value for x in c.records.values()]
     spread = max(np.ptp(values), 4.0 * common.std) or high - low
     margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    low, high = max(low, min(values) - _BEYOND * spread - margin), min(high, max(values) + spread + margin)
+    low, high = (
+        max(low, min(values) - _BEYOND * spread - margin),
+        min(high, max(values) + _BEYOND * spread + margin),
+    )
     panel.set_xlim(low - margin, high + margin)
