@@ -1,8 +1,8 @@
 """`compare`: sensors of any grade side by side, in their coefficients, curves, drift and growth of errors.
 
 Two coefficients differ if their ratio differs from one. Coefficients that were detected are compared by their
-logarithms, whose errors are nearly normal; where one is not detected, by their squares, which for small
-amplitudes are, and may be zero: z = (a² − b²)/√(s_a² + s_b²). The p-values of all coefficients of a
+logarithms, whose errors are nearly normal; one that is not detected has a square that is normal about zero,
+with a standard deviation by its limit. The p-values of all coefficients of a
 comparison are corrected for their number (Holm 1979, Scand. J. Statist. 6:65), so that the probability of any
 difference among equal sensors is 5 %. A figure without an error, as in data sheets, is taken as exact.
 """
@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
 from allanjax.comparison.grades import grade, grades
@@ -46,8 +46,8 @@ if TYPE_CHECKING:
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
 # Short names of quantities without a symbol.
 _SHORT = {LEAST: "min σ"}
-# One-sided 95 % of the normal law.
-_ONE_SIDED = float(ndtri(0.95))
+# Nodes of the mean over a normal law.
+_NODES = 40
 
 
 class Difference(NamedTuple):
@@ -71,13 +71,18 @@ class Difference(NamedTuple):
         return None if self.corrected is None else self.corrected < LEVEL
 
     @property
-    def words(self) -> str:
-        """The verdict, e.g. "larger (p = 0.003)"."""
-        if self.corrected is None:
-            return "not testable"
-        larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0 or self.ratio > 1.0
-        word = ("larger" if larger else "smaller") if self.differs else "no difference"
-        return f"{word}, p {'< 10⁻⁴' if self.corrected < 1e-4 else f'= {plain(self.corrected, 2)}'}"
+    def verdict(self) -> str:
+        """ "larger", "smaller", "no" for no difference that is shown, or "" if that cannot be tested."""
+        larger = self.ratio > 1.0 if np.isfinite(self.ratio) else self.interval[0] > 1.0
+        return (
+            "" if self.corrected is None else "no" if not self.differs else "larger" if larger else "smaller"
+        )
+
+    def cells(self) -> tuple[str, str, str, str]:
+        """Ratio, interval, p-value and verdict of the printed table."""
+        ratio = significant(self.ratio) if np.isfinite(self.ratio) else ""
+        p = "" if self.corrected is None else plain(self.corrected, 2) if self.corrected >= 1e-4 else "< 10⁻⁴"
+        return ratio, _between(self.interval), p, self.verdict
 
 
 def difference(one: Estimate, reference: Estimate) -> Difference:
@@ -88,19 +93,15 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
         ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
         p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
         return Difference(math.exp(log), (ends[0], ends[1]), p)
-    (a, s), (b, t) = _square(one), _square(reference)
-    error = math.hypot(s, t)
-    p = (
-        2.0 * float(ndtr(-abs(a - b) / error))
-        if error > 0.0 and (one.detected or reference.detected)
-        else None
-    )
+    p = None
+    if one.detected or reference.detected:
+        p = _beyond_chance(*((one, reference) if one.detected else (reference, one)))
     ends = (0.0, math.inf)
     if one.detected and reference.upper_limit:
         ends = (one.interval[0] / reference.upper_limit, math.inf)
     elif reference.detected and one.upper_limit is not None:
         ends = (0.0, one.upper_limit / reference.interval[0] if reference.interval[0] > 0.0 else math.inf)
-    return Difference(math.nan if not one.detected or not reference.detected else 1.0, ends, p)
+    return Difference(math.nan, ends, p)
 
 
 def _relative(c: Estimate) -> float:
@@ -111,11 +112,18 @@ def _relative(c: Estimate) -> float:
     return math.log(high / low) / (2.0 * TWO_SIDED_95) if low > 0.0 else c.std / c.value
 
 
-def _square(c: Estimate) -> tuple[float, float]:
-    """Square of an amplitude and its standard deviation; of an undetected one from its limit."""
-    if c.detected:
-        return c.value**2, 2.0 * c.value**2 * _relative(c)
-    return 0.0, (c.upper_limit or 0.0) ** 2 / _ONE_SIDED
+def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
+    """p-value of the equality of an amplitude that is detected and one of which a limit is known.
+
+    The square of the second is normal with a mean of zero and a standard deviation by its limit. The logarithm
+    of the first is normal, and the probability is the mean over its law.
+    """
+    if not limited.upper_limit:
+        return None
+    x, weight = np.polynomial.hermite_e.hermegauss(_NODES)
+    square = seen.value**2 * np.exp(2.0 * _relative(seen) * x)
+    tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limited.upper_limit**2)
+    return float(weight @ tail / weight.sum())
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
@@ -158,16 +166,13 @@ class Row(NamedTuple):
         """Row of the printed table for each sensor that has the coefficient."""
         for name, c, d in zip(names, self.estimates, self.differences, strict=True):
             if c is not None:
-                ratio = "" if d is None or not np.isfinite(d.ratio) else significant(d.ratio)
-                ends, words = ("", "") if d is None else (_between(d.interval), d.words)
+                title = c.symbol or _SHORT.get(c.label, c.title)
                 yield (
                     self.axis,
-                    c.symbol or _SHORT.get(c.label, c.title),
+                    title,
                     name,
                     detail(c, self.unit)[2],
-                    ratio,
-                    ends,
-                    words,
+                    *(("",) * 4 if d is None else d.cells()),
                 )
 
 
@@ -278,7 +283,7 @@ class Comparison(ByValue, Tabled):
         return f"{', '.join(self.labels)}; ratios to {self.labels[self.reference]}"
 
     def _tables(self) -> list[list[Column]]:
-        heads = ("axis", "coefficient", "sensor", "value", "ratio", "95 %", "verdict")
+        heads = ("axis", "of", "sensor", "value", "ratio", "95 %", "p", "differs")
         cells = [cell for row in self.rows for cell in row.cells(self.labels)]
         times = [f"after {duration(t)}" for t in HORIZONS]
         tables = [columns_from(heads, cells), self._identified(), self._graded()]
