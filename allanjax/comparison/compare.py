@@ -115,8 +115,8 @@ def _relative(c: Estimate) -> float:
 def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
     """p-value of the equality of an amplitude that is detected and one of which a limit is known.
 
-    The square of the second is normal with a mean of zero and a standard deviation by its limit. The logarithm
-    of the first is normal, and the probability is the mean over its law.
+    The square of the second is normal about zero, with a standard deviation by its limit; the logarithm of
+    the first is normal, and the probability is the mean over its law.
     """
     if not limited.upper_limit:
         return None

@@ -57,12 +57,10 @@ def _panel(comparison: Comparison, axis: Axis) -> Panel:
             y = np.sqrt(np.asarray(model.sampled(one.rate).allan_variance(time))) / scale
             lines.append((time, y, look))
         if model is not None or has_curve:
-            shown = [
-                c
-                for c in one.of(axis.name).values()
-                if c.is_amplitude and (c.detected or c.held) and c.symbol in "NBKQR"
-            ]
-            key.append(KeyEntry(f"{one.label}: {', '.join(map(_value, shown)) or 'nothing detected'}", look))
+            known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]
+            values = ", ".join(_value(c) for c in known if c.symbol in "NBKQR")
+            absent = "not a measurement" if model is None else "nothing detected"
+            key.append(KeyEntry(f"{one.label}: {values or absent}", look))
 
     def fill(panel: Axes) -> None:
         for x, y, look in lines:
