@@ -93,7 +93,8 @@ def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     good = [r.axis.name for r in fit.results if r.measured and not r.incomplete]
     style, text = "good", f"Good: the noise model fits {'all axes' if len(good) > 1 else 'the axis'}."
     if failed:
-        style, text = "bad", f"Not a measurement of the sensor on {listed(failed, 6)}."
+        style = "bad"
+        text = f"Not a measurement of the sensor on {listed(failed, 6) if good or off else 'any axis'}."
     if off:
         if not failed:
             style, text = "care", "Usable with care."
