@@ -12,6 +12,7 @@ from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
+    from allanjax.allan.deviation import AllanDeviation
     from allanjax.estimate.result import Fit
 
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     "allanjax compare cimu hg1700 motionpak2",
     "allanjax compare allanjax-results/imu.json BMI088 --out comparison.html",
     "allanjax compare before.csv after.csv --label before --label after",
+    "allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s --accel-unit m/s²",
 )
 def compare(
     sensors: Annotated[
@@ -30,6 +32,14 @@ def compare(
         ),
     ],
     options: FitOptions,
+    curve: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Another sensor of which only the Allan curve is known: the file, and the rate and the length "
+            "of its record; repeat for more.",
+            metavar="'FILE, RATE, LENGTH'",
+        ),
+    ] = None,
     label: Annotated[
         list[str] | None, typer.Option(help="What to call a sensor; repeat for each, in their order.")
     ] = None,
@@ -53,9 +63,13 @@ def compare(
     from allanjax.record.io.formats import name_of
 
     with user_errors():
-        data = [_opened(name, options) for name in sensors]
+        data = [
+            *(_opened(name, options) for name in sensors),
+            *(_curve(text, options) for text in curve or ()),
+        ]
         with stage("comparing"):
-            names = label or [name_of(Path(name)) if Path(name).suffix else name for name in sensors]
+            files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
+            names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
             result = compared(*data, labels=names, reference=0 if reference is None else reference)
             for path in out or ():
                 if path.suffix == ".csv":
@@ -67,6 +81,23 @@ def compare(
                 else:
                     result.plot(path)
     print_result(result, as_json, out or ())
+
+
+def _curve(text: str, options: FitOptions) -> "AllanDeviation":
+    """The Allan curve that an option describes by its file, rate and length."""
+    from allanjax.allan.curve import read_curve
+
+    path, *parts = (part.strip() for part in text.split(","))
+    if len(parts) != 2:
+        raise AllanjaxError(
+            f"--curve {text!r}: give the file, the rate and the length, e.g. 'imu.csv, 100 Hz, 3 h'"
+        )
+    try:
+        rate = float(parts[0].removesuffix("Hz"))
+    except ValueError as error:
+        raise AllanjaxError(f"--curve {text!r}: {parts[0]!r} is not a rate, e.g. 100 Hz") from error
+    units = {"gyro_unit": options.reading.gyro_unit, "accel_unit": options.reading.accel_unit}
+    return read_curve(path, rate, parts[1], **units)
 
 
 def _opened(name: str, options: FitOptions) -> "str | Fit":

@@ -162,6 +162,10 @@ def test_the_command_takes_names_files_and_results_and_draws_them(tmp_path, monk
     document = json.loads(run("compare", "imu.json", "BMI088", "--json").stdout)
     assert [one["name"] for one in document["sensors"]] == ["imu", "BMI088"]
     assert document["horizons_s"] == [60.0, 600.0, 3600.0]
+    aj.write_curve_csv(bench.fit("white"), "curve.csv")
+    shown = run("compare", "cimu", "--curve", "curve.csv, 100 Hz, 163.84 s")
+    assert "curve: fit of" in shown.stdout
+    assert "is not a rate" in run("compare", "cimu", "--curve", "curve.csv, fast, 3 h").stderr
     unknown = run("compare", "imu.json", "BMI8800")
     assert unknown.exit_code == 1
     assert "BMI088" in unknown.stderr
