@@ -35,8 +35,8 @@ def compare(
     curve: Annotated[
         list[str] | None,
         typer.Option(
-            help="Another sensor of which only the Allan curve is known: the file, and the rate and the length "
-            "of its record; repeat for more.",
+            help="A sensor of which only an Allan curve is known: its file, and the rate and length of the "
+            "record; repeat for more.",
             metavar="'FILE, RATE, LENGTH'",
         ),
     ] = None,
