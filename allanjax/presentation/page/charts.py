@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +19,7 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
-from allanjax.noise.model import Model
+from allanjax.noise.process import Process
 from allanjax.presentation import allan_figure, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
@@ -37,6 +36,8 @@ _HORIZONS, _COUNT = (1.0, 36_000.0), 55
 _SHOWN = 4
 # Share of the record from which on a span is not marked, and most marks of single outliers.
 _EVERYWHERE, _MOST = 0.95, 200
+
+_Places: TypeAlias = Float[np.ndarray, " m"]
 
 
 class Own(NamedTuple):
@@ -66,10 +67,7 @@ def curves(fit: Fit, spectrum: PowerSpectrum | None, findings: Sequence[Finding]
         views = [_allan(fit, own)]
         if spectrum is not None:
             views.append(density(fit, spectrum, own, findings))
-        names = ", ".join(axis.name for *_, axis in own)
-        summary = (
-            f"Allan deviation against cluster time, logarithmic, {names}; the table has the coefficients."
-        )
+        summary = f"Allan deviation of {', '.join(a.name for *_, a in own)}; the table has the coefficients."
         charts[sensor] = Chart(SENSORS[sensor].capitalize(), views, summary)
     return charts
 
@@ -81,14 +79,9 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
     time = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _POINTS))) / curve.rate
     traces, marks = list[Trace](), list[Mark]()
     for k, group, _ in own:
-        result, names, labels = fit.results[k], list[str](), list[int]()
-        if result.converged:
-            of_terms = functools.partial(_term_variances, result, curve.rate)
-            names, labels = _dominant(result, *of_terms(curve.cluster_time))
-            traces += _model_traces(group, time, of_terms(time)[1], np.sqrt)
-            marks += _marks(fit, k, group)
         points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
-        traces.append(Trace(group, "measured", *points, labels=labels, names=names))
+        traces += _curve(group, fit.results[k], curve.rate, points, time, _variance, np.sqrt)
+        marks += _marks(fit, k, group)
     return View(
         *("Allan deviation σ(τ)", "cluster time τ", "s", "σ"),
         units=_units(rate_unit(axis), SI[axis.sensor]["rate"]),
@@ -99,54 +92,57 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
     )
 
 
-def _term_variances(
-    result: AxisFit, rate: float, time: Float[np.ndarray, " m"]
-) -> tuple[list[str], Float[np.ndarray, "terms m"]]:
-    """Labels of the terms that have an Allan variance, and these."""
-    model = result.model.sampled(rate)
-    pairs = [
-        (label, np.asarray(term.allan_variance(time)))
-        for label, term in zip(result.term_labels, model.processes, strict=True)
-        if not isinstance(term, allan_figure.Transient)
-    ]
-    return [label for label, _ in pairs], np.reshape([variance for _, variance in pairs], (-1, len(time)))
+def _variance(term: Process, time: _Places, rate: float) -> Any:
+    """Allan variance of a term; None of one that has none."""
+    return None if isinstance(term, allan_figure.Transient) else term.allan_variance(time)
 
 
-def _dominant(
-    result: AxisFit, labels: Sequence[str], powers: Float[np.ndarray, "terms m"]
-) -> tuple[list[str], list[int]]:
-    """What the largest term is at each place with its share, e.g. "mostly angle random walk (93 %)"."""
-    if not len(labels):
-        return [], []
-    largest = np.argmax(powers, axis=0)
-    share = np.take_along_axis(powers, largest[None], 0)[0] / np.maximum(powers.sum(axis=0), 1e-300)
-    words = [
-        f"mostly {title_of(labels[k], result.axis.sensor)} ({percent(float(s))})"
-        for k, s in zip(largest, share, strict=True)
-    ]
-    names = list(dict.fromkeys(words))
-    return names, [names.index(word) for word in words]
+def _density(term: Process, frequency: _Places, rate: float) -> Any:
+    """One-sided density of a term; None of one that has none."""
+    return None if term.deterministic else 2.0 * np.asarray(term.sampled_psd(frequency, rate))
 
 
-def _model_traces(
+def _curve(
     group: int,
-    x: Float[np.ndarray, " m"],
-    powers: Float[np.ndarray, "terms m"],
+    result: AxisFit,
+    rate: float,
+    points: tuple[_Places, _Places, _Places, _Places],
+    x: _Places,
+    of_term: Callable[[Process, _Places, float], Any],
     shown: np.ufunc,
 ) -> Iterator[Trace]:
-    """Lines of the model and of its terms."""
-    total = powers.sum(axis=0)
+    """The model at x, its terms, and the measured points, with the largest term at each of them.
+
+    What is `shown` is a function of the sum of what `of_term` gives.
+    """
+    if not result.converged:
+        yield Trace(group, "measured", *points)
+        return
+    processes = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
+    there = {label: term for label, term in processes.items() if of_term(term, x[:1], rate) is not None}
+    at, drawn = (
+        np.reshape([np.asarray(of_term(term, to, rate)) for term in there.values()], (-1, len(to)))
+        for to in (points[0], x)
+    )
+    total = drawn.sum(axis=0)
     yield Trace(group, "model", x, shown(total), look="line")
-    for power in powers:
+    for power in drawn:
         # Where a term is next to nothing, it would only stretch the scale.
         some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
         yield Trace(group, "terms", x[some], shown(power[some]), look="dashes")
+    largest = np.argmax(at, axis=0) if len(at) else []
+    share = np.max(at, axis=0, initial=0.0) / np.maximum(at.sum(axis=0), 1e-300)
+    titles = [title_of(label, result.axis.sensor) for label in there]
+    words = [f"mostly {titles[k]} ({percent(float(s))})" for k, s in zip(largest, share, strict=False)]
+    names = list(dict.fromkeys(words))
+    yield Trace(group, "measured", *points, labels=[names.index(word) for word in words], names=names)
 
 
 def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
     """N at 1 s, K at 3 s, the minimum of the curve, and 0.664 B."""
     curve, result = fit.curve, fit.results[k]
-    known = {c.label: c for c in result.coefficients.values() if c.detected and c.measured and not c.held}
+    every = result.coefficients.values() if result.converged else ()
+    known = {c.label: c for c in every if c.detected and c.measured and not c.held}
     for label, at in (("angle_random_walk", 1.0), ("rate_random_walk", 3.0)):
         if (c := known.get(label)) is not None:
             yield Mark(f"{c.symbol} at {at:g} s", at, c.value, group)
@@ -164,13 +160,11 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
     traces, names = list[Trace](), [a.name for *_, a in own]
     for _, group, axis in own:
         k, result = spectrum.names.index(axis.name), fit[axis.name]
-        words, labels = list[str](), list[int]()
+        x = spectrum.frequency
         if result.converged:
-            f = spectrum_figure.frequencies(spectrum, result.model)
-            words, labels = _dominant(result, *_term_densities(result, spectrum.rate, spectrum.frequency))
-            traces += _model_traces(group, f, _term_densities(result, spectrum.rate, f)[1], np.positive)
-        x, y = spectrum.frequency, spectrum.density[:, k]
-        traces.append(Trace(group, "measured", x, y, low[:, k], high[:, k], labels=labels, names=words))
+            x = spectrum_figure.frequencies(spectrum, result.model)
+        points = (spectrum.frequency, spectrum.density[:, k], low[:, k], high[:, k])
+        traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive)
     unit = SI[own[0].axis.sensor]["rate"]
     return View(
         *("PSD S(f)", "frequency f", "Hz", "S"),
@@ -187,19 +181,6 @@ def _is_within(finding: Finding, names: Sequence[str], highest: float) -> bool:
     start, stop = finding.span
     here = finding.domain == "frequency" and {*finding.axes} & {*names}
     return bool(here) and stop - start < _EVERYWHERE * highest
-
-
-def _term_densities(
-    result: AxisFit, rate: float, frequency: Float[np.ndarray, " m"]
-) -> tuple[list[str], Float[np.ndarray, "terms m"]]:
-    """Labels of the terms that have a density, and their one-sided densities."""
-    model: Model = result.model.sampled(rate)
-    pairs = [
-        (label, 2.0 * np.asarray(term.sampled_psd(frequency, rate)))
-        for label, term in zip(result.term_labels, model.processes, strict=True)
-        if not term.deterministic
-    ]
-    return [label for label, _ in pairs], np.reshape([psd for _, psd in pairs], (-1, len(frequency)))
 
 
 def _span(finding: Finding, names: Sequence[str]) -> Span:
