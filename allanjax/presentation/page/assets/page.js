@@ -186,6 +186,7 @@
       const lines = [make("div", {}, `${view.x} = ${number(at, 4)} ${view.x_unit}`)];
       for (const group of this.shown) {
         const own = this.drawn.filter(t => t.group === group && t.layer !== "terms" && t.x.length);
+        own.sort((a, b) => (b.look === "dots") - (a.look === "dots"));
         if (!own.length) continue;
         const texts = own.map(t => {
           const k = nearest(t);
@@ -194,7 +195,7 @@
           if (t.names) text += `, ${t.names[t.labels[k]]}`;
           return text;
         });
-        const name = make("b", {textContent: "● "});
+        const name = make("b", {textContent: "●\u00a0"});
         name.style.color = colour(group);
         lines.push(make("div", {}, name, `${view.groups[group]}: ${texts.join("; ")}`));
       }
