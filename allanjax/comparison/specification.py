@@ -28,7 +28,7 @@ from allanjax.noise.datasheet import LEAST, Figures
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import term_classes
-from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, si_unit, unit_scale
+from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
 
 SCHEMA_VERSION = 1
 Verdict = Literal["pass", "fail", "undecided", "typical"]
@@ -356,7 +356,6 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
             std=(high_68 - low_68) / 2.0,
             interval=(low, high),
             interval_68=(low_68, high_68),
-            unit=si_unit(unit),
             usual_unit=unit,
             upper_limit=None if detected else most,
             detected=detected,
@@ -369,22 +368,17 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
 
 def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
     """Length of record [s] that would decide, infinite beyond a month; None if unknown for these terms."""
-    terms = random_terms()
-    names = [term.name() for term in terms]
-    known = limit.label in (*names, LEAST) and set(of.model.term_labels) <= set(names)
-    if not known or of.incomplete or of.further:
+    terms = {term.name(): term for term in random_terms()}
+    basic = limit.label in (*terms, LEAST) and terms.keys() >= set(of.model.term_labels)
+    if not basic or of.incomplete or of.further or not c.power_std < math.inf:
         return None
-    gradient = np.array([name == limit.label for name in names], float)
+    rate, gradient = fit.curve.rate, [float(name == limit.label) for name in terms]
     if limit.label == LEAST:
         time, fitted = _curve(fit, of.model)
-        at = time[np.argmin(fitted[:_TIMES])]
-        unit = [term.sampled(fit.curve.rate).with_unit_amplitude().allan_variance(at) for term in terms]
-        gradient = np.array(unit, float)
+        at, units = time[np.argmin(fitted[:_TIMES])], (term.sampled(rate) for term in terms.values())
+        gradient = [float(unit.with_unit_amplitude().allan_variance(at)) for unit in units]
     values = {label: x.value for label, x in of.coefficients.items() if x.detected}
-    power = np.array([values.get(name, 0.0) ** 2 for name in names])
-    std = c.power_std
-    if not std < math.inf:
-        return None
-    target = std * abs(c.score(limit.value)) / ONE_SIDED_95
-    trials = list(trial_lengths(terms, fit.curve.rate, fit.curve.n))
-    return length_for(target, std, gradient, power, trials) or math.inf
+    power = np.array([values.get(name, 0.0) ** 2 for name in terms])
+    target = c.power_std * abs(c.score(limit.value)) / ONE_SIDED_95
+    trials = list(trial_lengths(list(terms.values()), rate, fit.curve.n))
+    return length_for(target, c.power_std, np.array(gradient), power, trials) or math.inf
