@@ -27,7 +27,6 @@ from allanjax.base.wording import percent, plain
 from allanjax.record.columns import recognise, split_unit
 from allanjax.record.io import ReadOptions
 from allanjax.record.io.formats import format_of, name_of
-from allanjax.record.io.table import as_float
 from allanjax.record.recording import Axis
 from allanjax.record.units import (
     SENSORS,
@@ -97,6 +96,14 @@ class _Column:
             unit = re.sub(r"^\((.+)\)(?:\^2|²)$|^(\w+)(?:\^2|²)$", r"\1\2", unit.strip())
         role: Any = "variance" if variance else "deviation"
         return cls(label, role, axis.name if named else "", axis.sensor, unit)
+
+    def _with(self, values: Any, source: Source) -> _Column:
+        """The column with its numbers."""
+        try:
+            return self if self.role == "other" else replace(self, values=np.asarray(values, float))
+        except (TypeError, ValueError) as error:
+            remedy = "correct it, or skip it with columns="
+            raise source.error(f"column {self.label!r} has text: {error}; {remedy}") from error
 
 
 def read_curve(
@@ -168,10 +175,7 @@ def _columns(path: Path, source: Source, columns: str | Sequence[str] | None) ->
     if labels is None:
         raise source.error("the columns have no names; give columns=, e.g. 'tau,gyro_x'")
     named = [_Column(x, "other") if x == "-" else _Column.of(x, source) for x in labels]
-    return [
-        c if c.role == "other" else replace(c, values=as_float(x, c.label, table.source, gaps=True))
-        for c, x in zip(named, data, strict=True)
-    ]
+    return [c._with(x, source) for c, x in zip(named, data, strict=True)]
 
 
 def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: Source) -> tuple[Axis, ...]:

@@ -25,7 +25,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
-from allanjax.estimate.as_json import load
+from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
 from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
@@ -97,10 +97,7 @@ def joint_fit(
 
 def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
     if isinstance(of, str | Path) and Path(of).suffix == ".json":
-        loaded = load(of)
-        if isinstance(loaded, dict):
-            raise AllanjaxError(f"{of}: contains several fits; give one NAME.json for each recording")
-        return loaded
+        return load_one(of)
     return of if isinstance(of, Fit) else fit(of, model, **options)
 
 
