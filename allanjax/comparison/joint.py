@@ -1,13 +1,15 @@
 """Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
 
-Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording
-has coefficients of its own; a term that is weak in all of them is also sought by its common power.
+Recordings are independent, so that the evidence of a set of terms is the product of the recordings' own. Each
+recording has coefficients of its own. A term that is too weak to be seen in any of them is also sought by its
+common power.
 
-The squares v of all amplitudes are estimated from a recording's Allan variances V by (D'C⁻¹D)⁻¹D'C⁻¹V,
-with the covariance C under the joint model. That is linear in V, unbiased, and of known variance even where a
-term is absent, when it is as often negative as positive: neither limits nor estimates that cannot be negative
-could be averaged. So that weights do not depend on what they weigh, C is that of powers that are drawn
-towards the common one (the best linear prediction of random effects).
+Averages are those of the squares v of the amplitudes, estimated from a recording's Allan variances V by
+(D'C⁻¹D)⁻¹D'C⁻¹V with the covariance C of V under the joint model. These estimates are linear in V, and so
+unbiased and of known variance even where a term is absent: then they are as often negative as positive.
+Neither limits nor estimates that cannot be negative could be averaged. C is computed from powers that are
+drawn towards the common one (the best linear prediction of random effects), so that the weight of an estimate
+does not depend on its own error.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
 from allanjax.estimate.evidence import over_prior
 from allanjax.estimate.fit import fit
-from allanjax.estimate.inference import Hypotheses, estimate_of, reported
+from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSet
 from allanjax.noise.estimate import Estimate
@@ -206,12 +208,11 @@ class _Records:
             estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
             X, weighed, covariance, step = at.linearized(p, estimated)
             sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
-            # As in `Hypotheses.scores`.
-            third = 2.0 * np.sum((weighed @ covariance) * (X @ covariance) ** 2, axis=1)
-            third[:, :terms] = np.minimum(third[:, :terms], 2.0 * sd[:, :terms] ** 4 / np.maximum(p, 1e-300))
+            # Shapes, whose estimates may be negative, count as without power.
+            around = np.pad(p, ((0, 0), (0, sd.shape[1] - terms)))
+            skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
             wider = np.array([[self.results[row].widening] for row in rows])
-            found[:, rows] = step, (sd * wider) ** 2, np.maximum(third, 0.0) / sd**3
-            found[0, rows, :terms] += p
+            found[:, rows] = step + around, (sd * wider) ** 2, np.maximum(skewness, 0.0)
         return found
 
     def settled(self) -> tuple[_Forms, _Terms]:
