@@ -97,8 +97,8 @@ class _Column:
         role: Any = "variance" if variance else "deviation"
         return cls(label, role, axis.name if named else "", axis.sensor, unit)
 
-    def _with(self, values: Any, source: Source) -> _Column:
-        """The column with its numbers."""
+    def filled(self, values: Any, source: Source) -> _Column:
+        """The column with its numbers; RecordingError if they are text."""
         try:
             return self if self.role == "other" else replace(self, values=np.asarray(values, float))
         except (TypeError, ValueError) as error:
@@ -175,7 +175,7 @@ def _columns(path: Path, source: Source, columns: str | Sequence[str] | None) ->
     if labels is None:
         raise source.error("the columns have no names; give columns=, e.g. 'tau,gyro_x'")
     named = [_Column(x, "other") if x == "-" else _Column.of(x, source) for x in labels]
-    return [c._with(x, source) for c, x in zip(named, data, strict=True)]
+    return [c.filled(x, source) for c, x in zip(named, data, strict=True)]
 
 
 def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: Source) -> tuple[Axis, ...]:

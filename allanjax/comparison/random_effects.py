@@ -136,6 +136,12 @@ class Laws:
             return float(upper_tail(q, self.dof))
         return float((1 + np.sum(self.fitted(self.simulated(0.0), 0.0)[2] >= q)) / (1 + _DRAWS))
 
+    def q_quantile(self, p: float, tau: float) -> float:
+        """Quantile of Q if this is the true scatter."""
+        if self.normal:
+            return float(quantile(p, self.dof))
+        return float(np.quantile(self.fitted(self.simulated(tau), tau)[2], p))
+
     def t_quantiles(self, p: Sequence[float], tau: float) -> Float[np.ndarray, " p"]:
         """Quantiles of the mean's distance from the common value, in its standard errors."""
         if self.normal:
@@ -149,13 +155,9 @@ class Laws:
         """The τ at which Q is at its quantile, or at its mean k − 1; zero if Q is below it at zero."""
         from scipy.optimize import brentq
 
-        fixed = self.dof if p is None else float(quantile(p, self.dof))
-
         def excess(tau: float) -> float:
-            least: Any = fixed
-            if p is not None and not self.normal:
-                least = np.quantile(self.fitted(self.simulated(tau), tau)[2], p)
-            return float(np.log(self.fitted(self.x, tau)[2] / least))
+            usual = self.dof if p is None else self.q_quantile(p, tau)
+            return float(np.log(self.fitted(self.x, tau)[2] / usual))
 
         high = float(np.ptp(self.x))
         if not excess(0.0) > 0.0:
