@@ -11,7 +11,7 @@ import math
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +21,7 @@ from jaxtyping import Float, Int
 from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.estimators import cluster_sizes, difference_count
-from allanjax.base.errors import AllanjaxError, RecordingError, UnitError
+from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.wording import duration as in_words
 from allanjax.base.wording import percent, plain
 from allanjax.record.columns import recognise, split_unit
@@ -33,22 +33,24 @@ from allanjax.record.units import (
     SI,
     Sensor,
     convert,
-    is_unit,
     parse_quantity,
     parse_sample_unit,
     rate_unit_of,
 )
-from allanjax.record.validation import Source
+from allanjax.record.validation import Source, check_rate
 
-# Words that name a deviation or variance; and columns of other things, which are left out.
-_DEVIATION = re.compile(r"(?:^|_)(?:allan|overlapping|o?adev|deviations?|dev|ad|std|sigma|σ)(?=_|$)")
-_VARIANCE = re.compile(r"(?:^|_)(?:o?avar|variances?|var|sigma_?2|σ2)(?=_|$)")
+# Words that name a deviation or a variance, and others that tell a column of something else.
+_KIND = re.compile(
+    r"(?:^|_)(?:(?P<variance>o?avar|variances?|var|sigma_?2|σ2)|allan|overlapping|o?adev|deviations?|dev|ad|std"
+    r"|sigma|σ)(?=_|$)"
+)
 _OTHER = re.compile(
     r"(?:^|_)(?:lower|upper|min|max|low|high|ci|err|errors?|edf|freedom|dof|count|model|alpha|type|n|m|af"
     r"|size|fit|uncertainty)(?=_|$)"
 )
 _OTHER_KINDS = re.compile(r"(?:^|_)(?:mdev|mvar|hdev|ohdev|tdev|totdev|modified|hadamard|theo1)(?=_|$)")
 _TIME = re.compile(r"taus?|τ|period|t|time|(?:cluster|averaging|correlation)_time|tau_?s")
+_SIZES, _COUNTS = ("cluster_size", "size", "m", "af"), ("count", "n", "number")
 # Relative change of a cluster time by rounding to whole samples that a note reports.
 _ROUNDED = 1e-3
 # Most cluster times per octave that are used.
@@ -59,38 +61,49 @@ _ROS = "period [s],accel_x [m/s²],accel_y [m/s²],accel_z [m/s²],gyro_x [deg/s
 
 @dataclass(frozen=True)
 class _Column:
-    """A column of a curve: cluster times, counts of differences, sizes, deviations or variances."""
+    """A column of a curve: cluster times, counts of differences, sizes, deviations or variances.
+
+    `values` are its numbers; None for a column of other things, which may have text.
+    """
 
     label: str
     role: Literal["time", "count", "size", "deviation", "variance", "other"]
     name: str = ""
     sensor: Sensor | None = None
     unit: str | None = None
+    values: Any = None
 
     @classmethod
-    def of(cls, label: str, source: str) -> _Column:
+    def of(cls, label: str, source: Source) -> _Column:
         stem, unit = split_unit(label)
         words = re.sub(r"[\W_]+", "_", stem.lower().replace("²", "2")).strip("_")
         if _TIME.fullmatch(words):
             return cls(label, "time", unit=unit)
-        if words in ("count", "n", "number", "cluster_size", "size", "m", "af") or stem == "#":
-            return cls(label, "size" if words in ("cluster_size", "size", "m", "af") else "count")
+        if words in _SIZES:
+            return cls(label, "size")
+        if words in _COUNTS or stem == "#":
+            return cls(label, "count")
         if _OTHER_KINDS.search(words):
-            raise RecordingError(
-                f"{source}: column {label!r} is no Allan deviation; export the overlapping one (oadev, avar)"
+            raise source.error(
+                f"column {label!r} is no Allan deviation; export the overlapping one (oadev, avar)"
             )
-        variance = bool(_VARIANCE.search(words))
-        named = _DEVIATION.sub("", _VARIANCE.sub("", words)).strip("_")
-        if _OTHER.search(named):
-            return cls(label, "other")
+        variance = any(found["variance"] for found in _KIND.finditer(words))
+        named = _KIND.sub("", words).strip("_")
         axis = recognise(named)
-        if axis.role != "axis" and named:
+        if _OTHER.search(named) or (named and axis.sensor is None):
             return cls(label, "other")
         if variance and unit:
             unit = re.sub(r"^\((.+)\)(?:\^2|²)$|^(\w+)(?:\^2|²)$", r"\1\2", unit.strip())
-        return cls(
-            label, "variance" if variance else "deviation", axis.name if named else "", axis.sensor, unit
-        )
+        role: Any = "variance" if variance else "deviation"
+        return cls(label, role, axis.name if named else "", axis.sensor, unit)
+
+    def filled(self, values: Any, source: Source) -> _Column:
+        """The column with its numbers; RecordingError if they are text."""
+        try:
+            return self if self.role == "other" else replace(self, values=np.asarray(values, float))
+        except (TypeError, ValueError) as error:
+            remedy = "correct it, or skip it with columns="
+            raise source.error(f"column {self.label!r} has text: {error}; {remedy}") from error
 
 
 def read_curve(
@@ -124,61 +137,48 @@ def read_curve(
             do not fit the rate or the length. The message gives the file, the column and the remedy.
         UnitError: a unit is unknown.
     """
-    source = str(path)
-    named, data = _table(Path(path), source, columns)
-    times = [k for k, c in enumerate(named) if c.role == "time"]
-    chosen = [k for k, c in enumerate(named) if c.role in ("deviation", "variance")]
+    source = Source(str(path))
+    every = _columns(Path(path), source, columns)
+    times = [c for c in every if c.role == "time"]
+    chosen = [c for c in every if c.role in ("deviation", "variance")]
     if not times or not chosen:
         wanted = "deviations, e.g. gyro_x [deg/s]" if times else "cluster times, e.g. tau [s]"
-        labels = ", ".join(c.label for c in named)
-        raise RecordingError(f"{source}: no column of {wanted}, among {labels}; name them with columns=")
-    unit = named[times[0]].unit or "s"
-    tau = np.array([convert(float(t), unit, "s") for t in data[times[0]]])
-    axes = _axes([named[k] for k in chosen], {"gyro": gyro_unit, "accel": accel_unit}, source)
+        labels = ", ".join(c.label for c in every)
+        raise source.error(f"no column of {wanted}, among {labels}; name them with columns=")
+    tau = convert(times[0].values, times[0].unit or "s", "s")
+    axes = _axes(chosen, {"gyro": gyro_unit, "accel": accel_unit}, source)
     scale = [rate_unit_of(axis.unit, axis.sensor)[1] for axis in axes]
-    values = [np.sqrt(data[k]) if named[k].role == "variance" else data[k] for k in chosen]
+    values = [np.sqrt(c.values) if c.role == "variance" else c.values for c in chosen]
     deviation, notes = np.stack(values, axis=1) * scale, ["overlapping Allan deviations are assumed"]
     known = np.isfinite(deviation).all(axis=1) & (deviation > 0.0).all(axis=1) & (tau > 0.0)
     if not known.all():
         notes.append(f"{np.sum(~known)} rows without a positive deviation of every axis are left out")
     order = np.flatnonzero(known)[np.argsort(tau[known], kind="stable")]
     if len(order) < 2:
-        raise RecordingError(f"{source}: fewer than two rows with positive deviations of every axis")
-    extra = {c.role: data[k][order] for k, c in enumerate(named) if c.role in ("size", "count")}
-    return _curve(
-        name_of(Path(path)), tau[order], deviation[order], axes, rate, duration, extra, notes, source
-    )
+        raise source.error("fewer than two rows with positive deviations of every axis")
+    extra = {c.role: c.values[order] for c in every if c.role in ("size", "count")}
+    found = _curve(tau[order], deviation[order], axes, rate, duration, extra, notes, source)
+    return replace(found, name=name_of(Path(path)))
 
 
-def _table(
-    path: Path, source: str, columns: str | Sequence[str] | None
-) -> tuple[list[_Column], list[Float[np.ndarray, " m"]]]:
-    """Columns of a file and their numbers; text in a column that is not used is no error."""
-    table = format_of(path, Source(source)).table(path, Source(source), ReadOptions())
+def _columns(path: Path, source: Source, columns: str | Sequence[str] | None) -> list[_Column]:
+    """Columns of a file, named by the user, in the header, or as those of allan_variance_ros."""
+    table = format_of(path, source).table(path, source, ReadOptions())
     data, labels = table.columns(), table.labels
-    given = [x.strip() for x in columns.split(",")] if isinstance(columns, str) else columns
+    given = columns.split(",") if isinstance(columns, str) else columns
     if given is None and labels is None and len(data) == 7:
         given = _ROS.split(",")
     if given is not None:
         if len(given) != len(data):
-            raise RecordingError(
-                f"{source}: {len(data)} columns, but columns= names {len(given)}; use - to skip"
-            )
-        labels = tuple(given)
+            raise source.error(f"{len(data)} columns, but columns= names {len(given)}; use - to skip")
+        labels = tuple(x.strip() for x in given)
     if labels is None:
-        raise RecordingError(f"{source}: the columns have no names; give columns=, e.g. 'tau,gyro_x'")
+        raise source.error("the columns have no names; give columns=, e.g. 'tau,gyro_x'")
     named = [_Column(x, "other") if x == "-" else _Column.of(x, source) for x in labels]
-    numbers = list[Any]()
-    for column, values in zip(named, data, strict=True):
-        try:
-            numbers.append(None if column.role == "other" else np.asarray(values, float))
-        except (TypeError, ValueError) as error:
-            told = f"{source}: column {column.label!r} has text: {error}"
-            raise RecordingError(f"{told}; correct it, or skip it with columns=") from error
-    return named, numbers
+    return [c.filled(x, source) for c, x in zip(named, data, strict=True)]
 
 
-def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: str) -> tuple[Axis, ...]:
+def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: Source) -> tuple[Axis, ...]:
     """Axes of the columns; one without a name is that of the only sensor whose unit is given or fits."""
     axes = []
     for column in named:
@@ -186,24 +186,24 @@ def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: str
         if sensor is None:
             given = [s for s in SENSORS if units[s]] or [s for s in SENSORS if _fits(column.unit, s)]
             if len(given) != 1 or len(named) > 1:
-                raise RecordingError(
-                    f"{source}: column {column.label!r} does not say which axis it is; give gyro_unit= or "
-                    "accel_unit= (--gyro-unit, --accel-unit), or name it with columns=, e.g. 'tau,gyro_x'"
+                raise source.error(
+                    f"column {column.label!r} does not say which axis it is; give gyro_unit= or accel_unit= "
+                    "(--gyro-unit, --accel-unit), or name it with columns=, e.g. 'tau,gyro_x'"
                 )
             sensor = name = given[0]
         unit = units[sensor] or column.unit
         if unit is None:
             header = f"{column.label} [{'deg/h' if sensor == 'gyro' else 'µg'}]"
-            raise RecordingError(
-                f"{source}: column {column.label!r} has no unit; give {sensor}_unit= (--{sensor}-unit), or "
-                f"write it in the header: `{header}`"
+            raise source.error(
+                f"column {column.label!r} has no unit; give {sensor}_unit= (--{sensor}-unit), or write it in "
+                f"the header: `{header}`"
             )
         if not _fits(unit, sensor):
             told = f"{unit!r} is not a unit of deviations; give {sensor}_unit= (--{sensor}-unit), e.g. "
-            raise UnitError(f"{source}: column {column.label!r}: {told}{SI[sensor]['rate']}")
+            raise UnitError(f"{source.label}: column {column.label!r}: {told}{SI[sensor]['rate']}")
         axes.append(Axis(name, sensor, rate_unit_of(unit, sensor)[0]))
     if len({axis.name for axis in axes}) < len(axes):
-        raise RecordingError(f"{source}: two columns are of the same axis; skip one with columns=")
+        raise source.error("two columns are of the same axis; skip one with columns=")
     return tuple(axes)
 
 
@@ -216,7 +216,6 @@ def _fits(unit: str | None, sensor: Sensor) -> bool:
 
 
 def _curve(
-    name: str,
     tau: Float[np.ndarray, " m"],
     deviation: Float[np.ndarray, "m axes"],
     axes: tuple[Axis, ...],
@@ -224,7 +223,7 @@ def _curve(
     duration: float | str | None,
     extra: dict[Any, Float[np.ndarray, " m"]],
     notes: list[str],
-    source: str,
+    source: Source,
 ) -> AllanDeviation:
     """The curve at whole numbers of samples, with the degrees of freedom of its record's length."""
     assumed = []
@@ -234,13 +233,12 @@ def _curve(
     elif rate is None:
         rate = 1.0 / float(tau[0])
         assumed.append(f"rate= (--rate): {plain(rate, 4)} Hz, one sample in the shortest cluster, is assumed")
-    if not 0.0 < rate < math.inf:
-        raise RecordingError(f"{source}: the sample rate must be positive, not {rate} Hz")
+    rate = check_rate(rate, source)
     sizes = np.maximum(np.rint(tau * rate), 1.0).astype(int)
     moved = np.abs(sizes / (tau * rate) - 1.0)
     if moved.max() > 0.5:
-        raise RecordingError(
-            f"{source}: cluster time {tau[0]:.6g} s is shorter than a sample at {rate:g} Hz; correct rate="
+        raise source.error(
+            f"cluster time {tau[0]:.6g} s is shorter than a sample at {rate:g} Hz; correct rate="
         )
     if moved.max() > _ROUNDED:
         notes.append(f"cluster times are rounded to whole samples, by up to {percent(float(moved.max()))}")
@@ -254,8 +252,8 @@ def _curve(
         assumed.append(f"duration= (--duration): {in_words(duration)}, twice the longest cluster, is assumed")
     n = round(seconds(duration) * rate)
     if 2 * sizes[-1] > n + 1:
-        raise RecordingError(
-            f"{source}: cluster time {tau[-1]:.6g} s needs a record of {2.0 * tau[-1]:.6g} s, longer than "
+        raise source.error(
+            f"cluster time {tau[-1]:.6g} s needs a record of {2.0 * tau[-1]:.6g} s, longer than "
             f"{n / rate:.6g} s; correct duration= (--duration) or rate= (--rate)"
         )
     notes += [f"no intervals without {text}" for text in assumed]
@@ -271,9 +269,8 @@ def _curve(
         count=difference_count(n, sizes),
         edf=np.broadcast_to(edf[:, None], deviation.shape),
         n=n,
-        rate=float(rate),
+        rate=rate,
         axes=axes,
-        name=name,
         notes=tuple(notes),
         determined=not assumed,
     )
@@ -292,11 +289,11 @@ def _kept(sizes: Int[np.ndarray, " m"], rate: float) -> Int[np.ndarray, " kept"]
 
 def seconds(time: float | str) -> float:
     """A time in s, from a number or text such as "3h", "20 min" or "7200"; AllanjaxError if it is none."""
+    value, unit = parse_quantity(time) or (time, "s")
     try:
-        found = float(time)
-    except ValueError:
-        value, unit = parse_quantity(time) or (math.nan, "s")
-        found = value * convert(1.0, unit, "s") if is_unit(unit) else math.nan
+        found = convert(float(value), unit, "s")
+    except (ValueError, UnitError):
+        found = math.nan
     if not 0.0 < found < math.inf:
         raise AllanjaxError(f"duration= (--duration) must be a time such as 3h, 20 min or 7200, not {time!r}")
     return found

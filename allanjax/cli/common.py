@@ -325,14 +325,6 @@ def fit_or_sheet(path: Path | None, sheet: str | None) -> Fit | DataSheet:
 
 def saved_fit(path: Path) -> Fit:
     """The fit in a file; AllanjaxError if there is none, or more than one."""
-    from allanjax.estimate.as_json import load
+    from allanjax.estimate.as_json import load_one
 
-    fits = load(path)
-    if not isinstance(fits, dict):
-        return fits
-    if len(fits) != 1:
-        raise AllanjaxError(
-            f"{path}: contains {len(fits)} fits ({', '.join(fits)}); run allanjax characterize without "
-            "--json and give one NAME.json"
-        )
-    return next(iter(fits.values()))
+    return load_one(path)

@@ -45,9 +45,10 @@ def repeat(
     from allanjax.comparison.joint import joint_fit
 
     with user_errors(), inputs(files, directory) as given:
-        fits, names = list[Any](), list[str]()
+        if len(given) < 2:
+            raise AllanjaxError("repeat compares at least two recordings: give more files")
+        fits = list[Any]()
         for file in given:
-            names.append(file.name)
             if file.path.suffix == ".json":
                 fits.append(saved_fit(file.path))
                 continue
@@ -55,13 +56,10 @@ def repeat(
                 recording = file.read(options.reading)
             with fitting(file, recording):
                 fits.append(options.fit(recording))
-        if len(fits) < 2:
-            raise AllanjaxError("repeat compares at least two recordings: give more files")
         with stage("joint fit"):
-            result = joint_fit(fits, options.model, names=names)
-        written = []
-        if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            written.append(directory / f"repeat.{figure_format}")
-            result.plot(path=written[0])
+            result = joint_fit(fits, options.model, names=[file.name for file in given])
+        written = [] if directory is None else [directory / f"repeat.{figure_format}"]
+        for path in written:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            result.plot(path=path)
         print_result(result, as_json, written)

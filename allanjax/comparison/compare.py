@@ -88,7 +88,7 @@ class Difference(NamedTuple):
 def difference(one: Estimate, reference: Estimate) -> Difference:
     """Ratio of two amplitudes with its interval, and the p-value of their equality."""
     if one.detected and reference.detected:
-        error = math.hypot(_relative(one), _relative(reference))
+        error = math.hypot(one.log_std, reference.log_std)
         log = math.log(one.value / reference.value)
         ends = tuple(math.exp(log + side * TWO_SIDED_95 * error) for side in (-1.0, 1.0))
         p = 2.0 * float(ndtr(-abs(log) / error)) if error > 0.0 else None
@@ -104,14 +104,6 @@ def difference(one: Estimate, reference: Estimate) -> Difference:
     return Difference(math.nan, ends, p)
 
 
-def _relative(c: Estimate) -> float:
-    """Standard deviation of the logarithm of an amplitude, from its interval."""
-    low, high = c.interval
-    if c.held or not high > low:
-        return 0.0
-    return math.log(high / low) / (2.0 * TWO_SIDED_95) if low > 0.0 else c.std / c.value
-
-
 def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
     """p-value of the equality of an amplitude that is detected and one of which a limit is known.
 
@@ -121,7 +113,7 @@ def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
     if not limited.upper_limit:
         return None
     x, weight = np.polynomial.hermite_e.hermegauss(_NODES)
-    square = seen.value**2 * np.exp(2.0 * _relative(seen) * x)
+    square = seen.value**2 * np.exp(2.0 * seen.log_std * x)
     tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limited.upper_limit**2)
     return float(weight @ tail / weight.sum())
 

@@ -1,13 +1,15 @@
 """Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
 
-Recordings are independent, so that the evidence of a set of terms is the product of theirs. Each recording
-has coefficients of its own; a term that is weak in all of them is also sought by its common power.
+Recordings are independent, so that the evidence of a set of terms is the product of the recordings' own. Each
+recording has coefficients of its own. A term that is too weak to be seen in any of them is also sought by its
+common power.
 
-The squares v of all amplitudes are estimated from a recording's Allan variances V by (D'C⁻¹D)⁻¹D'C⁻¹V,
-with the covariance C under the joint model. That is linear in V, unbiased, and of known variance even where a
-term is absent, when it is as often negative as positive: neither limits nor estimates that cannot be negative
-could be averaged. So that weights do not depend on what they weigh, C is that of powers that are drawn
-towards the common one (the best linear prediction of random effects).
+Averages are those of the squares v of the amplitudes, estimated from a recording's Allan variances V by
+(D'C⁻¹D)⁻¹D'C⁻¹V with the covariance C of V under the joint model. These estimates are linear in V, and so
+unbiased and of known variance even where a term is absent: then they are as often negative as positive.
+Neither limits nor estimates that cannot be negative could be averaged. C is computed from powers that are
+drawn towards the common one (the best linear prediction of random effects), so that the weight of an estimate
+does not depend on its own error.
 """
 
 from __future__ import annotations
@@ -16,23 +18,22 @@ import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.normal import TWO_SIDED_95
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
-from allanjax.estimate.as_json import load
+from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
 from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
 from allanjax.estimate.evidence import over_prior
 from allanjax.estimate.fit import fit
-from allanjax.estimate.inference import Hypotheses, estimate_of, reported
+from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSet
 from allanjax.noise.estimate import Estimate
@@ -49,6 +50,8 @@ _ODDS = 20.0
 _ROUNDS = 4
 _Terms = Float[np.ndarray, "records terms"]
 _Flags = Bool[np.ndarray, " terms"]
+# Estimates of powers and shapes of every recording, their variances, and their skewness.
+_Forms = Float[np.ndarray, "3 records params"]
 
 
 def joint_fit(
@@ -96,17 +99,13 @@ def joint_fit(
 
 def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
     if isinstance(of, str | Path) and Path(of).suffix == ".json":
-        loaded = load(of)
-        if isinstance(loaded, dict):
-            raise AllanjaxError(f"{of}: contains several fits; give one NAME.json for each recording")
-        return loaded
+        return load_one(of)
     return of if isinstance(of, Fit) else fit(of, model, **options)
 
 
 def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> AxisJoint:
     """The joint fit of one axis of the recordings that have it."""
-    axis, selection = next(iter(fits.values()))[name].axis, None
-    found, rivals = dict[str, float](), dict[str, tuple[str, ...]]()
+    axis, selection, rivals = next(iter(fits.values()))[name].axis, None, dict[str, tuple[str, ...]]()
     if model is None:
         selection = _joint_ranking(axis, fits)
         chosen = selection.chosen.terms
@@ -116,27 +115,19 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
         full = model_to_fit(model, [axis])
         check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
         chosen = full.term_labels
-    active = np.isin(full.term_labels, chosen)
-    records = _Records.of(name, fits, full, active)
+    records = _Records.of(name, fits, full, np.isin(full.term_labels, chosen))
     # Without curves that the terms alone describe there is nothing to search.
-    while records.groups and model is None and not active.all():
-        gains = {k: records.log_bayes_factor(active, k) for k in np.flatnonzero(~active).tolist()}
+    while records.groups and model is None and not records.active.all():
+        gains = {k: records.log_bayes_factor(k) for k in np.flatnonzero(~records.active).tolist()}
         best = max(gains, key=lambda k: gains[k])
         if gains[best] < np.log(_ODDS):
             break
-        active[best] = True
+        records = records.with_terms(records.active | (np.arange(len(full)) == best))
         near = (k for k, x in gains.items() if k != best and x > gains[best] - np.log(_ODDS))
         if names := tuple(full.term_labels[k] for k in near):
             rivals[full.term_labels[best]] = names
-    for p in full.parameters if records.groups and active.sum() > 1 else ():
-        each = [r.coefficients.get(p.label) for r in records.results]
-        alone = not p.parameter.is_amplitude or any(c is not None and c.detected for c in each)
-        if active[p.term] and not alone:
-            others = active & (np.arange(len(full)) != p.term)
-            if (gain := records.log_bayes_factor(others, p.term)) > np.log(_ODDS):
-                found[p.term_label] = gain
-    coefficients = records.coefficients(axis, active, found)
-    return AxisJoint(axis, tuple(fits), coefficients, selection, found, rivals)
+    found = records.found_jointly() if records.groups else {}
+    return AxisJoint(axis, tuple(fits), records.coefficients(found), selection, found, rivals)
 
 
 def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
@@ -158,22 +149,16 @@ def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
     return AxisSelection(axis, tuple(found), max(r.discrepancy for r in rankings))
 
 
-class _Forms(NamedTuple):
-    """Estimates of powers and shapes of every recording, their variances, and their skewness."""
-
-    value: Float[np.ndarray, "records params"]
-    variance: Float[np.ndarray, "records params"]
-    skewness: Float[np.ndarray, "records params"]
-
-
 @dataclasses.dataclass(frozen=True)
 class _Records:
-    """One axis of several recordings; `groups` are those of one length and rate, by their rows.
+    """One axis of several recordings, with the active ones of all terms that are considered.
 
-    The curves of all others do not suffice: their fits' own estimates are used.
+    `groups` are the recordings of one length and rate, by their rows. The curves of all others do not
+    suffice: their fits' own estimates are used.
     """
 
     full: Model
+    active: _Flags
     names: list[str]
     results: list[AxisFit]
     groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
@@ -188,14 +173,16 @@ class _Records:
                 alike.setdefault(place, []).append(row)
         groups = []
         for rows in alike.values():
-            columns = [curves[row].deviation[:, curves[row].names.index(name)] for row in rows]
+            deviation = np.concatenate([curves[row][name].deviation for row in rows], axis=1)
             axes = tuple(dataclasses.replace(results[row].axis, name=f"{row}") for row in rows)
-            deviation = np.stack(columns, axis=1)
-            curve = dataclasses.replace(
-                curves[rows[0]], deviation=deviation, edf=np.ones(deviation.shape), axes=axes
-            )
+            curve, edf = curves[rows[0]], np.ones(deviation.shape)
+            curve = dataclasses.replace(curve, deviation=deviation, edf=edf, axes=axes)
             groups.append((np.array(rows), curve, _hypotheses(curve, full, _only(full, active))))
-        return cls(full, list(fits), results, groups)
+        return cls(full, active, list(fits), results, groups)
+
+    def with_terms(self, active: _Flags) -> _Records:
+        """The same recordings with other terms in use."""
+        return dataclasses.replace(self, active=active)
 
     @property
     def places(self) -> dict[str, int]:
@@ -203,44 +190,41 @@ class _Records:
         amplitudes = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
         return amplitudes | {p.label: len(self.full) + k for k, p in enumerate(free_shapes(self.full))}
 
-    def forms(self, active: _Flags, power: _Terms) -> _Forms:
-        """Linear estimates of the active terms with weights of these powers; NaN where there is none."""
+    def forms(self, power: _Terms) -> _Forms:
+        """Linear estimates of powers and shapes with weights of these powers; NaN where there is none."""
         terms = len(self.full)
         found = np.full((3, len(self.results), terms + len(free_shapes(self.full))), np.nan)
-        for row, p in itertools.product(range(len(self.results)), self.full.parameters):
-            c = self.results[row].coefficients.get(p.label)
-            if c is None or c.held or not np.isfinite(c.std):
+        for (row, result), p in itertools.product(enumerate(self.results), self.full.parameters):
+            c = result.coefficients.get(p.label)
+            if c is None or c.held:
                 continue
             if p.parameter.is_amplitude:
-                low, ends = (c.interval[0], 2.0) if c.detected else (c.value, 1.0)
-                std = (c.interval[1] ** 2 - low**2) / (ends * TWO_SIDED_95)
-                found[:, row, self.places[p.label]] = c.value**2, std**2, 0.0
+                found[:, row, self.places[p.label]] = c.value**2, c.power_std**2, 0.0
             elif c.detected:
                 distance = c.value - p.parameter.lower
                 found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
         for rows, _, at in self.groups:
-            p, fitted = power[rows], np.broadcast_to(active & free_powers(self.full), power[rows].shape)
+            p, fitted = power[rows], np.broadcast_to(self.active & free_powers(self.full), power[rows].shape)
             estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
             X, weighed, covariance, step = at.linearized(p, estimated)
             sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
-            # As in `Hypotheses.scores`.
-            third = 2.0 * np.sum((weighed @ covariance) * (X @ covariance) ** 2, axis=1)
-            third[:, :terms] = np.minimum(third[:, :terms], 2.0 * sd[:, :terms] ** 4 / np.maximum(p, 1e-300))
+            # Shapes, whose estimates may be negative, count as without power.
+            around = np.pad(p, ((0, 0), (0, sd.shape[1] - terms)))
+            skewness = skewness_of(X @ covariance, weighed @ covariance, sd, around)
             wider = np.array([[self.results[row].widening] for row in rows])
-            found[:, rows] = step, (sd * wider) ** 2, np.maximum(third, 0.0) / sd**3
-            found[0, rows, :terms] += p
-        return _Forms(*found)
+            found[:, rows] = step + around, (sd * wider) ** 2, np.maximum(skewness, 0.0)
+        return found
 
-    def settled(self, active: _Flags) -> tuple[_Forms, _Terms]:
+    def settled(self) -> tuple[_Forms, _Terms]:
         """Estimates and powers drawn towards the common ones, after a few rounds."""
         power = np.zeros((len(self.results), len(self.full)))
         for rows, _, at in self.groups:
-            power[rows] = np.where(active, at.power, 0.0)
+            power[rows] = np.where(self.active, at.power, 0.0)
         for _ in range(_ROUNDS):
-            forms = self.forms(active, power)
-            for k in np.flatnonzero(active):
-                known = np.isfinite(forms.variance[:, k])
-                v, s = forms.value[known, k], np.sqrt(forms.variance[known, k])
+            forms = self.forms(power)
+            for k in np.flatnonzero(self.active):
+                known = np.isfinite(forms[1, :, k])
+                v, s = forms[0, known, k], np.sqrt(forms[1, known, k])
                 if known.sum() > 1:
                     laws = Laws(v, s)
                     mean = float(laws.fitted(v, tau := laws.scatter())[0])
@@ -248,59 +232,63 @@ class _Records:
                 power[known, k] = np.maximum(v, 0.0)
         return forms, power
 
-    def log_bayes_factor(self, active: _Flags, k: int) -> float:
-        """ln of the Bayes factor of another term whose power is the same in all recordings.
+    def log_bayes_factor(self, k: int) -> float:
+        """ln of the Bayes factor of a term whose power is the same in all recordings, beside the other terms.
 
         The likelihood is normal about the common power, with the weights of a model without the term; the
         prior is that of `evidence`.
         """
-        _, power = self.settled(active)
-        forms = self.forms(active | (np.arange(len(active)) == k), power)
-        known = np.isfinite(forms.variance[:, k])
-        weight = 1.0 / forms.variance[known, k]
-        v, sd = weight @ forms.value[known, k] / weight.sum(), weight.sum() ** -0.5
+        alone = np.arange(len(self.full)) == k
+        _, power = self.with_terms(self.active & ~alone).settled()
+        value, variance, _ = self.with_terms(self.active | alone).forms(power)[:, :, k]
+        known = np.isfinite(variance)
+        weight = 1.0 / variance[known]
+        v, sd = weight @ value[known] / weight.sum(), weight.sum() ** -0.5
         low, high = np.sqrt(max(v - 8.0 * sd, 0.0)), np.sqrt(max(v, 0.0) + 8.0 * sd)
         ends = np.array([[low]]), np.array([[high]]), np.array([[np.sqrt(sd)]])
         return float(over_prior(lambda c: (v**2 - (c**2 - v) ** 2) / (2.0 * sd**2), *ends)[0])
 
-    def coefficients(
-        self, axis: Axis, active: _Flags, found: Mapping[str, float]
-    ) -> dict[str, JointCoefficient]:
+    def found_jointly(self) -> dict[str, float]:
+        """Active terms that no recording detects, but all together do, with ln of their Bayes factors."""
+        found = dict[str, float]()
+        for p in self.full.parameters if self.active.sum() > 1 else ():
+            own = [r.coefficients[p.label] for r in self.results if p.label in r.coefficients]
+            unseen = p.parameter.is_amplitude and not any(c.detected for c in own)
+            if self.active[p.term] and unseen and (gain := self.log_bayes_factor(p.term)) > np.log(_ODDS):
+                found[p.term_label] = gain
+        return found
+
+    def coefficients(self, found: Mapping[str, float]) -> dict[str, JointCoefficient]:
         """The coefficients of the active terms, with what is common to all recordings."""
-        (forms, power), template, result = self.settled(active), _only(self.full, active), {}
-        own = self._own_estimates(template, axis)
+        template, axis, result = _only(self.full, self.active), self.results[0].axis, {}
+        (forms, power), own = self.settled(), self._own_estimates(template)
         for p in (p for p in reported(template) if p.free):
             k = self.places[p.label]
-            records = {
-                r: own[r][p.label]
-                for r in range(len(self.names))
-                if np.isfinite(forms.variance[r, k]) and p.label in own[r]
-            }
-            if len(records) < 2:
+            rows = [r for r, of in enumerate(own) if p.label in of and np.isfinite(forms[1, r, k])]
+            if len(rows) < 2:
                 continue
-            value, variance, skewness = (x[list(records), k] for x in forms)
+            records = {self.names[r]: own[r][p.label] for r in rows}
+            value, variance, skewness = forms[:, rows, k]
             sd, scale = np.sqrt(variance), "logarithm"
             if not p.parameter.is_amplitude:
-                value = np.log([c.value - p.parameter.lower for c in records.values()])
-                skewness = np.zeros(len(value))
+                value, skewness = np.log([c.value - p.parameter.lower for c in records.values()]), 0.0
             else:
                 # The error at the power drawn to the common one: that at its own depends on what it weighs.
-                at = np.maximum(power[list(records), k], 1e-300)
+                at = np.maximum(power[rows, k], 1e-300)
                 if np.all(value > 0.0) and np.all(sd < 2.0 * _PRECISE * at):
-                    sd, skewness = sd / (2.0 * at), np.zeros(len(value))
+                    sd, skewness = sd / (2.0 * at), 0.0
                     # The logarithm of an unbiased square is low by half its relative variance.
                     value = 0.5 * np.log(value) + sd**2
                 else:
                     scale = "square"
-            named = {self.names[r]: c for r, c in records.items()}
-            effects = random_effects(value, sd, list(named), skewness=skewness)
+            effects = random_effects(value, sd, list(records), skewness=skewness)
             gain = found.get(p.term_label) if p.parameter.is_amplitude else None
-            seen = gain is not None or any(c.detected for c in named.values())
+            seen = gain is not None or any(c.detected for c in records.values())
             common, scatter = _common(p, axis, effects, scale == "square", seen, gain)
-            result[p.label] = JointCoefficient(common, named, scatter, effects, scale)
+            result[p.label] = JointCoefficient(common, records, scatter, effects, scale)
         return result
 
-    def _own_estimates(self, template: Model, axis: Axis) -> list[dict[str, Estimate]]:
+    def _own_estimates(self, template: Model) -> list[dict[str, Estimate]]:
         """Each recording's estimates of the joint model's coefficients by label."""
         own: list[dict[str, Estimate]] = [dict(r.coefficients) for r in self.results]
         for rows, curve, _ in self.groups:
@@ -311,7 +299,8 @@ class _Records:
                 for k, p in enumerate(reported(template)):
                     value, std, low, high, limit = numbers[:, place, k].tolist()
                     ends = [low, high, max(value - std, p.parameter.lower), value + std, limit]
-                    c = estimate_of(p, axis, value, std, ends, bool(bulk.detected[place, k]))
+                    seen = bool(bulk.detected[place, k])
+                    c = estimate_of(p, self.results[0].axis, value, std, ends, seen)
                     if np.isfinite(value):
                         own[row][p.label] = c.widened(self.results[row].widening)
         return own
@@ -333,12 +322,8 @@ def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses
     for k, p in enumerate(free_shapes(full)):
         u = np.log(values[p.label] - p.parameter.lower)
         # Where no recording has the term, any shape will do.
-        usual = (
-            np.median(u[np.isfinite(u)])
-            if np.isfinite(u).any()
-            else 0.5 * np.log(curve.n) - np.log(curve.rate)
-        )
-        shape[:, k] = np.where(np.isfinite(u), u, usual)
+        known = u[np.isfinite(u)] if np.isfinite(u).any() else 0.5 * np.log(curve.n) - np.log(curve.rate)
+        shape[:, k] = np.where(np.isfinite(u), u, np.median(known))
     tangent = AllanDesign.of(full, curve).tangent(shape)
     error = 2.0 * np.nan_to_num(first.discrepancy)
     none = np.zeros(power.shape, bool)

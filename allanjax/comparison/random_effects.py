@@ -136,6 +136,12 @@ class Laws:
             return float(upper_tail(q, self.dof))
         return float((1 + np.sum(self.fitted(self.simulated(0.0), 0.0)[2] >= q)) / (1 + _DRAWS))
 
+    def q_quantile(self, p: float, tau: float) -> float:
+        """Quantile of Q if this is the true scatter."""
+        if self.normal:
+            return float(quantile(p, self.dof))
+        return float(np.quantile(self.fitted(self.simulated(tau), tau)[2], p))
+
     def t_quantiles(self, p: Sequence[float], tau: float) -> Float[np.ndarray, " p"]:
         """Quantiles of the mean's distance from the common value, in its standard errors."""
         if self.normal:
@@ -147,23 +153,18 @@ class Laws:
 
     def scatter(self, p: float | None = None) -> float:
         """The τ at which Q is at its quantile, or at its mean k − 1; zero if Q is below it at zero."""
-        fixed = self.dof if p is None else float(quantile(p, self.dof))
+        from scipy.optimize import brentq
 
-        def beyond(tau: float) -> bool:
-            least: Any = fixed
-            if p is not None and not self.normal:
-                least = np.quantile(self.fitted(self.simulated(tau), tau)[2], p)
-            return bool(self.fitted(self.x, tau)[2] > least)
+        def excess(tau: float) -> float:
+            usual = self.dof if p is None else self.q_quantile(p, tau)
+            return float(np.log(self.fitted(self.x, tau)[2] / usual))
 
-        low, high = 0.0, float(np.ptp(self.x))
-        if not high or not beyond(low):
+        high = float(np.ptp(self.x))
+        if not excess(0.0) > 0.0:
             return 0.0
-        while beyond(high):
+        while excess(high) > 0.0:
             high *= 2.0
-        for _ in range(50):
-            middle = (low + high) / 2.0
-            low, high = (middle, high) if beyond(middle) else (low, middle)
-        return high
+        return float(brentq(excess, 0.0, high, xtol=1e-12 * high))
 
     def scatter_limit(self, p: float) -> float:
         """The τ at which Q is at a low quantile; if it is lower at zero, the τ of values without errors."""

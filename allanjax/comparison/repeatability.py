@@ -19,6 +19,7 @@ from allanjax.estimate.as_json import in_json
 from allanjax.estimate.selection import AxisSelection
 from allanjax.noise.estimate import Estimate, called, title_of
 from allanjax.record.recording import Axis
+from allanjax.record.units import convert
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,19 +65,17 @@ class JointCoefficient(ByValue):
 
     def column(self, names: Sequence[str]) -> Column:
         """Column of the printed table: the recordings of these names, and the statistics below them."""
-        common, e, relative = self.common.in_unit(), self.effects, self.relative_scatter
-        std = dataclasses.replace(self.common, value=self.sample_std).in_unit().value
-        percents = [significant(100.0 * x / self.common.value, 2) for x in self.scatter.interval if x > 0.0]
-        spread = f"{significant(100.0 * relative, 2)} %"
-        spread = f"{spread} ({' … '.join(percents)})" if self.scatter.detected else f"< {spread}"
-        size = self.scatter.in_unit()
+        common, scatter, e = self.common.in_unit(), self.scatter.in_unit(), self.effects
+        spread = f"{significant(100.0 * self.relative_scatter, 2)} %"
+        ends = (significant(100.0 * x / common.value, 2) for x in scatter.interval if scatter.detected)
+        spread = f"{spread} ({' … '.join(ends)})" if scatter.detected else f"< {spread}"
         cells = [
             *(self.records[name].in_unit().number if name in self.records else None for name in names),
             common.number,
             *map(Number, common.interval),
-            Number(size.value) if size.detected else size.number,
-            spread if np.isfinite(relative) else "",
-            Number(std),
+            Number(scatter.value) if scatter.detected else scatter.number,
+            spread if np.isfinite(self.relative_scatter) else "",
+            Number(convert(self.sample_std, self.common.unit, common.unit)),
             format_p_value(e.p_value),
             f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "",
         ]
@@ -134,13 +133,15 @@ class AxisJoint(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The axis in types of JSON, as `JointFit.to_dict`."""
-        found = {
-            label: {**vars(c), "sample_std_si": c.sample_std, "effects": vars(c.effects)}
-            for label, c in self.coefficients.items()
+        more = {
+            "log_bayes_factors": self.found_jointly,
+            "rivals": self.rivals,
+            "selection": () if self.selection is None else self.selection.ranking,
+            "coefficients": {
+                label: {**vars(c), "sample_std_si": c.sample_std, "effects": vars(c.effects)}
+                for label, c in self.coefficients.items()
+            },
         }
-        ranking = () if self.selection is None else self.selection.ranking
-        more: dict[str, Any] = {"log_bayes_factors": self.found_jointly, "rivals": self.rivals}
-        more |= {"selection": ranking, "coefficients": found}
         return {**in_json(self.axis), **in_json(more)}
 
 
@@ -169,9 +170,12 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
 
     def to_dict(self) -> dict[str, Any]:
         """The result in types of JSON; numbers that do not exist are None."""
-        axes = [axis.to_dict() for axis in self.results]
-        more = {"names": list(self.names), "axes": axes, "notes": list(self.notes)}
-        return {"schema_version": SCHEMA_VERSION, **more}
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "names": list(self.names),
+            "axes": [axis.to_dict() for axis in self.results],
+            "notes": list(self.notes),
+        }
 
     def _title(self) -> str:
         return f"joint fit of {len(self.names)} recordings"

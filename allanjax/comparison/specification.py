@@ -16,18 +16,19 @@ from jaxtyping import Float
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, format_with_error, percent, significant
+from allanjax.base.wording import duration, percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.check import length_for, random_terms, trial_lengths
 from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.tables import detail
 from allanjax.noise.datasheet import LEAST, Figures
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.notation import term_classes
-from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, si_unit, unit_scale
+from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
 
 SCHEMA_VERSION = 1
 Verdict = Literal["pass", "fail", "undecided", "typical"]
@@ -135,8 +136,6 @@ class LimitCheck(ByValue):
         probability: least and greatest probability that the true value is below the limit. They are equal for
             an estimate with an interval; of what is not detected, or still falls at the end of the record,
             the greatest is 1, or that of the models extrapolated.
-        verdict: "pass" if the least is 95 % or more, "fail" if the greatest is 5 % or less, else "undecided";
-            "typical" for a typical value, which is no limit for one unit.
         seconds: length of record [s] that would decide if the estimate stays, infinite if that is more than a
             month; None if it is unknown.
         reason: why it is undecided, or how far the estimate is from a typical value, in words.
@@ -146,9 +145,19 @@ class LimitCheck(ByValue):
     limit: Limit
     estimate: Estimate | None = None
     probability: tuple[float, float] = (math.nan, math.nan)
-    verdict: Verdict = "undecided"
     seconds: float | None = None
     reason: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """ "pass" if the least probability is 95 % or more, "fail" if the greatest is 5 % or less.
+
+        Else it is "undecided"; "typical" for a typical value, which is no limit for one unit.
+        """
+        if self.limit.meaning == "typical" and self.estimate is not None and not self.estimate.held:
+            return "typical"
+        least, greatest = self.probability
+        return "pass" if least >= MET else "fail" if greatest <= MISSED else "undecided"
 
     @property
     def ratio(self) -> float:
@@ -160,36 +169,35 @@ class LimitCheck(ByValue):
     def score(self) -> float:
         """How many standard errors of its logarithm the estimate is above the limit; nan as for `ratio`."""
         c = self.estimate
-        return -_score(c, self.limit.value) if c is not None and c.detected else math.nan
+        return -c.score(self.limit.value) if c is not None and c.detected else math.nan
 
     def row(self) -> tuple[str, ...]:
         """The row of the printed table."""
         limit, (low, high) = self.limit, self.probability
-        shown = ""
-        if self.estimate is not None and (number := self.estimate.in_unit(limit.unit).number):
-            known = number.error > 0.0
-            value = format_with_error(number.value, number.error) if known else significant(number.value)
-            shown = f"{number.before}{value}"
+        shown = "" if self.estimate is None else detail(self.estimate, limit.unit)[2]
         size = significant(limit.value / unit_scale(limit.unit))
         least, most = (percent(round(p, 3), 3) if p >= 0.0 else "" for p in (low, high))
         chances = least if not least or least == most else f"{least} … {most}" if high < 1.0 else f"≥ {least}"
-        return self.axis, limit.title, shown, f"{limit.meaning[:3]} {size}", limit.unit, chances, self.verdict
+        cells = shown.removesuffix(f" {limit.unit}"), f"{limit.meaning[:3]} {size}", limit.unit, chances
+        return self.axis, limit.title, *cells, self.verdict
 
     def to_dict(self) -> dict[str, Any]:
         """The check as plain dictionaries; None for what there is not."""
-        return {
+        limit = self.limit
+        told = {
             "axis": self.axis,
-            **{key: getattr(self.limit, key) for key in ("figure", "label", "meaning", "unit")},
-            "limit": self.limit.value / unit_scale(self.limit.unit),
-            "limit_si": self.limit.value,
+            **{key: getattr(limit, key) for key in ("figure", "label", "meaning", "unit")},
+            "limit": limit.value / unit_scale(limit.unit),
+            "limit_si": limit.value,
             "estimate": self.estimate and in_both_units(self.estimate),
-            "ratio": in_json(self.ratio),
-            "standard_errors_above": in_json(self.score),
-            "probability": in_json(self.probability),
+            "ratio": self.ratio,
+            "standard_errors_above": self.score,
+            "probability": self.probability,
             "verdict": self.verdict,
-            "needed_s": in_json(self.seconds),
+            "needed_s": self.seconds,
             "reason": self.reason,
         }
+        return {key: in_json(value) for key, value in told.items()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -293,57 +301,31 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
     of = fit[name]
     if not of.measured:
         return LimitCheck(name, limit, reason=of.verdict)
+    c = floor = of.coefficients.get(limit.label)
     if limit.label == LEAST:
         c, floor = least_deviation(fit, of)
-    elif limit.label in of.coefficients:
-        c = floor = of.coefficients[limit.label]
-    else:
+    if c is None or floor is None:
         return LimitCheck(name, limit, reason="this term was not fitted; fit it with terms= (--terms)")
     if c.held:
         return LimitCheck(name, limit, c, reason="the value was given and not estimated")
-    chance = _probability(c, limit.value), _probability(floor, limit.value) if floor.detected else 1.0
-    found = LimitCheck(name, limit, c, chance)
-    if limit.meaning == "typical":
-        far = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
-        return dataclasses.replace(found, verdict="typical", reason=far if c.detected else "")
-    if chance[0] >= MET or chance[1] <= MISSED:
-        return dataclasses.replace(found, verdict="pass" if chance[0] >= MET else "fail")
-    if c is not floor:
-        return dataclasses.replace(found, reason="the Allan deviation still falls at the end: record longer")
-    seconds = _length(fit, of, limit, c)
-    reason = "record longer; how much is unknown for this model"
-    if seconds == math.inf:
-        reason = "not even a month would decide if the estimate stays"
-    elif seconds is not None:
-        reason = f"a record of {duration(seconds)} would decide if the estimate stays"
+    greatest = floor.probability_below(limit.value) if floor.detected else 1.0
+    found, seconds, reason = (
+        LimitCheck(name, limit, c, (c.probability_below(limit.value), greatest)),
+        None,
+        "",
+    )
+    if found.verdict == "typical" and c.detected:
+        reason = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
+    elif found.verdict == "undecided" and c is not floor:
+        reason = "the Allan deviation still falls at the end: record longer"
+    elif found.verdict == "undecided":
+        seconds = _length(fit, of, limit, c)
+        reason = "record longer; how much is unknown for this model"
+        if seconds == math.inf:
+            reason = "not even a month would decide if the estimate stays"
+        elif seconds is not None:
+            reason = f"a record of {duration(seconds)} would decide if the estimate stays"
     return dataclasses.replace(found, seconds=seconds, reason=reason)
-
-
-def _score(c: Estimate, limit: float) -> float:
-    """How many standard errors a limit is above an estimate, in ln, by the end of the interval on its side.
-
-    For an undetected amplitude it is that of the powers, by the upper limit.
-    """
-    if not c.detected:
-        return (limit**2 - c.value**2) / _power_std(c)
-    end, far = c.interval[int(limit > c.value)], math.log(limit / c.value)
-    spread = abs(math.log(end / c.value)) / TWO_SIDED_95 if end > 0.0 else c.std / c.value
-    return far / max(spread, 1e-12)
-
-
-def _probability(c: Estimate, limit: float) -> float:
-    """Probability that the true value is below a limit; nan if an undetected one has no limit of its own."""
-    from scipy.special import ndtr
-
-    return float(ndtr(_score(c, limit))) if c.detected or _power_std(c) < math.inf else math.nan
-
-
-def _power_std(c: Estimate) -> float:
-    """Standard deviation of the square of an amplitude; infinite for one without a limit."""
-    if c.detected:
-        return 2.0 * c.value * c.std
-    most = math.inf if c.upper_limit is None else c.upper_limit
-    return (most**2 - c.value**2) / ONE_SIDED_95
 
 
 def _curve(fit: Fit, model: Model) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
@@ -374,7 +356,6 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
             std=(high_68 - low_68) / 2.0,
             interval=(low, high),
             interval_68=(low_68, high_68),
-            unit=si_unit(unit),
             usual_unit=unit,
             upper_limit=None if detected else most,
             detected=detected,
@@ -387,22 +368,17 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
 
 def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
     """Length of record [s] that would decide, infinite beyond a month; None if unknown for these terms."""
-    terms = random_terms()
-    names = [term.name() for term in terms]
-    known = limit.label in (*names, LEAST) and set(of.model.term_labels) <= set(names)
-    if not known or of.incomplete or of.further:
+    terms = {term.name(): term for term in random_terms()}
+    basic = limit.label in (*terms, LEAST) and terms.keys() >= set(of.model.term_labels)
+    if not basic or of.incomplete or of.further or not c.power_std < math.inf:
         return None
-    gradient = np.array([name == limit.label for name in names], float)
+    rate, gradient = fit.curve.rate, [float(name == limit.label) for name in terms]
     if limit.label == LEAST:
         time, fitted = _curve(fit, of.model)
-        at = time[np.argmin(fitted[:_TIMES])]
-        unit = [term.sampled(fit.curve.rate).with_unit_amplitude().allan_variance(at) for term in terms]
-        gradient = np.array(unit, float)
+        at, units = time[np.argmin(fitted[:_TIMES])], (term.sampled(rate) for term in terms.values())
+        gradient = [float(unit.with_unit_amplitude().allan_variance(at)) for unit in units]
     values = {label: x.value for label, x in of.coefficients.items() if x.detected}
-    power = np.array([values.get(name, 0.0) ** 2 for name in names])
-    std = _power_std(c)
-    if not std < math.inf:
-        return None
-    target = std * abs(_score(c, limit.value)) / ONE_SIDED_95
-    trials = list(trial_lengths(terms, fit.curve.rate, fit.curve.n))
-    return length_for(target, std, gradient, power, trials) or math.inf
+    power = np.array([values.get(name, 0.0) ** 2 for name in terms])
+    target = c.power_std * abs(c.score(limit.value)) / ONE_SIDED_95
+    trials = list(trial_lengths(list(terms.values()), rate, fit.curve.n))
+    return length_for(target, c.power_std, np.array(gradient), power, trials) or math.inf

@@ -209,6 +209,19 @@ def load(path: str | os.PathLike[str], terms: Sequence[type[NoiseTerm]] = ()) ->
         raise AllanjaxError(f"{path}: not a fit written by allanjax, or damaged: {error!r}") from error
 
 
+def load_one(path: str | os.PathLike[str]) -> Fit:
+    """The fit in a file; AllanjaxError if there is none, or more than one."""
+    fits = load(path)
+    if not isinstance(fits, dict):
+        return fits
+    if len(fits) != 1:
+        raise AllanjaxError(
+            f"{path}: contains {len(fits)} fits ({', '.join(fits)}); run allanjax characterize without "
+            "--json and give one NAME.json"
+        )
+    return next(iter(fits.values()))
+
+
 def document_in(path: str | os.PathLike[str], wanted: str) -> Any:
     """What a JSON file holds; AllanjaxError that asks for what is wanted if there is no such file."""
     try:

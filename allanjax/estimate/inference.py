@@ -114,14 +114,9 @@ class Hypotheses(NamedTuple):
         """
         X, weighed, covariance, step = self.linearized(power, estimated)
         axis = np.arange(len(term))
-        row, variance = covariance[axis, term][:, :, None], covariance[axis, term, term]
-        # Third cumulant of Σ x_j V_j/μ_j: 8 tr(...)³ of quadratic forms, the triple products replaced by
-        # pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij); exact for a single estimate (χ²).
-        third = 2.0 * np.sum((weighed @ row) * (X @ row) ** 2, axis=(1, 2))
-        # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
-        most = 2.0 * np.sqrt(variance) / np.maximum(power[axis, term], 1e-300)
-        t, skewness = step[axis, term] / np.sqrt(variance), np.minimum(third / variance**1.5, most)
-        g = np.where(np.abs(skewness) > 1e-3, skewness, 1e-3)
+        row, std = covariance[axis, term][:, :, None], np.sqrt(covariance[axis, term, term])
+        skewness = skewness_of(X @ row, weighed @ row, std[:, None], power[axis, term][:, None])[:, 0]
+        t, g = step[axis, term] / std, np.where(np.abs(skewness) > 1e-3, skewness, 1e-3)
         return np.sign(g) * cube_root_score(np.maximum(1.0 + g * t / 2.0, 0.0), g**2 / 4.0)
 
     def profiled(self, power: _Terms, allowed: _Flags) -> _Terms:
@@ -198,6 +193,22 @@ class Hypotheses(NamedTuple):
         least = least + self.error[:, None] * ndtri(chance)
         highest = np.where(means > 0.0, self.V[:, None] / means, np.inf) * np.exp(-least)[:, None]
         return np.min(highest, axis=2)
+
+
+def skewness_of(
+    X: Float[np.ndarray, "axes m k"],
+    weighed: Float[np.ndarray, "axes m k"],
+    std: Float[np.ndarray, "axes k"],
+    power: Float[np.ndarray, "axes k"],
+) -> Float[np.ndarray, "axes k"]:
+    """Skewness of linear estimates, given X and C⁻¹X times their columns of the covariance, and their powers.
+
+    The third cumulant of Σ x_j V_j/μ_j is 8 tr(...)³ of quadratic forms. The triple products are replaced by
+    pairs, κ_ijk = ⅔(R_ij R_jk + R_jk R_ki + R_ki R_ij), which is exact for a single estimate (χ²).
+    """
+    third = 2.0 * np.sum(weighed * X**2, axis=1)
+    # An estimate that cannot be negative is not more skewed than a χ² of its mean and variance.
+    return np.minimum(third / std**3, 2.0 * std / np.maximum(power, 1e-300))
 
 
 def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -12,7 +13,7 @@ import numpy as np
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
-from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, columns_from, printable
 from allanjax.base.wording import format_interval, format_with_error, plain, significant
 from allanjax.noise.terms import Parameter
@@ -121,6 +122,47 @@ class Estimate(ByValue):
     def is_amplitude(self) -> bool:
         """Whether the estimate is a term's amplitude, not its shape or a derived quantity."""
         return self.kind == "amplitude"
+
+    @property
+    def log_errors(self) -> tuple[float, float]:
+        """Standard deviations of a detected amplitude's logarithm, from the lower and the upper end of 95 %.
+
+        They are zero for a value that was given.
+        """
+        low, high = self.interval
+        if self.held or not low < high:
+            return 0.0, 0.0
+        below = math.log(self.value / low) / TWO_SIDED_95 if low > 0.0 else self.std / self.value
+        return below, math.log(high / self.value) / TWO_SIDED_95
+
+    @property
+    def log_std(self) -> float:
+        """Standard deviation of a detected amplitude's logarithm, the mean of both sides."""
+        return sum(self.log_errors) / 2.0
+
+    @property
+    def power_std(self) -> float:
+        """Standard deviation of an amplitude's square; by the limit, or infinite, if it is not detected."""
+        if self.detected:
+            return 2.0 * self.value * self.std
+        most = math.inf if self.upper_limit is None else self.upper_limit
+        return (most**2 - self.value**2) / ONE_SIDED_95
+
+    def score(self, limit: float) -> float:
+        """How many standard errors an amplitude is below a limit in its own unit.
+
+        They are those of the logarithm on the side of the limit; of the square if it is not detected.
+        """
+        if not self.detected:
+            return (limit**2 - self.value**2) / self.power_std
+        return math.log(limit / self.value) / max(self.log_errors[limit > self.value], 1e-12)
+
+    def probability_below(self, limit: float) -> float:
+        """Probability that the true amplitude is below a limit; nan if nothing is known of it."""
+        from scipy.special import ndtr
+
+        known = self.detected or self.power_std < math.inf
+        return float(ndtr(self.score(limit))) if known else math.nan
 
     def in_unit(self, unit: str | None = None) -> Estimate:
         """A copy of the estimate in this unit, by default its `usual_unit`.

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 _COMMON, _ODD = draw.COLOURS[0], draw.COLOURS[3]
 # Inches for each recording, and for the letters of its name; most letters of a name, its end.
 _ROW, _LETTER, _LETTERS = 0.19, 0.075, 24
-# Most that the scale reaches beyond the values and the common interval, as a share of their range.
-_BEYOND = 1.0
 
 
 def plot_joint(
@@ -52,15 +50,12 @@ def plot_joint(
         figure, rows = sheet.draw(heading, [len(axis.coefficients) for axis in results], path)
         for axis, panels in zip(results, rows, strict=True):
             for k, (c, panel) in enumerate(zip(axis.coefficients.values(), panels, strict=True)):
-                draw.dress(panel, axis.axis.name, x=_label(c))
+                unit = "" if c.common.usual_unit == "1" else f" [{c.common.usual_unit}]"
+                draw.dress(panel, axis.axis.name, x=f"{c.common.title}{unit}")
                 panel.set_ylim(len(names) - 0.3, -0.7)
                 panel.set_yticks(range(len(names)), [] if k else [draw.literal(name) for name in names])
                 _draw(panel, c, joint.names)
         return draw.saved(figure, path)
-
-
-def _label(c: JointCoefficient) -> str:
-    return c.common.title if c.common.usual_unit == "1" else f"{c.common.title} [{c.common.usual_unit}]"
 
 
 def _draw(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
@@ -85,11 +80,8 @@ def _draw(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
             panel.plot(x.upper_limit, y, "v", color=draw.ink(0.6), mfc="none", markersize=4.0)
         shown += x.interval if x.detected else (x.upper_limit or x.value,)
     low, high = np.nanmin(shown), np.nanmax(shown)
-    values = [x.in_unit().value for x in c.records.values()]
-    spread = max(np.ptp(values), 4.0 * common.std) or high - low
     margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
-    low, high = (
-        max(low, min(values) - _BEYOND * spread - margin),
-        min(high, max(values) + _BEYOND * spread + margin),
-    )
-    panel.set_xlim(low - margin, high + margin)
+    values = [x.in_unit().value for x in c.records.values()]
+    # Wider intervals leave the panel.
+    reach = margin + (max(np.ptp(values), 4.0 * common.std) or high - low)
+    panel.set_xlim(max(low, min(values) - reach) - margin, min(high, max(values) + reach) + margin)
