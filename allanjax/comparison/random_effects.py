@@ -104,7 +104,7 @@ class Laws:
     def __init__(self, x: _Values, s: _Values, skewness: _Values | None = None) -> None:
         self.x, self.s, self.dof = x, s, len(x) - 1
         # Without errors Q is infinite at zero.
-        self.least = 0.0 if s.all() else 1e-9 * float(np.ptp(x)) or 1e-300
+        self.least = 0.0 if s.all() else 1e-9 * float(np.ptp(x) or abs(x).max() or 1.0)
         self.skewness = np.zeros(len(x)) if skewness is None else skewness
         self.normal = not np.any(abs(self.skewness) > _SKEWED)
 

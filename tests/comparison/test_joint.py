@@ -187,3 +187,8 @@ def test_what_cannot_be_compared_is_refused(days):
     refuses("names", aj.joint_fit, days[:2], "N", names=["a"])
     refuses("model=", aj.joint_fit, [aj.fit(d, "N + B") for d in days[:2]])
     refuses("no common coefficient", aj.joint_fit(days[:2], "N + B")["gyro_x"].__getitem__, "K")
+
+
+def test_equal_values_without_errors_have_a_common_value_and_no_scatter():
+    found = aj.random_effects([2.0, 2.0, 2.0])
+    assert (found.common, found.scatter) == (2.0, pytest.approx(0.0, abs=1e-6))
