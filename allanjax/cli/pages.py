@@ -27,13 +27,12 @@ def write_page(file: Input, folder: Path, *shown: Any) -> Path:
 
 def origin(file: Input) -> dict[str, str]:
     """What a page states about its origin: the command, and the file with its size and hash."""
-    with file.path.open("rb") as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest() if file.path.is_file() else "a folder"
-    return {
-        "command": shlex.join(["allanjax", *sys.argv[1:]]),
-        "file": f"{file.label}, {file.path.stat().st_size:,} bytes",
-        "SHA-256": digest,
-    }
+    known = {"command": shlex.join(["allanjax", *sys.argv[1:]]), "file": file.label}
+    if file.path.is_file():
+        with file.path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        known |= {"size": f"{file.path.stat().st_size:,} bytes", "SHA-256": digest}
+    return known
 
 
 def fleet_page(result: "FleetResult", out: Path) -> list[Path]:

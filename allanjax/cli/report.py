@@ -46,6 +46,8 @@ def report(
     intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
     The page needs no network, and prints to PDF.
     """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")
     prepare(out.parent)
     errors: list[dict[str, str]] = []
     parts: list[Reported] = []

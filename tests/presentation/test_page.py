@@ -338,6 +338,7 @@ def test_the_command_writes_one_page_for_several_files_with_their_hashes(tmp_pat
     assert run("characterize", "a.csv", "--html", "--out", "r").exit_code == 0
     assert (tmp_path / "r" / "a.html").read_text(encoding="utf-8").count("<h2>") >= 6
     assert run("report", "r/a.json", "--out", "saved.html").exit_code == 0
+    assert run("report", "a.csv", "--out", "page.pdf").exit_code == 2
     missing = run("report", "none.csv", "--out", "n.html")
     assert missing.exit_code == 1
     assert "none.csv" in missing.stderr
