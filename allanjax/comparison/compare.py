@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
 # Short names of quantities without a symbol.
 _SHORT = {LEAST: "min σ"}
+_GRADES = ("grade of", "sensor", "by random walk", "by drift")
 # Nodes of the mean over a normal law.
 _NODES = 40
 
@@ -263,6 +264,7 @@ class Comparison(ByValue, Tabled):
             "reference": self.labels[self.reference],
             "coefficients": records,
             "horizons_s": list(HORIZONS),
+            "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
             "growth": growths,
         }
 
@@ -278,7 +280,7 @@ class Comparison(ByValue, Tabled):
         heads = ("axis", "of", "sensor", "value", "ratio", "95 %", "p", "differs")
         cells = [cell for row in self.rows for cell in row.cells(self.labels)]
         times = [f"after {duration(t)}" for t in HORIZONS]
-        tables = [columns_from(heads, cells), self._identified(), self._graded()]
+        tables = [columns_from(heads, cells), self._identified(), columns_from(_GRADES, self.grades)]
         for title, growths in (("drift", self.drifts), ("error", self.growths)):
             if growths:
                 rows = [(g.name, self.labels[g.sensor], *map(_shown, [g.name] * 3, *g[2:])) for g in growths]
@@ -298,18 +300,21 @@ class Comparison(ByValue, Tabled):
         heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
         return columns_from(("terms of", "sensor", *heads), cells)
 
-    def _graded(self) -> list[Column]:
-        """Grade of each sensor by its random walk and its least Allan deviation."""
-        cells = []
+    @property
+    def grades(self) -> list[tuple[str, str, str, str]]:
+        """Sensor, what it is called, and its grades by random walk and by least Allan deviation."""
+        found = []
         for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            found = [self._grade(kind, k, label) for label in (AngleRandomWalk.name(), LEAST)]
-            if any(found):
-                cells.append((kind, name, *found))
-        return columns_from(("grade of", "sensor", "by random walk", "by drift"), cells)
+            of = {label: self._of_sensor(kind, k, label) for label in (AngleRandomWalk.name(), LEAST)}
+            graded = [grade(estimates, kind, label) for label, estimates in of.items()]
+            if any(graded):
+                found.append((str(kind), name, *graded))
+        return found  # type: ignore[return-value]
 
-    def _grade(self, kind: Sensor, k: int, label: str) -> str:
+    def _of_sensor(self, kind: Sensor, k: int, label: str) -> list[Estimate]:
+        """A coefficient of a sensor on all axes of a kind."""
         of_axes = (row.estimates[k] for row in self.rows if (row.sensor, row.label) == (kind, label))
-        return grade([c for c in of_axes if c is not None], kind, label)
+        return [c for c in of_axes if c is not None]
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
