@@ -14,11 +14,12 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
-from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
-from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, sensors_of
+from allanjax.base.wording import duration, format_range, percent, significant
+from allanjax.estimate.as_json import in_json
+from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, biases_of, in_si, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, unit_scale
+from allanjax.record.units import Sensor, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -123,17 +124,10 @@ class AxisAlignment(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries, in SI; None for undefined numbers."""
-        names = ("best", "best_time", "needed", "white_time", "out_of_reach")
-        pairs = ("best_interval", "best_time_interval", "needed_interval")
-        return {
-            "axis": self.axis.name,
-            "angle": self.angle,
-            "wanted": self.wanted,
-            "falling": self.falling,
-            **{name: finite_or_none(getattr(self, name)) for name in names},
-            **{name: [finite_or_none(x) for x in getattr(self, name)] for name in pairs},
-            "verdict": self.verdict,
-        }
+        names = ["wanted", "falling", "best", "best_time", "needed", "white_time", "out_of_reach"]
+        names += ["best_interval", "best_time_interval", "needed_interval"]
+        numbers = in_json({name: getattr(self, name) for name in names})
+        return {"axis": self.axis.name, "angle": self.angle, **numbers, "verdict": self.verdict}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -216,24 +210,20 @@ def align(
     wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
     if wanted == 0.0:
         raise AllanjaxError("the error of an azimuth cannot be zero: give a positive azimuth")
-    sensors = sensors_of(data, rate, seed)
-    earth = EARTH_RATE * math.cos(phi)
-    bias = in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")
-    force_bias = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    sensors, biases = sensors_of(data, rate, seed), biases_of(gyro_bias, accel_bias)
+    per_angle: dict[Sensor, float] = {"gyro": EARTH_RATE * math.cos(phi), "accel": gravity}
     level = [noise for noise in sensors.axes.values() if not noise.axis.name.endswith("_z")]
     if not level:
         raise AllanjaxError(f"alignment needs a level axis, x or y; there are {', '.join(sensors.axes)}")
-    results = (
-        _of_axis(noise, sensors, earth, bias, wanted)
-        if noise.axis.sensor == "gyro"
-        else _of_axis(noise, sensors, gravity, force_bias)
-        for noise in level
-    )
+    results = []
+    for noise in level:
+        s = noise.axis.sensor
+        results.append(_of_axis(noise, sensors, per_angle[s], biases[s], wanted if s == "gyro" else None))
     return Alignment(sensors.name, phi, tuple(results))
 
 
 def _of_axis(
-    noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None = None
+    noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None
 ) -> AxisAlignment:
     """Accuracy of one axis; `per_angle` is its rate for an angle of 1 rad."""
     rate, longest = sensors.rate, min(sensors.record, _LONGEST)
