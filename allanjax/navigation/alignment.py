@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -243,50 +244,44 @@ def _of_axis(
 
     error, known, above = (angle(x) for x in (drawn.total, drawn.known, drawn.upper))
     lower, upper = (angle(end) for end in sensors.ends(drawn))
-    white = drawn.mean.get(f"{noise.axis.name} angle random walk")
+
+    def found(of: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> tuple:
+        """A property of the error, and its interval by draws of the error."""
+        return float(of(error[None])[0]), _interval(of(low), of(high), sensors.estimated)
+
+    def first(errors: Float[np.ndarray, "draws t"]) -> Float[np.ndarray, " draws"]:
+        """The first times at which errors are within a per cent of the least."""
+        return time[np.argmax(errors <= 1.01 * errors.min(axis=1, keepdims=True), axis=1)]
+
+    best, best_interval = found(lambda errors: errors.min(axis=1), known, above)
+    # Terms that are only known to be below a limit make an error rise sooner.
+    best_time, best_time_interval = found(first, above, known)
     reached: dict[str, Any] = {}
     if wanted is not None:
-        low, high = (np.array([_reached(time, row, wanted) for row in rows]) for rows in (known, above))
+        needed, interval = found(lambda errors: _reached(time, errors, wanted), known, above)
+        white = drawn.mean.get(f"{noise.axis.name} angle random walk")
         reached = {
             "wanted": wanted,
-            "needed": _reached(time, error, wanted),
-            "needed_interval": _interval(low, high, sensors.estimated),
+            "needed": needed,
+            "needed_interval": interval,
             "white_time": math.nan if white is None else white[-1] * time[-1] / (wanted * per_angle) ** 2,
-            "out_of_reach": float(np.isinf(high).mean()),
+            "out_of_reach": float((above > wanted).all(axis=1).mean()),
         }
-    return AxisAlignment(
-        axis=noise.axis,
-        time=time,
-        error=error,
-        lower=lower,
-        upper=upper,
-        best=float(error.min()),
-        best_interval=_interval(known.min(axis=1), above.min(axis=1), sensors.estimated),
-        best_time=float(_nearly_best(time, error[None])[0]),
-        # Terms that are only known to be below a limit make an error rise sooner.
-        best_time_interval=_interval(_nearly_best(time, above), _nearly_best(time, known), sensors.estimated),
-        falling=bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)]),
-        **reached,
-    )
+    falling = bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)])
+    of_best = (best, best_interval, best_time, best_time_interval, falling)
+    return AxisAlignment(noise.axis, time, error, lower, upper, *of_best, **reached)
 
 
-def _nearly_best(
-    time: Float[np.ndarray, " t"], errors: Float[np.ndarray, "draws t"]
+def _reached(
+    time: Float[np.ndarray, " t"], errors: Float[np.ndarray, "draws t"], wanted: float
 ) -> Float[np.ndarray, " draws"]:
-    """The first times at which errors are within a per cent of the least."""
-    return time[np.argmax(errors <= 1.01 * errors.min(axis=1, keepdims=True), axis=1)]
-
-
-def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:
-    """First time with the requested error, by a power law between times; infinite if there is none."""
-    below = np.flatnonzero(error <= wanted)
-    if not below.size:
-        return math.inf
-    k = int(below[0])
-    if k == 0:
-        return float(time[0])
-    share = math.log(error[k - 1] / wanted) / math.log(error[k - 1] / error[k])
-    return float(time[k - 1] * (time[k] / time[k - 1]) ** share)
+    """First times with the requested error, by a power law between times; infinite if there is none."""
+    k = np.argmax(errors <= wanted, axis=1)
+    here, before = (np.take_along_axis(errors, at[:, None], axis=1)[:, 0] for at in (k, np.maximum(k - 1, 0)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(k > 0, np.log(before / wanted) / np.log(before / here), 0.0)
+    at = time[np.maximum(k - 1, 0)] * (time[k] / time[np.maximum(k - 1, 0)]) ** share
+    return np.where(here <= wanted, at, np.inf)
 
 
 def _interval(
