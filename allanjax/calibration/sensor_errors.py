@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -58,16 +58,8 @@ _GROWTH = 2.0
 _FAR = 1e6
 
 
-class Part(NamedTuple):
-    """A process, and the factor of its power."""
-
-    power: float
-    process: Process
-
-    @property
-    def white(self) -> bool:
-        """Whether it is white noise, perhaps filtered."""
-        return isinstance(getattr(self.process, "process", self.process), AngleRandomWalk)
+#: A factor of the power of a process, and the process.
+Part: TypeAlias = tuple[float, Process]
 
 
 def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
@@ -80,7 +72,7 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     for term in model.terms:
         if isinstance(term, Transient):
             raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
-    return tuple(Part(1.0, process) for process in model.sampled(rate).processes)
+    return tuple((1.0, process) for process in model.sampled(rate).processes)
 
 
 def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
@@ -93,7 +85,7 @@ def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
     likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(seed)))
     parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
     known = np.flatnonzero(likely.detected).tolist()
-    return tuple(Part(float(likely.power[:, k].mean()), parts[k].process) for k in known)
+    return tuple((float(likely.power[:, k].mean()), parts[k][1]) for k in known)
 
 
 def covariance_of_means(
@@ -125,7 +117,8 @@ def covariance_of_means(
 
 def white_covariance(parts: Sequence[Part], length: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """The part of the white noise in `covariance_of_means` [rate²]: N²/T on the diagonal."""
-    white = [part for part in parts if part.white]
+    # A filtered process holds the one before its filter.
+    white = [of for of in parts if isinstance(getattr(of[1], "process", of[1]), AngleRandomWalk)]
     return covariance_of_means(white, np.zeros(len(length)), length) * np.eye(len(length))
 
 

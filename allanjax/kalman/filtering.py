@@ -22,9 +22,9 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_with_error, plain
 from allanjax.kalman.recursion import (
+    Columns,
     Constant,
     FilterModel,
-    Rows,
     bank_of,
     in_blocks,
     padded,
@@ -425,7 +425,7 @@ def _filtered(
 
 
 def with_constant(
-    rows: Rows,
+    rows: Columns,
     value: Float[np.ndarray, " n"],
     variance: Float[np.ndarray, " n"],
     share: Float[np.ndarray, " rows"],
@@ -584,7 +584,7 @@ def _adapted(
         check_noise(std, there, model)
         constant = Constant.of(e, std, there, constant_std, offset)
         density[:, j] = constant.log_density
-        estimates = Rows(rows.value[j, :n], rows.std[j, :n])
+        estimates = Columns(rows.value[j, :n], rows.std[j, :n])
         biases, stds = with_constant(estimates, constant.value, constant.variance, np.ones(1))
         bias[:, j], variance[:, j] = biases[:, 0], stds[:, 0] ** 2
     weights, probability, total = (np.asarray(x) for x in _weighed(density, np.asarray(switching / rate)))

@@ -82,18 +82,14 @@ class System(NamedTuple):
     skip: Skip
 
 
-class Innovations(NamedTuple):
-    """Innovations of both columns, zero where there is no sample, and their standard deviation."""
+class Columns(NamedTuple):
+    """Numbers of both columns, and their standard deviation for a known constant.
 
-    value: Float[Array, "*models samples 2"]
-    std: Float[Array, "*models samples"]
+    Innovations, zero where there is no sample; or requested sums of states.
+    """
 
-
-class Rows(NamedTuple):
-    """Requested sums of states, of both columns, and their standard deviations for a known constant."""
-
-    value: Float[Array, "samples rows 2"]
-    std: Float[Array, "samples rows"]
+    value: Float[Array, "*samples 2"]
+    std: Float[Array, "*samples"]
 
 
 class Gains(NamedTuple):
@@ -186,20 +182,20 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
     return State(system.A @ x, new, S, age, settled), (innovation, x)
 
 
-def _steps(
-    system: System, state: State, samples: Array, there: Array
-) -> tuple[State, tuple[_Outputs, Array, Array]]:
-    """State after a block, with outputs, factors of the covariance and whether gains are settled."""
+# Innovations, updated states and gains, of a sample or of all in a block.
+_Outputs = tuple[Array, Array, Gains]
+# With factors of the covariance, and whether gains are settled.
+_Steps = tuple[_Outputs, Array, Array]
 
-    def step(state: State, at: tuple[Array, Array]) -> tuple[State, tuple[_Outputs, Array, Array]]:
+
+def _steps(system: System, state: State, samples: Array, there: Array) -> tuple[State, _Steps]:
+    """State after a block whose gains are computed one by one, with outputs in it."""
+
+    def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Steps]:
         new, found = _step(system, state, *at)
         return new, ((*found, new.gains), new.S, new.settled)
 
     return jax.lax.scan(step, state, (samples, there))
-
-
-# Innovations, updated states and gains, of a sample or of all in a block.
-_Outputs = tuple[Array, Array, Gains]
 
 
 def _block(
@@ -238,13 +234,13 @@ def _block(
 
 
 @eqx.filter_jit
-def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State]:
+def run_filter(system: System, record: Record) -> tuple[Columns, Columns, State]:
     """Innovations and updated rows at every sample, and the state before every block of samples."""
 
-    def block(state: State, at: Sequence[Array]) -> tuple[State, tuple[Innovations, Rows, State]]:
+    def block(state: State, at: Sequence[Array]) -> tuple[State, tuple[Columns, Columns, State]]:
         end, (innovation, x, gains) = _block(system, state, *at)
-        rows = Rows(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
-        return end, (Innovations(innovation, gains.innovation_std), rows, state)
+        rows = Columns(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
+        return end, (Columns(innovation, gains.innovation_std), rows, state)
 
     _, (*found, states) = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
     innovations, rows = jax.tree.map(_joined, found)
@@ -257,7 +253,7 @@ def _joined(x: Array) -> Array:
 
 
 @eqx.filter_jit
-def run_bank(systems: System, record: Record) -> tuple[Innovations, Rows]:
+def run_bank(systems: System, record: Record) -> tuple[Columns, Columns]:
     """Innovations and updated rows of several filters with the same numbers of states, one after the other.
 
     Not side by side, so that each of them may stop computing gains.
@@ -310,7 +306,7 @@ def _smoothed_std(system: System, P: Float[Array, "n n"], N: Float[Array, "n n"]
 
 
 @eqx.filter_jit
-def run_smoother(system: System, states: State, record: Record) -> Rows:
+def run_smoother(system: System, states: State, record: Record) -> Columns:
     """Rows at every sample given all samples, from the states of the filter before every block.
 
     The estimates of Rauch, Tung and Striebel (1965) in the form of Bryson and Frazier, which inverts no
@@ -322,7 +318,9 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
     at the ends of blocks, and P and the standard deviations between are interpolated, as the filter's gains.
     """
 
-    def backward(adjoint: _Adjoint, at: tuple[Array, tuple[_Outputs, Array, Array]]) -> tuple[_Adjoint, Rows]:
+    def backward(
+        adjoint: _Adjoint, at: tuple[Array, tuple[_Outputs, Array, Array]]
+    ) -> tuple[_Adjoint, Columns]:
         there, (found, S, is_settled) = at
         _, x, gains = found
         r, a = _back(system, adjoint.r, (*found, there))
@@ -332,13 +330,13 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         size, old = (jnp.sqrt(jnp.diag(part)) for part in (N, adjoint.N))
         settled = is_settled & _unchanged(std, adjoint.std, std) & _unchanged(size, old, size)
         age = jnp.where(there, adjoint.age + 1, 0)
-        return _Adjoint(r, N, std, age, settled), Rows(system.rows @ (x + S @ (S.T @ a)), std)
+        return _Adjoint(r, N, std, age, settled), Columns(system.rows @ (x + S @ (S.T @ a)), std)
 
-    def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+    def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
         found = _steps(system, state, samples, there)[1]
         return jax.lax.scan(backward, adjoint, (there, found), reverse=True)
 
-    def at_once(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+    def at_once(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
         end, (innovation, x, gains) = _block(system, state, samples, there, jnp.asarray(False))
         P, change = state.S @ state.S.T, end.S @ end.S.T - state.S @ state.S.T
         L, N = _closed(system, jax.tree.map(lambda of: jnp.mean(of, axis=0), gains), jnp.asarray(True))
@@ -353,14 +351,14 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         moved = jnp.einsum("ij,bjc->bic", P, a) + part * jnp.einsum("ij,bjc->bic", change, a)
         value = jnp.einsum("rn,bnc->brc", system.rows, x + moved)
         std = ends[0] + share[:, None] * (ends[1] - ends[0])
-        return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Rows(value, std)
+        return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Columns(value, std)
 
     n, rows = len(system.h), len(system.rows)
 
-    def nothing(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
-        return adjoint, Rows(jnp.zeros((BLOCK, rows, 2)), jnp.zeros((BLOCK, rows)))
+    def nothing(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
+        return adjoint, Columns(jnp.zeros((BLOCK, rows, 2)), jnp.zeros((BLOCK, rows)))
 
-    def block(adjoint: _Adjoint, at: tuple[State, Array, Array, Array]) -> tuple[_Adjoint, Rows]:
+    def block(adjoint: _Adjoint, at: tuple[State, Array, Array, Array]) -> tuple[_Adjoint, Columns]:
         state, samples, there, after = at
         slow = system.skip.allowed & (jnp.minimum(state.age, adjoint.age) >= _YOUNG)
         kept = jnp.all(there) & (slow | (adjoint.settled & state.settled))

@@ -258,7 +258,7 @@ def _of_axis(
     best_time, best_time_interval = found(first, above, known)
     reached: dict[str, Any] = {}
     if wanted is not None:
-        needed, interval = found(lambda errors: _reached(time, errors, wanted), known, above)
+        needed, interval = found(lambda x: np.array([_reached(time, e, wanted) for e in x]), known, above)
         white = drawn.mean.get(f"{noise.axis.name} angle random walk")
         reached = {
             "wanted": wanted,
@@ -272,16 +272,16 @@ def _of_axis(
     return AxisAlignment(noise.axis, time, error, lower, upper, *of_best, **reached)
 
 
-def _reached(
-    time: Float[np.ndarray, " t"], errors: Float[np.ndarray, "draws t"], wanted: float
-) -> Float[np.ndarray, " draws"]:
-    """First times with the requested error, by a power law between times; infinite if there is none."""
-    k = np.argmax(errors <= wanted, axis=1)
-    here, before = (np.take_along_axis(errors, at[:, None], axis=1)[:, 0] for at in (k, np.maximum(k - 1, 0)))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(k > 0, np.log(before / wanted) / np.log(before / here), 0.0)
-    at = time[np.maximum(k - 1, 0)] * (time[k] / time[np.maximum(k - 1, 0)]) ** share
-    return np.where(here <= wanted, at, np.inf)
+def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:
+    """First time with the requested error, by a power law between times; infinite if there is none."""
+    below = np.flatnonzero(error <= wanted)
+    if not below.size:
+        return math.inf
+    k = int(below[0])
+    if k == 0:
+        return float(time[0])
+    share = math.log(error[k - 1] / wanted) / math.log(error[k - 1] / error[k])
+    return float(time[k - 1] * (time[k] / time[k - 1]) ** share)
 
 
 def _interval(

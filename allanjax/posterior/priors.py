@@ -40,12 +40,17 @@ class Uniform:
         return self.lower + np.asarray(u) * (self.upper - self.lower)
 
 
-class _UniformInLog:
-    """A prior uniform in ln(x − origin)."""
+@dataclass(frozen=True)
+class LogUniform:
+    """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
 
     lower: float
     upper: float
-    origin: float
+    origin: float = 0.0
+
+    def __post_init__(self) -> None:
+        ordered = self.origin < self.lower < self.upper < math.inf
+        _require(self, ordered, f"finite bounds, {self.origin:g} < lower < upper")
 
     @property
     def _width(self) -> float:
@@ -61,19 +66,6 @@ class _UniformInLog:
     def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         # The lower end itself without rounding.
         return self.lower + (self.lower - self.origin) * np.expm1(np.asarray(u) * self._width)
-
-
-@dataclass(frozen=True)
-class LogUniform(_UniformInLog):
-    """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
-
-    lower: float
-    upper: float
-    origin: float = 0.0
-
-    def __post_init__(self) -> None:
-        ordered = self.origin < self.lower < self.upper < math.inf
-        _require(self, ordered, f"finite bounds, {self.origin:g} < lower < upper")
 
 
 @dataclass(frozen=True)
@@ -101,7 +93,7 @@ class LogNormal:
 
 
 @dataclass(frozen=True)
-class ModifiedLogUniform(_UniformInLog):
+class ModifiedLogUniform:
     """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
 
     It is uniform in ln(x + scale) (Gregory 2005, ApJ 631:1198): uniform below the scale, where an amplitude
@@ -117,10 +109,11 @@ class ModifiedLogUniform(_UniformInLog):
         within = 0.0 < self.scale < math.inf and 0.0 < self.upper < math.inf
         _require(self, within, "a finite scale and a finite upper above 0")
 
-    @property
-    def origin(self) -> float:  # type: ignore[override]
-        """The negative scale."""
-        return -self.scale
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return LogUniform(0.0, self.upper, -self.scale).log_density(x)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return LogUniform(0.0, self.upper, -self.scale).quantile(u)
 
 
 Prior: TypeAlias = Uniform | LogUniform | LogNormal | ModifiedLogUniform
