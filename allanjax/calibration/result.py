@@ -87,7 +87,8 @@ def as_orientation(given: OrientationLike) -> Orientation:
     if values.shape == (3,) and abs(np.linalg.norm(values) - 1.0) < _TOLERANCE:
         up = values / np.linalg.norm(values)
         return Orientation("up " + _written(up), up)
-    if values.shape == (3, 3) and _is_rotation(values):
+    right_handed = values.shape == (3, 3) and np.linalg.det(values) > 0.0
+    if right_handed and np.abs(values @ values.T - np.eye(3)).max() < _TOLERANCE:
         return Orientation(f"up {_written(values[2])}, north {_written(values[1])}", values[2], values[1])
     raise AllanjaxError(
         "an orientation must be a name such as 'x up', a unit vector (the components of up along x, y, z), "
@@ -127,10 +128,6 @@ def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
     return tuple(as_orientation(f"{a} {way}, {b} {where}") for (a, b), way, where in every)
 
 
-def _is_rotation(C: Float[np.ndarray, "3 3"]) -> bool:
-    return np.abs(C @ C.T - np.eye(3)).max() < _TOLERANCE and np.linalg.det(C) > 0.0
-
-
 def _along(letter: str, forwards: bool) -> Float[np.ndarray, 3]:
     """Unit vector along this axis or against it."""
     vector = np.eye(3)[_AXES.index(letter)]
@@ -149,10 +146,10 @@ _ROW = (
 )
 #: Labels of the parameters of an axis, in the order of the printed table.
 PARAMETERS = ("bias", "scale_factor", *(f"misalignment_{letter}" for letter in _AXES), "second_order")
-#: Usual units of these parameters.
+#: Usual units of these parameters; "" if this sensor has no such parameter.
 UNITS: dict[Sensor, dict[str, str]] = {
-    "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
-    "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
+    "gyro": dict(zip(PARAMETERS, ("deg/h", "%", "mrad", "mrad", "mrad", ""), strict=True)),
+    "accel": dict(zip(PARAMETERS, ("mg", "ppm", "µrad", "µrad", "µrad", "µg/g²"), strict=True)),
 }
 #: Scale factors and misalignments with a larger standard deviation are not used, as uncalibrated sensors are
 #: more accurate than that.
@@ -387,7 +384,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         return f"calibration from {len(self.positions)} positions, g = {g} m/s², ± 1σ"
 
     def _heads(self, sensor: Sensor) -> list[str]:
-        return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]
+        return ["axis", *(f"{label.replace('_', ' ')} ({UNITS[sensor][label]})" for label in PARAMETERS)]
 
     def _notes(self) -> list[str]:
         # The positions that would determine the missing parameters, and the axes that lack them.
@@ -399,11 +396,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         lines += [f"{r.axis.name}: {r.verdict}" for r in self.results if r.verdict]
         lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in lacking.items()]
         return [*lines, f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
-
-
-def unit_of(sensor: Sensor, label: str) -> str:
-    """Usual unit of a parameter; "" if this sensor has no such parameter."""
-    return UNITS[sensor].get(label.partition("_")[0] if label.startswith("mis") else label, "")
 
 
 def place_of(axis: Axis) -> int:

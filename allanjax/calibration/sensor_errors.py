@@ -23,13 +23,13 @@ from allanjax.calibration.least_squares import (
     least_squares,
 )
 from allanjax.calibration.result import (
+    UNITS,
     AxisCalibration,
     Misfit,
     Orientation,
     Position,
     place_of,
     six_positions,
-    unit_of,
 )
 from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import Fit
@@ -39,7 +39,7 @@ from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
-from allanjax.record.units import Sensor, si_unit
+from allanjax.record.units import Sensor
 
 # Covariance of the means of segments of a record, from the phase covariance G(t) of its noise.
 #
@@ -345,7 +345,6 @@ def estimate(
     ends: Sequence[tuple[float, float]],
 ) -> Estimate:
     """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
-    unit = unit_of(axis.sensor, label)
     return Estimate(
         axis=axis,
         label=label,
@@ -353,8 +352,7 @@ def estimate(
         std=std,
         interval=ends[0],
         interval_68=ends[1],
-        unit=si_unit(unit),
-        usual_unit=unit,
+        usual_unit=UNITS[axis.sensor][label],
         source="calibration",
         # Zero by convention, or by the definition of the axes.
         held=std == 0.0,

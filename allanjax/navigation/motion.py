@@ -78,13 +78,13 @@ class Profile(ByValue):
 
 def _vector(given: Any, sensor: Sensor, name: str, along: int) -> tuple[float, float, float]:
     """Three components in SI from three numbers or one, along this axis, or a text of these with a unit."""
-    si, factor, numbers = SI[sensor]["rate"], 1.0, given
+    si, numbers = SI[sensor]["rate"], given
     try:
         if isinstance(given, str):
             *others, last = given.split(",")
             number, unit = parse_quantity(last) or (math.nan, si)
-            numbers, factor = [*map(float, others), number], convert(1.0, unit, si, sensor)
-        values = factor * np.atleast_1d(np.asarray(numbers, float))
+            numbers = convert(np.array([*others, number], float), unit, si, sensor)
+        values = np.atleast_1d(np.asarray(numbers, float))
     except AllanjaxError:
         raise
     except (TypeError, ValueError):
