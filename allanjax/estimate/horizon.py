@@ -41,7 +41,7 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
-from allanjax.noise.state_space import Block, StateSpace, settled
+from allanjax.noise.state_space import StateSpace, settled
 from allanjax.noise.terms import DriftRamp, Markov
 from allanjax.record.recording import Axis
 from allanjax.record.units import SI, Sensor, default_coefficient_unit, unit_scale
@@ -130,10 +130,8 @@ class _Filters:
         return (np.einsum("gti,gij,gtj->gt", rows, P, rows, optimize=True) + later) / self.rate**2
 
 
-@functools.lru_cache(maxsize=64)
-def _states(model: Model, rate: float, duration: float) -> Block:
-    """States of a model, kept for other axes, since those of bias instability are found by a fit."""
-    return model.state_block(rate, duration)
+# States of models, kept for other axes, since those of bias instability are found by a fit.
+_states = functools.lru_cache(maxsize=64)(Model.state_block)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
