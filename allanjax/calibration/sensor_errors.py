@@ -247,9 +247,7 @@ def errors_of(
         FitError: a model without noise; orientations that could not be estimated.
     """
     axes, p = setting.axes, len(setting.units)
-    start, length = (
-        np.array([getattr(x, name) for x in setting.positions]) for name in ("start", "duration")
-    )
+    start, length = np.array([(x.start, x.duration) for x in setting.positions]).T
     full = np.stack([covariance_of_means(parts, start, length) for parts in noise])
     solution = _solution(setting, means, full, setting.orientation_error)
     determined = solution.determined.reshape(-1, p)
@@ -271,10 +269,10 @@ def errors_of(
         places = _places(axis, setting.second_order)
         own = k * p + np.array(list(places.values()))
         known = solution.determined[own]
-        # The uncertainty of gravity is also one of the scale.
-        scale = setting.world.gravity_std / setting.world.gravity if setting.sensor == "accel" else 0.0
-        added = np.diag([scale**2 * (label == "scale_factor") for label in places])
-        C = np.where(np.outer(known, known), covariance[np.ix_(own, own)] + added, np.nan)
+        C = np.where(np.outer(known, known), covariance[np.ix_(own, own)], np.nan)
+        if setting.sensor == "accel":
+            # The uncertainty of gravity is also one of the scale, the second parameter.
+            C[1, 1] += (setting.world.gravity_std / setting.world.gravity) ** 2
         value, widening = (np.where(known, x[own], np.nan) for x in (solution.values, over_white))
         std = np.sqrt(np.maximum(C.diagonal(), 0.0))
         remark = "" if known.all() else _remedy(setting, axis)

@@ -54,7 +54,7 @@ class Drawn(NamedTuple):
     def plus(
         self, causes: Mapping[str, Float[np.ndarray, ...]], all_of_them: Float[np.ndarray, ...]
     ) -> Drawn:
-        """With known values of other causes, each by itself and all together, by titles."""
+        """With known values of other causes: each by itself, by its title, and all of them together."""
         mean = {**self.mean, **{title: part for title, part in causes.items() if np.any(part > 0.0)}}
         correlation = all_of_them - sum(causes.values())
         return Drawn(mean, self.known + all_of_them, self.upper + all_of_them, correlation)

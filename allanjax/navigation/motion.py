@@ -104,7 +104,7 @@ class AxisErrors(NamedTuple):
     Attributes:
         causes: their names.
         moment: their second moments [SI].
-        resting, moving: what each is multiplied by at rest, and besides in motion.
+        resting, moving: what each is multiplied by at rest, and what motion adds to that.
         duration: how long the motion lasts [s].
     """
 
@@ -116,7 +116,9 @@ class AxisErrors(NamedTuple):
 
     def with_bias(self, std: float) -> AxisErrors:
         """With an independent part of the bias."""
-        return self._replace(moment=self.moment + np.diag(std**2 * (np.arange(len(self.moment)) == 0)))
+        moment = self.moment.copy()
+        moment[0, 0] += std**2
+        return self._replace(moment=moment)
 
     def variances(
         self, response: Callable[[float], Float[np.ndarray, " t"]]
@@ -173,14 +175,12 @@ def remaining(
         else:
             acting |= resting != 0.0
         names = [c.label.replace("_", " ") for c in cs]
-        unknown = [
-            name for name, c, acts in zip(names, cs, acting, strict=True) if acts and np.isnan(c.value)
-        ]
+        unknown = [names[k] for k, c in enumerate(cs) if acting[k] and math.isnan(c.value)]
         if unknown:
             notes.append(f"{axis.axis.name}: not included, as the calibration lacks it: {', '.join(unknown)}")
         causes = tuple(re.sub(" [xyz]$", "", name) for name in names)
-        errors = AxisErrors(causes, moment, resting, moving, profile.duration)
-        found[axis.axis.sensor, "xyz"[place_of(axis.axis)]] = errors
+        own = axis.axis.sensor, "xyz"[place_of(axis.axis)]
+        found[own] = AxisErrors(causes, moment, resting, moving, profile.duration)
     return found, notes
 
 
