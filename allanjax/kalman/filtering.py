@@ -395,13 +395,9 @@ def _filtered(
     e, std = (np.asarray(x)[:n] for x in innovations)
     check_noise(std, there, model)
     constant = Constant.of(e, std, there, constant_std, offset)
-    value, variance = constant.value, constant.variance
     if smooth:
         estimates = run_smoother(system, states, record)
-        value, variance = np.full(n, value[-1]), np.full(n, variance[-1])
-    share = np.append(np.zeros(most), 1.0)
-    estimates = jax.tree.map(lambda x: np.asarray(x)[:n], estimates)
-    values, stds = with_constant(estimates, value, variance, share)
+    values, stds = constant.added_to(estimates, np.append(np.zeros(most), 1.0), smooth)
     return FilteredAxis(
         axis=axis,
         rate=rate,
@@ -422,19 +418,6 @@ def _filtered(
         log_likelihood=float(constant.log_density.sum()),
         smoothed=smooth,
     )
-
-
-def with_constant(
-    rows: Columns,
-    value: Float[np.ndarray, " n"],
-    variance: Float[np.ndarray, " n"],
-    share: Float[np.ndarray, " rows"],
-) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
-    """Rows with shares of the unknown constant, and their standard deviations."""
-    moved = share - np.asarray(rows.value[:, :, 1])
-    known = np.isfinite(variance)[:, None]
-    added = np.where(moved == 0.0, 0.0, moved**2 * np.where(known, variance[:, None], np.inf))
-    return rows.value[:, :, 0] + moved * value[:, None], np.sqrt(np.asarray(rows.std) ** 2 + added)
 
 
 # Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): models weighted by their innovations.
@@ -584,8 +567,7 @@ def _adapted(
         check_noise(std, there, model)
         constant = Constant.of(e, std, there, constant_std, offset)
         density[:, j] = constant.log_density
-        estimates = Columns(rows.value[j, :n], rows.std[j, :n])
-        biases, stds = with_constant(estimates, constant.value, constant.variance, np.ones(1))
+        biases, stds = constant.added_to(Columns(rows.value[j], rows.std[j]), np.ones(1))
         bias[:, j], variance[:, j] = biases[:, 0], stds[:, 0] ** 2
     weights, probability, total = (np.asarray(x) for x in _weighed(density, np.asarray(switching / rate)))
     blended = np.sum(weights * bias, axis=1)

@@ -577,6 +577,20 @@ class Constant:
         density[predicted] = -0.5 * _chi2(e[predicted], spread[predicted] ** 2)
         return cls(value, variance, e, spread, density)
 
+    def added_to(
+        self, rows: Columns, share: Float[np.ndarray, " rows"], smoothed: bool = False
+    ) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
+        """Rows with shares of the constant, and their standard deviations.
+
+        The constant is that after each sample, or, if the rows are `smoothed`, after all of them.
+        """
+        n, after = len(self.value), slice(-1, None) if smoothed else slice(None)
+        value, variance = self.value[after, None], self.variance[after, None]
+        of_samples, of_ones = np.moveaxis(np.asarray(rows.value)[:n], -1, 0)
+        moved = share - of_ones
+        added = np.where(moved == 0.0, 0.0, moved**2 * variance)
+        return of_samples + moved * value, np.sqrt(np.asarray(rows.std)[:n] ** 2 + added)
+
 
 def _chi2(e: Float[np.ndarray, "*n"], variance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Minus twice the logarithms of normal densities."""
