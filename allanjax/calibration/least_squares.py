@@ -122,10 +122,6 @@ class Triad(NamedTuple):
                 f = (readings - self.b - self.q * f**2) @ inverse
         return f
 
-    def slopes(self, f: Float[np.ndarray, 3]) -> Float[np.ndarray, "3 3"]:
-        """Derivative of the readings by the inputs."""
-        return self.M + np.diag(2.0 * self.q * f)
-
 
 def by_norm(
     readings: Float[np.ndarray, "k 3"],
@@ -153,11 +149,12 @@ def by_norm(
     bias[:, 0] = True
     values = np.zeros((3, p))
     for _ in range(_ITERATIONS):
-        triad = as_triad(values)
-        f = triad.inputs(readings)
+        M, b, q = np.eye(3) + values[:, 1:4], values[:, 0], values[:, 4] if p > 4 else np.zeros(3)
+        f = Triad(M, b, q).inputs(readings)
         size = np.linalg.norm(f, axis=1)
         # How the norm of the inputs depends on each reading.
-        n = np.stack([np.linalg.solve(triad.slopes(x).T, x / s) for x, s in zip(f, size, strict=True)])
+        slopes = [M + np.diag(2.0 * q * x) for x in f]
+        n = np.stack([np.linalg.solve(D.T, x / s) for D, x, s in zip(slopes, f, size, strict=True)])
         columns = np.concatenate([np.ones((len(f), 1)), f], axis=1)
         rows = n[:, :, None] * np.repeat(columns[:, None, :], 3, axis=1)
         if p > 4:
@@ -181,9 +178,3 @@ def by_norm(
     covariance[np.ix_(free.ravel(), free.ravel())] = solution.covariance
     determined[free.ravel()] = solution.determined
     return solution._replace(values=values.ravel(), covariance=covariance, determined=determined)
-
-
-def as_triad(values: Float[np.ndarray, "3 p"]) -> Triad:
-    """The errors by axis as matrices; undetermined ones must be zero."""
-    q = values[:, 4] if values.shape[1] > 4 else np.zeros(3)
-    return Triad(np.eye(3) + values[:, 1:4], values[:, 0], q)

@@ -16,7 +16,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import TextProperty, presented
 from allanjax.base.tables import Cell, Number, PerAxis
-from allanjax.base.wording import chi_squared, finite_or_none, plain, significant
+from allanjax.base.wording import chi_squared, plain, significant
 from allanjax.calibration.least_squares import Triad
 from allanjax.estimate.as_json import in_json
 from allanjax.estimate.result import AxisEstimates
@@ -87,7 +87,8 @@ def as_orientation(given: OrientationLike) -> Orientation:
     if values.shape == (3,) and abs(np.linalg.norm(values) - 1.0) < _TOLERANCE:
         up = values / np.linalg.norm(values)
         return Orientation("up " + _written(up), up)
-    if values.shape == (3, 3) and _is_rotation(values):
+    right_handed = values.shape == (3, 3) and np.linalg.det(values) > 0.0
+    if right_handed and np.abs(values @ values.T - np.eye(3)).max() < _TOLERANCE:
         return Orientation(f"up {_written(values[2])}, north {_written(values[1])}", values[2], values[1])
     raise AllanjaxError(
         "an orientation must be a name such as 'x up', a unit vector (the components of up along x, y, z), "
@@ -106,17 +107,17 @@ def orientation_in(text: str) -> Orientation | None:
     if vertical is None:
         return None
     letter, way = vertical[1] or "z", vertical[2]
-    up = _unit(letter) if way == "up" else 0.0 - _unit(letter)
-    name, north = f"{letter} {way}", None
-    if heading is not None:
-        if heading[1] == letter:
-            raise AllanjaxError(f"{text!r}: {letter} cannot point {way} and {heading[2]}")
-        pointing, where = _unit(heading[1]), heading[2]
+    up = _along(letter, way == "up")
+    if heading is None:
+        return Orientation(f"{letter} {way}", up)
+    other, where = heading.groups()
+    if other == letter:
+        raise AllanjaxError(f"{text!r}: {letter} cannot point {way} and {where}")
+    north = _along(other, where in ("north", "east"))
+    if where in ("east", "west"):
         # North is up × east.
-        north = np.cross(up, pointing) if where in ("east", "west") else pointing
-        north = north if where in ("north", "east") else 0.0 - north
-        name = f"{name}, {heading[1]} {where}"
-    return Orientation(name, up, north)
+        north = np.cross(up, north)
+    return Orientation(f"{letter} {way}, {other} {where}", up, north)
 
 
 def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
@@ -127,12 +128,10 @@ def six_positions(with_heading: bool) -> tuple[Orientation, ...]:
     return tuple(as_orientation(f"{a} {way}, {b} {where}") for (a, b), way, where in every)
 
 
-def _is_rotation(C: Float[np.ndarray, "3 3"]) -> bool:
-    return np.abs(C @ C.T - np.eye(3)).max() < _TOLERANCE and np.linalg.det(C) > 0.0
-
-
-def _unit(letter: str) -> Float[np.ndarray, 3]:
-    return np.eye(3)[_AXES.index(letter)]
+def _along(letter: str, forwards: bool) -> Float[np.ndarray, 3]:
+    """Unit vector along this axis or against it."""
+    vector = np.eye(3)[_AXES.index(letter)]
+    return vector if forwards else 0.0 - vector
 
 
 def _written(vector: Float[np.ndarray, 3]) -> str:
@@ -147,10 +146,10 @@ _ROW = (
 )
 #: Labels of the parameters of an axis, in the order of the printed table.
 PARAMETERS = ("bias", "scale_factor", *(f"misalignment_{letter}" for letter in _AXES), "second_order")
-#: Usual units of these parameters.
+#: Usual units of these parameters; "" if this sensor has no such parameter.
 UNITS: dict[Sensor, dict[str, str]] = {
-    "gyro": {"bias": "deg/h", "scale_factor": "%", "misalignment": "mrad"},
-    "accel": {"bias": "mg", "scale_factor": "ppm", "misalignment": "µrad", "second_order": "µg/g²"},
+    "gyro": dict(zip(PARAMETERS, ("deg/h", "%", "mrad", "mrad", "mrad", ""), strict=True)),
+    "accel": dict(zip(PARAMETERS, ("mg", "ppm", "µrad", "µrad", "µrad", "µg/g²"), strict=True)),
 }
 #: Scale factors and misalignments with a larger standard deviation are not used, as uncalibrated sensors are
 #: more accurate than that.
@@ -182,12 +181,12 @@ class Position(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The position as a plain dictionary; None for unknown directions."""
-        up, north = (getattr(self.orientation, name, None) for name in ("up", "north"))
+        name, up, north = (getattr(self.orientation, key, None) for key in ("name", "up", "north"))
         return {
             "name": self.name,
-            "orientation": None if self.orientation is None else self.orientation.name,
-            "up": None if up is None else up.tolist(),
-            "north": None if north is None else north.tolist(),
+            "orientation": name,
+            "up": in_json(up),
+            "north": in_json(north),
             "start_s": self.start,
             "duration_s": self.duration,
             "gravity_m_s2": self.gravity,
@@ -305,18 +304,12 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         values of a perfect sensor.
         """
         M, b, q = np.eye(3), np.zeros(3), np.zeros(3)
-        for result in self.results:
-            if result.axis.sensor != sensor:
-                continue
+        for result in (r for r in self.results if r.axis.sensor == sensor):
             i = place_of(result.axis)
-            for label, c in result.coefficients.items():
-                value = c.value if self.corrects(c) else 0.0
-                if label == "bias":
-                    b[i] = value
-                elif label == "second_order":
-                    q[i] = value
-                else:
-                    M[i, i if label == "scale_factor" else _AXES.index(label[-1])] += value
+            value = {label: c.value for label, c in result.coefficients.items() if self.corrects(c)}
+            b[i], q[i] = value.get("bias", 0.0), value.get("second_order", 0.0)
+            M[i] += [value.get(f"misalignment_{letter}", 0.0) for letter in _AXES]
+            M[i, i] += value.get("scale_factor", 0.0)
         return Triad(M, b, q)
 
     def corrects(self, c: Estimate) -> bool:
@@ -369,24 +362,10 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
             "latitude_deg": self.latitude,
             "noise": self.noise,
             "positions": [p.to_dict() for p in self.positions],
-            "parameters": [{key: in_json(row[key]) for key in _ROW} for row in rows],
-            "axes": [
-                {"name": r.axis.name, "sensor": r.axis.sensor, "unit": r.axis.unit}
-                | {"covariance_si": in_json(r.covariance)}
-                for r in self.results
-            ],
+            "parameters": [in_json({key: row[key] for key in _ROW}) for row in rows],
+            "axes": [in_json(r.axis) | {"covariance_si": in_json(r.covariance)} for r in self.results],
             "sensors": {
-                sensor: {
-                    "chi2": misfit.chi2,
-                    "dof": misfit.dof,
-                    "p_value": finite_or_none(misfit.p_value),
-                    "suspects": list(misfit.suspects),
-                    "wider": misfit.wider,
-                    "names": list(misfit.names),
-                    "residuals": in_json(misfit.residuals),
-                    "residual_std": in_json(misfit.residual_std),
-                    **{k: v.tolist() for k, v in self.errors(sensor)._asdict().items()},
-                }
+                sensor: in_json(vars(misfit) | self.errors(sensor)._asdict())
                 for sensor, misfit in self.misfit.items()
             },
             "notes": list(self.notes),
@@ -405,7 +384,7 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         return f"calibration from {len(self.positions)} positions, g = {g} m/s², ± 1σ"
 
     def _heads(self, sensor: Sensor) -> list[str]:
-        return ["axis", *(f"{label.replace('_', ' ')} ({unit_of(sensor, label)})" for label in PARAMETERS)]
+        return ["axis", *(f"{label.replace('_', ' ')} ({UNITS[sensor][label]})" for label in PARAMETERS)]
 
     def _notes(self) -> list[str]:
         # The positions that would determine the missing parameters, and the axes that lack them.
@@ -417,11 +396,6 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
         lines += [f"{r.axis.name}: {r.verdict}" for r in self.results if r.verdict]
         lines += [f"not determined for {', '.join(axes)}: {what}" for what, axes in lacking.items()]
         return [*lines, f"noise model: {self.noise}", *(f"note: {note}" for note in self.notes)]
-
-
-def unit_of(sensor: Sensor, label: str) -> str:
-    """Usual unit of a parameter; "" if this sensor has no such parameter."""
-    return UNITS[sensor].get(label.partition("_")[0] if label.startswith("mis") else label, "")
 
 
 def place_of(axis: Axis) -> int:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.special import stdtrit
 
 from allanjax.base.chi_squared import upper_tail
@@ -23,13 +23,13 @@ from allanjax.calibration.least_squares import (
     least_squares,
 )
 from allanjax.calibration.result import (
+    UNITS,
     AxisCalibration,
     Misfit,
     Orientation,
     Position,
     place_of,
     six_positions,
-    unit_of,
 )
 from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import Fit
@@ -39,7 +39,7 @@ from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
-from allanjax.record.units import Sensor, si_unit
+from allanjax.record.units import Sensor
 
 # Covariance of the means of segments of a record, from the phase covariance G(t) of its noise.
 #
@@ -58,16 +58,8 @@ _GROWTH = 2.0
 _FAR = 1e6
 
 
-class Part(NamedTuple):
-    """A process, and the factor of its power."""
-
-    power: float
-    process: Process
-
-    @property
-    def white(self) -> bool:
-        """Whether it is white noise, perhaps filtered."""
-        return isinstance(getattr(self.process, "process", self.process), AngleRandomWalk)
+#: A factor of the power of a process, and the process.
+Part: TypeAlias = tuple[float, Process]
 
 
 def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
@@ -80,7 +72,7 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     for term in model.terms:
         if isinstance(term, Transient):
             raise AllanjaxError(f"{term.name()} is not noise: leave out that part of the data, and the term")
-    return tuple(Part(1.0, process) for process in model.sampled(rate).processes)
+    return tuple((1.0, process) for process in model.sampled(rate).processes)
 
 
 def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
@@ -93,7 +85,7 @@ def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
     likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(seed)))
     parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
     known = np.flatnonzero(likely.detected).tolist()
-    return tuple(Part(float(likely.power[:, k].mean()), parts[k].process) for k in known)
+    return tuple((float(likely.power[:, k].mean()), parts[k][1]) for k in known)
 
 
 def covariance_of_means(
@@ -125,7 +117,8 @@ def covariance_of_means(
 
 def white_covariance(parts: Sequence[Part], length: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
     """The part of the white noise in `covariance_of_means` [rate²]: N²/T on the diagonal."""
-    white = [part for part in parts if part.white]
+    # A filtered process holds the one before its filter.
+    white = [of for of in parts if isinstance(getattr(of[1], "process", of[1]), AngleRandomWalk)]
     return covariance_of_means(white, np.zeros(len(length)), length) * np.eye(len(length))
 
 
@@ -198,9 +191,9 @@ class Setting(NamedTuple):
         return self.axes[0].sensor
 
     @property
-    def known(self) -> tuple[Orientation, ...]:
-        """Orientations; none if they are not known."""
-        return tuple(p.orientation for p in self.positions if p.orientation is not None)
+    def known(self) -> bool:
+        """Whether the orientations are known."""
+        return all(p.orientation is not None for p in self.positions)
 
     @property
     def units(self) -> Float[np.ndarray, " p"]:
@@ -209,15 +202,10 @@ class Setting(NamedTuple):
         return np.array([1.0, size, size, size, size**2][: 5 if self.second_order else 4])
 
     @property
-    def gravity(self) -> Float[np.ndarray, " k"]:
-        """Local gravity in each position [m/s²]."""
-        return np.array([position.gravity for position in self.positions])
-
-    @property
     def inputs(self) -> Float[np.ndarray, "k 3"]:
         """Inputs along the sensor's axes in the positions, whose orientations are known."""
-        worlds = [self.world._replace(gravity=g) for g in self.gravity]
-        return np.stack([w.input(self.sensor, o) for w, o in zip(worlds, self.known, strict=True)])
+        known = [(self.world._replace(gravity=p.gravity), p.orientation) for p in self.positions]
+        return np.stack([world.input(self.sensor, o) for world, o in known if o is not None])
 
     def design(self, axis: Axis, f: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k p"]:
         """Design of an axis: ones, inputs along x, y and z and, perhaps, the square of its own.
@@ -246,97 +234,66 @@ class Setting(NamedTuple):
         return bool(determined[0] and determined[1 + place_of(axis)])
 
 
-class Covariances(NamedTuple):
-    """Covariance of the means of the positions, by axis: of all noise, and of white noise alone."""
-
-    full: Float[np.ndarray, "axes k k"]
-    white: Float[np.ndarray, "axes k k"]
-
-    @classmethod
-    def of(cls, positions: Sequence[Position], noise: Sequence[Sequence[Part]]) -> Covariances:
-        """Covariances of means over these positions, from the terms of each axis."""
-        start, length = (np.array([getattr(p, name) for p in positions]) for name in ("start", "duration"))
-        return cls(
-            np.stack([covariance_of_means(parts, start, length) for parts in noise]),
-            np.stack([white_covariance(parts, length) for parts in noise]),
-        )
-
-
 def errors_of(
-    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Covariances
+    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Sequence[Sequence[Part]]
 ) -> tuple[tuple[AxisCalibration, ...], Misfit]:
     """Errors of a sensor's axes from their means [rad/s or m/s²] in each position, and how well they fit.
+
+    `noise` are the terms of the noise of each axis.
 
     Raises:
         RecordingError: the positions determine bias and scale factor of no axis; an accelerometer points
             down in a position that is given as up.
         FitError: a model without noise; orientations that could not be estimated.
     """
-    axes, positions = setting.axes, setting.positions
-    full, white = noise
-    names, rows = tuple(axis.name for axis in axes), np.ones((len(positions), len(axes)), bool)
-    alone: Solution | None = None
-    if setting.known:
-        X = np.stack([setting.fitted_design(axis) for axis in axes], axis=1)
-        rows = np.isfinite(X[:, :, 0])
-        solution = _linear(setting, X, means, full, setting.orientation_error)
-        if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
-            alone = _linear(setting, X, means, white, 0.0)
-    else:
-        names, rows = ("norm of the three axes",), rows[:, :1]
-        scale = np.tile(setting.units, (3, 1))
-        solution = by_norm(means, full, setting.gravity, scale)
-        if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
-            alone = by_norm(means, white, setting.gravity, scale)
-    size = (len(axes), len(setting.units))
-    determined = solution.determined.reshape(size)
+    axes, p = setting.axes, len(setting.units)
+    start, length = np.array([(x.start, x.duration) for x in setting.positions]).T
+    full = np.stack([covariance_of_means(parts, start, length) for parts in noise])
+    solution = _solution(setting, means, full, setting.orientation_error)
+    determined = solution.determined.reshape(-1, p)
     if not any(d[0] and d[1 + place_of(axis)] for d, axis in zip(determined, axes, strict=True)):
-        given = "; ".join(position.label for position in positions)
+        given = "; ".join(position.label for position in setting.positions)
         besides = " together with its second order" if setting.second_order else ""
         raise RecordingError(
             f"the positions ({given}) do not determine bias and scale factor of any "
             f"{setting.sensor} axis{besides}: {_remedy(setting, axes[0])}"
         )
     wider, quantiles = _by_scatter(solution) if setting.lacks_drift else (1.0, _QUANTILES)
-    every = wider**2 * solution.covariance
-    variance = every.diagonal().reshape(size)
-    over_white = np.full(size, np.nan)
-    if alone is not None:
-        over_white = np.sqrt(variance / np.maximum(alone.covariance.diagonal().reshape(size), 1e-300))
+    covariance, over_white = wider**2 * solution.covariance, np.full(determined.size, np.nan)
+    white = np.stack([white_covariance(parts, length) for parts in noise])
+    if (white.diagonal(axis1=1, axis2=2) > 0.0).all():
+        alone = _solution(setting, means, white, 0.0).covariance.diagonal()
+        over_white = np.sqrt(covariance.diagonal() / np.maximum(alone, 1e-300))
     results = []
-    for k, (axis, values) in enumerate(zip(axes, solution.values.reshape(size), strict=True)):
-        labels = _labels(axis, setting.second_order)
-        remark = "" if determined[k].all() else _remedy(setting, axis)
-        estimates, widening = {}, {}
-        for label, j in labels.items():
-            known = bool(determined[k, j])
-            # The uncertainty of gravity is also one of the scale.
-            common = setting.world.gravity_std / setting.world.gravity if label == "scale_factor" else 0.0
-            common = common if setting.sensor == "accel" else 0.0
-            std = math.hypot(math.sqrt(max(variance[k, j], 0.0)), common)
-            value, std = (float(values[j]), std) if known else (math.nan, math.nan)
-            ends = [(value - z * std, value + z * std) for z in quantiles]
-            estimates[label] = estimate(axis, label, value, std, remark, ends)
-            widening[label] = float(over_white[k, j]) if known else np.nan
+    for k, axis in enumerate(axes):
+        places = _places(axis, setting.second_order)
+        own = k * p + np.array(list(places.values()))
+        known = solution.determined[own]
+        C = np.where(np.outer(known, known), covariance[np.ix_(own, own)], np.nan)
+        if setting.sensor == "accel":
+            # The uncertainty of gravity is also one of the scale, the second parameter.
+            C[1, 1] += (setting.world.gravity_std / setting.world.gravity) ** 2
+        value, widening = (np.where(known, x[own], np.nan) for x in (solution.values, over_white))
+        std = np.sqrt(np.maximum(C.diagonal(), 0.0))
+        remark = "" if known.all() else _remedy(setting, axis)
+        estimates = {}
+        for label, x, error in zip(places, value.tolist(), std.tolist(), strict=True):
+            ends = [(x - z * error, x + z * error) for z in quantiles]
+            estimates[label] = estimate(axis, label, x, error, remark, ends)
         _check_direction(estimates["scale_factor"])
-        own = [k * size[1] + j for j in labels.values()]
-        covariance = every[np.ix_(own, own)]
-        # With the uncertainty of gravity, and nan for what is not determined.
-        np.fill_diagonal(covariance, [c.std**2 for c in estimates.values()])
-        unknown = np.isnan(covariance.diagonal())
-        covariance[unknown] = covariance[:, unknown] = np.nan
-        results.append(AxisCalibration(axis, estimates, widening, covariance))
-    return tuple(results), _misfit(solution, rows, names, positions, wider)
+        factors = dict(zip(places, widening.tolist(), strict=True))
+        results.append(AxisCalibration(axis, estimates, factors, C))
+    return tuple(results), _misfit(solution, setting, wider)
 
 
-def _linear(
-    setting: Setting,
-    X: Float[np.ndarray, "k axes p"],
-    means: Float[np.ndarray, "k axes"],
-    noise: Float[np.ndarray, "axes k k"],
-    error: float,
+def _solution(
+    setting: Setting, means: Float[np.ndarray, "k axes"], noise: Float[np.ndarray, "axes k k"], error: float
 ) -> Solution:
     """Errors of all axes together, since a wrong orientation moves the input between them."""
+    if not setting.known:
+        gravity = np.array([position.gravity for position in setting.positions])
+        return by_norm(means, noise, gravity, np.tile(setting.units, (3, 1)))
+    X = np.stack([setting.fitted_design(axis) for axis in setting.axes], axis=1)
     k, count, p = X.shape
     design, C = np.zeros((k, count, count, p)), np.zeros((k, count, k, count))
     f = X[:, :, 1:4]
@@ -359,8 +316,8 @@ def _linear(
     )
 
 
-def _labels(axis: Axis, second_order: bool) -> dict[str, int]:
-    """Names of an axis's parameters, in the order of the table, and their places."""
+def _places(axis: Axis, second_order: bool) -> dict[str, int]:
+    """Names of an axis's parameters, in the order of the table, and their places in its design."""
     own = place_of(axis)
     others = {f"misalignment_{letter}": 1 + j for j, letter in enumerate("xyz") if j != own}
     return {"bias": 0, "scale_factor": 1 + own, **others, **({"second_order": 4} if second_order else {})}
@@ -383,10 +340,9 @@ def estimate(
     value: float,
     std: float,
     remark: str,
-    ends: Sequence[tuple[float, float]] = ((math.nan, math.nan),) * 2,
+    ends: Sequence[tuple[float, float]],
 ) -> Estimate:
     """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
-    unit = unit_of(axis.sensor, label)
     return Estimate(
         axis=axis,
         label=label,
@@ -394,8 +350,7 @@ def estimate(
         std=std,
         interval=ends[0],
         interval_68=ends[1],
-        unit=si_unit(unit),
-        usual_unit=unit,
+        usual_unit=UNITS[axis.sensor][label],
         source="calibration",
         # Zero by convention, or by the definition of the axes.
         held=std == 0.0,
@@ -432,23 +387,20 @@ def _remedy(setting: Setting, axis: Axis) -> str:
     return f"add positions, e.g. {' and '.join(map(repr, added))}"
 
 
-def _misfit(
-    solution: Solution,
-    used: Bool[np.ndarray, "k n"],
-    names: tuple[str, ...],
-    positions: Sequence[Position],
-    wider: float,
-) -> Misfit:
+def _misfit(solution: Solution, setting: Setting, wider: float) -> Misfit:
     """How well the means fit, and which positions fit worst."""
+    labels = [position.label for position in setting.positions]
+    names, used = ["norm of the three axes"], np.ones((len(labels), 1), bool)
+    if setting.known:
+        names = [axis.name for axis in setting.axes]
+        used = np.isfinite(setting.inputs[:, [place_of(axis) for axis in setting.axes]])
     residuals, scatter = np.full(used.shape, np.nan), np.full(used.shape, np.nan)
     residuals[used] = solution.residuals
     scatter[used] = np.sqrt(np.maximum(solution.residual_covariance.diagonal(), 0.0))
     p = float(upper_tail(solution.chi2, solution.dof)) if solution.dof else math.nan
     suspects: tuple[str, ...] = ()
     if p < _DOUBT:
-        of = np.broadcast_to(np.arange(len(positions))[:, None], used.shape)[used]
-        gain = np.array([solution.gain_without(of == k) for k in range(len(positions))])
-        suspects = tuple(
-            p.label for p, g in zip(positions, gain, strict=True) if g >= (1.0 - _TIE) * gain.max()
-        )
-    return Misfit(names, residuals, scatter, solution.chi2, solution.dof, p, suspects, wider)
+        of = np.broadcast_to(np.arange(len(labels))[:, None], used.shape)[used]
+        gain = np.array([solution.gain_without(of == k) for k in range(len(labels))])
+        suspects = tuple(labels[k] for k in np.flatnonzero(gain >= (1.0 - _TIE) * gain.max()))
+    return Misfit(tuple(names), residuals, scatter, solution.chi2, solution.dof, p, suspects, wider)

@@ -23,7 +23,6 @@ from allanjax.calibration.result import (
     place_of,
 )
 from allanjax.calibration.sensor_errors import (
-    Covariances,
     Part,
     Setting,
     World,
@@ -118,8 +117,7 @@ def calibrate(
             square, unknown = second_order and sensor == "accel", model is None and fit is None
             setting = Setting(own, places, world, square, orientation_error, unknown)
             means = np.stack([r.select(*(a.name for a in own)).values.mean(axis=0) for r in recordings])
-            noise = Covariances.of(places, [parts[axis.name] for axis in own])
-            own_results, misfit[sensor] = errors_of(setting, means, noise)
+            own_results, misfit[sensor] = errors_of(setting, means, [parts[axis.name] for axis in own])
             results += own_results
     notes += _remarks(results, misfit, world)
     return Calibration(tuple(results), places, misfit, *world, source, tuple(notes))

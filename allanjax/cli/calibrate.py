@@ -1,9 +1,8 @@
 """The command `allanjax calibrate`."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,10 +10,6 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
 from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
-
-if TYPE_CHECKING:
-    from allanjax.calibration.result import Calibration
-    from allanjax.record.recording import Recording
 
 Recordings = Annotated[
     list[str] | None,
@@ -92,6 +87,7 @@ def calibrate(
     directory = out if as_json else out or RESULTS
     prepare(directory)
     from allanjax.calibration.static_positions import calibrate, world_of
+    from allanjax.presentation.files import write_document
 
     with user_errors():
         named = [*((None, file) for file in files or ()), *map(_split, position or ())]
@@ -100,12 +96,13 @@ def calibrate(
         local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
         world_of(latitude, height, local)
         with stage("reading"):
-            recordings, orientations = _read(named, reading)
+            recordings = [read_recording(Path(file), reading, file) for _, file in named]
+            told = [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
             noise = None if fit is None else saved_fit(fit)
         with stage("calibrating (without --fit the noise is fitted first)"):
             result = calibrate(
                 recordings,
-                orientations,
+                told if position else None,
                 latitude=latitude,
                 height=height,
                 gravity=local,
@@ -115,28 +112,13 @@ def calibrate(
                 orientation_error=math.radians(orientation_error),
                 as_is=as_is,
             )
-        print_result(result, as_json, () if directory is None else _write(result, directory, figure_format))
-
-
-def _read(
-    named: Sequence[tuple[str | None, str]], reading: ReadOptions
-) -> tuple[list["Recording"], list[str] | None]:
-    """Recordings, and their orientations if a --position gives one."""
-    recordings = [read_recording(Path(file), reading, file) for _, file in named]
-    if all(orientation is None for orientation, _ in named):
-        return recordings, None
-    return recordings, [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
-
-
-def _write(result: "Calibration", directory: Path, figure_format: str) -> list[Path]:
-    """Write calibration.json and the figure beside it, and return their paths."""
-    from allanjax.presentation.files import write_document
-
-    directory.mkdir(parents=True, exist_ok=True)
-    paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
-    write_document(result.to_dict(), paths[0])
-    result.plot(path=paths[1])
-    return paths
+        paths = []
+        if directory is not None:
+            directory.mkdir(parents=True, exist_ok=True)
+            paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
+            write_document(result.to_dict(), paths[0])
+            result.plot(path=paths[1])
+        print_result(result, as_json, paths)
 
 
 def _split(text: str) -> tuple[str, str]:

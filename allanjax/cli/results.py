@@ -204,9 +204,9 @@ def navigate(
         known = None if calibration is None else load_calibration(calibration)
         moving = {"turn_rate": turn_rate, "acceleration": acceleration, "duration": lasting}
         given = {name: text for name, text in moving.items() if text is not None}
-        more: dict[str, Any] = {"at_rest": at_rest, "calibration": known, "corrected": not uncorrected}
-        more["profile"] = Profile(**given) if given else None
-        growth = navigate(fit, time, schuler=schuler, **biases, **more)
+        profile = Profile(**given) if given else None
+        of: dict[str, Any] = {"calibration": known, "corrected": not uncorrected, "profile": profile}
+        growth = navigate(fit, time, at_rest=at_rest, schuler=schuler, **biases, **of)
         if out is not None:
             growth.plot(out)
     if as_json:

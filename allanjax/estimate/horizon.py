@@ -41,10 +41,10 @@ from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.model import Model
-from allanjax.noise.state_space import Block, StateSpace, settled
+from allanjax.noise.state_space import StateSpace, settled
 from allanjax.noise.terms import DriftRamp, Markov
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, default_coefficient_unit, si_unit, unit_scale
+from allanjax.record.units import SI, Sensor, default_coefficient_unit, unit_scale
 
 #: How the filter models the bias.
 Process = Literal["walk", "markov"]
@@ -130,10 +130,8 @@ class _Filters:
         return (np.einsum("gti,gij,gtj->gt", rows, P, rows, optimize=True) + later) / self.rate**2
 
 
-@functools.lru_cache(maxsize=64)
-def _states(model: Model, rate: float, duration: float) -> Block:
-    """States of a model, kept for other axes, since those of bias instability are found by a fit."""
-    return model.state_block(rate, duration)
+# States of models, kept for other axes, since those of bias instability are found by a fit.
+_states = functools.lru_cache(maxsize=64)(Model.state_block)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -213,20 +211,13 @@ class AxisHorizon(ByValue):
         """Rows of the printed table: the equal pair, the bound, and the fitted N and K."""
         # The table has no space for an interval of N beside a correlation time.
         T_c, N_ends = (0.0, self.white.interval) if (T := self.correlation_time) is None else (T.value, ())
-        last = {name: getattr(self, name)[-1] for name in _SERIES}
+        error, bound, *raw = (x[-1] for x in (self.error, self.bound, self.raw_prediction, self.raw_error))
         N, K, N_max, K_max = self.white.value, self.walk, self.bounding_white, self.bounding_walk
         kinds = ("white", "white", "walk", "walk", "time", "bias", "integral", "integral")
         table: dict[str, tuple[Any, ...]] = {
-            "equal": (N, N_ends, K.value, K.interval, T_c, self.bias_std, *[last["error"]] * 2),
-            "bound": (N_max, (), K_max, (), self.bounding_time, self.bounding_bias_std, last["bound"], ()),
-            "fitted": (
-                self.raw_white,
-                (),
-                self.raw_walk,
-                *[()] * 3,
-                last["raw_prediction"],
-                last["raw_error"],
-            ),
+            "equal": (N, N_ends, K.value, K.interval, T_c, self.bias_std, error, error),
+            "bound": (N_max, (), K_max, (), self.bounding_time, self.bounding_bias_std, bound, ()),
+            "fitted": (self.raw_white, (), self.raw_walk, (), (), (), *raw),
         }
         return [(self.axis.name, pair, *map(self._shown, kinds, row)) for pair, row in table.items()]
 
@@ -486,7 +477,6 @@ def _unit(sensor: Sensor, name: str) -> str:
 def _estimate(axis: Axis, name: str, values: Float[np.ndarray, " draws+1"]) -> Estimate:
     """A value, the first one, with intervals from draws."""
     low, high, low_68, high_68 = np.quantile(values[1:], _QUANTILES).tolist()
-    unit = _unit(axis.sensor, name)
     label = {"white": "white noise", "walk": "random walk", "time": "correlation time"}[name]
     return Estimate(
         axis=axis,
@@ -495,6 +485,5 @@ def _estimate(axis: Axis, name: str, values: Float[np.ndarray, " draws+1"]) -> E
         std=(high_68 - low_68) / 2.0,
         interval=(low, high),
         interval_68=(low_68, high_68),
-        unit=si_unit(unit),
-        usual_unit=unit,
+        usual_unit=_unit(axis.sensor, name),
     )

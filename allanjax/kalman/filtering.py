@@ -22,16 +22,16 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_with_error, plain
 from allanjax.kalman.recursion import (
+    Columns,
     Constant,
     FilterModel,
-    Rows,
+    bank_of,
     in_blocks,
     padded,
     padded_size,
     run_bank,
     run_filter,
     run_smoother,
-    stacked,
 )
 from allanjax.noise.estimate import title_of
 from allanjax.noise.model import Model
@@ -66,35 +66,6 @@ class ChiSquared:
     statistic: float
     dof: int
     p_value: float
-
-
-def whiteness(u: Float[np.ndarray, " n"]) -> ChiSquared:
-    """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) of standardized innovations.
-
-    Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40. u is NaN where a sample is missing, and n − d is then
-    the number of existing pairs.
-    """
-    there = np.isfinite(u)
-    n = int(there.sum())
-    lags = min(_LAGS, int(_SHARE * n))
-    if lags < 1:
-        return ChiSquared(float("nan"), 0, float("nan"))
-    value, count = np.where(there, u, 0.0), there.astype(float)
-    power = float(value @ value)
-    total = 0.0
-    for d in range(1, lags + 1):
-        pairs = max(float(count[d:] @ count[:-d]), 1.0)
-        total += (float(value[d:] @ value[:-d]) / power) ** 2 / pairs
-    statistic = n * (n + 2.0) * total
-    return ChiSquared(statistic, lags, float(upper_tail(statistic, lags)))
-
-
-def normalized_square(u: Float[np.ndarray, " n"]) -> ChiSquared:
-    """Normalized innovations squared (NIS) Σ e²/s, χ² with one degree of freedom per sample; two-sided."""
-    u = u[np.isfinite(u)]
-    statistic = float(u @ u)
-    above = float(upper_tail(statistic, len(u)))
-    return ChiSquared(statistic, len(u), min(2.0 * min(above, 1.0 - above), 1.0))
 
 
 def _p_value(test: ChiSquared) -> str:
@@ -232,13 +203,32 @@ class FilteredAxis(BiasTrack):
 
     @property
     def whiteness(self) -> ChiSquared:
-        """Ljung and Box's test that innovations are white, with up to 40 lags."""
-        return whiteness(self.standardized)
+        """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) that innovations are white.
+
+        Q = n(n + 2) Σ r_d²/(n − d) over lags d up to 40, n − d being the number of existing pairs.
+        """
+        u, there = np.nan_to_num(self.standardized), np.isfinite(self.standardized).astype(float)
+        n, power = int(there.sum()), float(u @ u)
+        lags = min(_LAGS, int(_SHARE * n))
+        if lags < 1:
+            return ChiSquared(math.nan, 0, math.nan)
+        total = 0.0
+        for d in range(1, lags + 1):
+            pairs = max(float(there[d:] @ there[:-d]), 1.0)
+            total += (float(u[d:] @ u[:-d]) / power) ** 2 / pairs
+        statistic = n * (n + 2.0) * total
+        return ChiSquared(statistic, lags, float(upper_tail(statistic, lags)))
 
     @property
     def nis(self) -> ChiSquared:
-        """Test that innovations are as large as the filter predicts, from their normalized squares."""
-        return normalized_square(self.standardized)
+        """Two-sided test that innovations are as large as the filter predicts: normalized squares Σ e²/s.
+
+        χ² with one degree of freedom per sample.
+        """
+        u = self.standardized[np.isfinite(self.standardized)]
+        statistic = float(u @ u)
+        above = float(upper_tail(statistic, len(u)))
+        return ChiSquared(statistic, len(u), min(2.0 * min(above, 1.0 - above), 1.0))
 
     def _columns(self) -> dict[str, Any]:
         own = {
@@ -266,10 +256,7 @@ class FilteredAxis(BiasTrack):
             "bias": float(self.bias[-1]),
             "bias_std": finite_or_none(self.bias_std[-1]),
             "drift": list(self.slow),
-            **{
-                name: {k: finite_or_none(v) for k, v in dataclasses.asdict(test).items()}
-                for name, test in tests.items()
-            },
+            **{name: {k: finite_or_none(x) for k, x in vars(of).items()} for name, of in tests.items()},
             "log_likelihood": self.log_likelihood,
             "missing": int(self.missing.sum()),
             "samples": len(self.samples),
@@ -408,43 +395,29 @@ def _filtered(
     e, std = (np.asarray(x)[:n] for x in innovations)
     check_noise(std, there, model)
     constant = Constant.of(e, std, there, constant_std, offset)
-    value, variance = constant.value, constant.variance
     if smooth:
         estimates = run_smoother(system, states, record)
-        value, variance = np.full(n, value[-1]), np.full(n, variance[-1])
-    estimates = jax.tree.map(lambda x: np.asarray(x)[:n], estimates)
-    state_values, state_stds = with_constant(estimates, value, variance, 0.0)
-    drift, drift_std = (x[:, -1] for x in with_constant(estimates, value, variance, 1.0))
+    values, stds = constant.added_to(estimates, np.append(np.zeros(most), 1.0), smooth)
     return FilteredAxis(
         axis=axis,
         rate=rate,
         model=model,
         samples=z,
         missing=missing,
-        bias=drift + offset,
-        bias_std=drift_std,
+        bias=values[:, -1] + offset,
+        bias_std=stds[:, -1],
         constant=float(constant.value[-1]) + offset,
         constant_std=float(np.sqrt(constant.variance[-1])),
-        states=state_values[:, :size],
-        state_stds=state_stds[:, :size],
+        states=values[:, :size],
+        state_stds=stds[:, :size],
         names=of_axis.space.names,
         units=of_axis.space.units,
         slow=of_axis.slow,
         innovation=constant.innovation,
         innovation_std=constant.innovation_std,
-        log_likelihood=constant.log_likelihood,
+        log_likelihood=float(constant.log_density.sum()),
         smoothed=smooth,
     )
-
-
-def with_constant(
-    rows: Rows, value: Float[np.ndarray, " n"], variance: Float[np.ndarray, " n"], share: float
-) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
-    """Rows with a share of the unknown constant, and their standard deviations."""
-    moved = share - np.asarray(rows.value[:, :, 1])
-    known = np.isfinite(variance)[:, None]
-    added = np.where(moved == 0.0, 0.0, moved**2 * np.where(known, variance[:, None], np.inf))
-    return rows.value[:, :, 0] + moved * value[:, None], np.sqrt(np.asarray(rows.std) ** 2 + added)
 
 
 # Adaptive bank of Kalman filters (Magill 1965; Hou 2004, 3.4.4): models weighted by their innovations.
@@ -586,19 +559,15 @@ def _adapted(
     offset = float(z[there].mean())
     own = [model_of(model, axis) for model in models.values()]
     of_axis = [FilterModel.of(model, rate, n / rate, axis.sensor) for model in own]
-    most = padded_size([m.space for m in of_axis])
-    systems = stacked([padded(m.space, m.drift[None], most) for m in of_axis])
+    systems = bank_of([m.space for m in of_axis], [m.drift[None] for m in of_axis])
     innovations, rows = jax.device_get(run_bank(systems, in_blocks(z - offset, missing)))
     density, bias, variance = (np.zeros((n, len(own))) for _ in range(3))
     for j, model in enumerate(own):
         e, std = innovations.value[j, :n], innovations.std[j, :n]
         check_noise(std, there, model)
         constant = Constant.of(e, std, there, constant_std, offset)
-        u, s = constant.innovation, constant.innovation_std
-        used = np.isfinite(s)
-        density[used, j] = -0.5 * (np.log(2.0 * math.pi * s[used] ** 2) + (u[used] / s[used]) ** 2)
-        estimates = Rows(rows.value[j, :n], rows.std[j, :n])
-        biases, stds = with_constant(estimates, constant.value, constant.variance, 1.0)
+        density[:, j] = constant.log_density
+        biases, stds = constant.added_to(Columns(rows.value[j], rows.std[j]), np.ones(1))
         bias[:, j], variance[:, j] = biases[:, 0], stds[:, 0] ** 2
     weights, probability, total = (np.asarray(x) for x in _weighed(density, np.asarray(switching / rate)))
     blended = np.sum(weights * bias, axis=1)

@@ -82,18 +82,14 @@ class System(NamedTuple):
     skip: Skip
 
 
-class Innovations(NamedTuple):
-    """Innovations of both columns, zero where there is no sample, and their standard deviation."""
+class Columns(NamedTuple):
+    """Numbers of both columns, and their standard deviation for a known constant.
 
-    value: Float[Array, "*models samples 2"]
-    std: Float[Array, "*models samples"]
+    Innovations, zero where there is no sample; or requested sums of states.
+    """
 
-
-class Rows(NamedTuple):
-    """Requested sums of states, of both columns, and their standard deviations for a known constant."""
-
-    value: Float[Array, "samples rows 2"]
-    std: Float[Array, "samples rows"]
+    value: Float[Array, "*samples 2"]
+    std: Float[Array, "*samples"]
 
 
 class Gains(NamedTuple):
@@ -188,6 +184,18 @@ def _step(system: System, state: State, sample: Array, there: Array) -> tuple[St
 
 # Innovations, updated states and gains, of a sample or of all in a block.
 _Outputs = tuple[Array, Array, Gains]
+# With factors of the covariance, and whether gains are settled.
+_Steps = tuple[_Outputs, Array, Array]
+
+
+def _steps(system: System, state: State, samples: Array, there: Array) -> tuple[State, _Steps]:
+    """State after a block whose gains are computed one by one, with outputs in it."""
+
+    def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Steps]:
+        new, found = _step(system, state, *at)
+        return new, ((*found, new.gains), new.S, new.settled)
+
+    return jax.lax.scan(step, state, (samples, there))
 
 
 def _block(
@@ -199,11 +207,8 @@ def _block(
     old = whole & system.skip.allowed & (state.age >= _YOUNG)
 
     def one_by_one(state: State) -> tuple[State, _Outputs]:
-        def step(state: State, at: tuple[Array, Array]) -> tuple[State, _Outputs]:
-            new, found = _step(system, state, *at)
-            return new, (*found, new.gains)
-
-        return jax.lax.scan(step, state, (samples, there))
+        end, (found, *_) = _steps(system, state, samples, there)
+        return end, found
 
     def at_once(state: State) -> tuple[State, _Outputs]:
         def skipped(state: State) -> tuple[Gains, Float[Array, "n n"]]:
@@ -229,13 +234,13 @@ def _block(
 
 
 @eqx.filter_jit
-def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State]:
+def run_filter(system: System, record: Record) -> tuple[Columns, Columns, State]:
     """Innovations and updated rows at every sample, and the state before every block of samples."""
 
-    def block(state: State, at: Sequence[Array]) -> tuple[State, tuple[Innovations, Rows, State]]:
+    def block(state: State, at: Sequence[Array]) -> tuple[State, tuple[Columns, Columns, State]]:
         end, (innovation, x, gains) = _block(system, state, *at)
-        rows = Rows(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
-        return end, (Innovations(innovation, gains.innovation_std), rows, state)
+        rows = Columns(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
+        return end, (Columns(innovation, gains.innovation_std), rows, state)
 
     _, (*found, states) = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
     innovations, rows = jax.tree.map(_joined, found)
@@ -244,31 +249,16 @@ def run_filter(system: System, record: Record) -> tuple[Innovations, Rows, State
 
 def _joined(x: Array) -> Array:
     """Samples of all blocks."""
-    return x.reshape(-1, *x.shape[2:])
+    return x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
 
 
 @eqx.filter_jit
-def run_bank(systems: System, record: Record) -> tuple[Innovations, Rows]:
+def run_bank(systems: System, record: Record) -> tuple[Columns, Columns]:
     """Innovations and updated rows of several filters with the same numbers of states, one after the other.
 
     Not side by side, so that each of them may stop computing gains.
     """
     return jax.lax.map(lambda system: run_filter(system, record)[:2], jax.tree.map(jnp.asarray, systems))
-
-
-@eqx.filter_jit
-def run_innovations(systems: System, record: Record) -> Innovations:
-    """Innovations alone of several filters."""
-
-    def one(system: System) -> Innovations:
-        def block(state: State, at: Sequence[Array]) -> tuple[State, Innovations]:
-            end, (innovation, _, gains) = _block(system, state, *at)
-            return end, Innovations(innovation, gains.innovation_std)
-
-        found = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
-        return jax.tree.map(_joined, found[1])
-
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, systems))
 
 
 class _Adjoint(NamedTuple):
@@ -316,7 +306,7 @@ def _smoothed_std(system: System, P: Float[Array, "n n"], N: Float[Array, "n n"]
 
 
 @eqx.filter_jit
-def run_smoother(system: System, states: State, record: Record) -> Rows:
+def run_smoother(system: System, states: State, record: Record) -> Columns:
     """Rows at every sample given all samples, from the states of the filter before every block.
 
     The estimates of Rauch, Tung and Striebel (1965) in the form of Bryson and Frazier, which inverts no
@@ -328,27 +318,25 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
     at the ends of blocks, and P and the standard deviations between are interpolated, as the filter's gains.
     """
 
-    def forward(state: State, at: tuple[Array, Array]) -> tuple[State, tuple]:
-        new, (innovation, x) = _step(system, state, *at)
-        return new, ((innovation, x, new.gains, at[1]), new.S, new.settled)
-
-    def backward(adjoint: _Adjoint, at: tuple[_Sample, Array, Array]) -> tuple[_Adjoint, Rows]:
-        sample, S, is_settled = at
-        _, x, gains, there = sample
-        r, a = _back(system, adjoint.r, sample)
+    def backward(
+        adjoint: _Adjoint, at: tuple[Array, tuple[_Outputs, Array, Array]]
+    ) -> tuple[_Adjoint, Columns]:
+        there, (found, S, is_settled) = at
+        _, x, gains = found
+        r, a = _back(system, adjoint.r, (*found, there))
         std = _smoothed_std(system, S @ S.T, adjoint.N)
         L, own = _closed(system, gains, there)
         N = L @ adjoint.N @ L.T + own
         size, old = (jnp.sqrt(jnp.diag(part)) for part in (N, adjoint.N))
         settled = is_settled & _unchanged(std, adjoint.std, std) & _unchanged(size, old, size)
         age = jnp.where(there, adjoint.age + 1, 0)
-        return _Adjoint(r, N, std, age, settled), Rows(system.rows @ (x + S @ (S.T @ a)), std)
+        return _Adjoint(r, N, std, age, settled), Columns(system.rows @ (x + S @ (S.T @ a)), std)
 
-    def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
-        found = jax.lax.scan(forward, state, (samples, there))[1]
-        return jax.lax.scan(backward, adjoint, found, reverse=True)
+    def one_by_one(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
+        found = _steps(system, state, samples, there)[1]
+        return jax.lax.scan(backward, adjoint, (there, found), reverse=True)
 
-    def at_once(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
+    def at_once(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
         end, (innovation, x, gains) = _block(system, state, samples, there, jnp.asarray(False))
         P, change = state.S @ state.S.T, end.S @ end.S.T - state.S @ state.S.T
         L, N = _closed(system, jax.tree.map(lambda of: jnp.mean(of, axis=0), gains), jnp.asarray(True))
@@ -363,14 +351,14 @@ def run_smoother(system: System, states: State, record: Record) -> Rows:
         moved = jnp.einsum("ij,bjc->bic", P, a) + part * jnp.einsum("ij,bjc->bic", change, a)
         value = jnp.einsum("rn,bnc->brc", system.rows, x + moved)
         std = ends[0] + share[:, None] * (ends[1] - ends[0])
-        return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Rows(value, std)
+        return _Adjoint(r, N, std[0], adjoint.age + BLOCK, adjoint.settled), Columns(value, std)
 
     n, rows = len(system.h), len(system.rows)
 
-    def nothing(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Rows]:
-        return adjoint, Rows(jnp.zeros((BLOCK, rows, 2)), jnp.zeros((BLOCK, rows)))
+    def nothing(adjoint: _Adjoint, state: State, samples: Array, there: Array) -> tuple[_Adjoint, Columns]:
+        return adjoint, Columns(jnp.zeros((BLOCK, rows, 2)), jnp.zeros((BLOCK, rows)))
 
-    def block(adjoint: _Adjoint, at: tuple[State, Array, Array, Array]) -> tuple[_Adjoint, Rows]:
+    def block(adjoint: _Adjoint, at: tuple[State, Array, Array, Array]) -> tuple[_Adjoint, Columns]:
         state, samples, there, after = at
         slow = system.skip.allowed & (jnp.minimum(state.age, adjoint.age) >= _YOUNG)
         kept = jnp.all(there) & (slow | (adjoint.settled & state.settled))
@@ -440,32 +428,41 @@ def factor(covariance: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
 
 
 def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], most: int) -> System:
-    """Matrices padded to this many states, see `padded_size`; `rows` are the requested sums of states."""
-    grown = [(0, most - space.size)] * 2
-    parts: Any = (
-        np.pad(space.A, grown),
-        np.pad(space.H[0], grown[0]),
-        np.pad(factor(space.Q), grown),
-        np.sqrt(space.R[0, 0]),
-        np.pad(factor(space.P0), grown),
-        np.pad(rows, [(0, 0), grown[0]]),
-        _skip(space, most),
+    """Matrices padded to this many states; `rows` are the requested sums of states."""
+    skipped = _skipped_samples(space)
+    white: Any = np.sqrt(space.R[0, 0])
+    allowed: Any = np.asarray(skipped is not None)
+
+    def grown(x: Float[np.ndarray, "*n"], kept: int = 0) -> Any:
+        return np.pad(x, [(0, 0)] * kept + [(0, most - space.size)] * (x.ndim - kept))
+
+    nothing = np.zeros((space.size, space.size))
+    A, C, J = skipped or (nothing, nothing, nothing)
+    return System(
+        A=grown(space.A),
+        h=grown(space.H[0]),
+        noise=grown(factor(space.Q)),
+        white=white,
+        start=grown(factor(space.P0)),
+        rows=grown(rows, kept=1),
+        skip=Skip(grown(A), grown(J), grown(factor((C + C.T) / 2.0)), allowed),
     )
-    return System(*parts)
 
 
-def _skip(space: StateSpace, most: int) -> Skip:
-    """Effect of skipped samples on the covariance: that of one sample, joined in powers of two."""
+_Skipped = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def _skipped_samples(space: StateSpace) -> _Skipped | None:
+    """Transition, covariance and information of a block less one sample, joined in powers of two.
+
+    None if the filter may not skip samples.
+    """
     poles = np.linalg.eigvals(space.A)
     lasting = (abs(poles) > math.exp(-1.0 / _LASTING)) & (poles.imag != 0.0)
-    n, grown = space.size, [(0, most - space.size)] * 2
     h, R, one = space.H[0], space.R[0, 0], np.eye(space.size)
     s = float(h @ space.Q @ h + R)
-    parts: Any
-    if n == 0 or lasting.any() or not s > 0.0:
-        nothing = np.zeros((most, most))
-        parts = (nothing, nothing, nothing, np.asarray(False))
-        return Skip(*parts)
+    if space.size == 0 or lasting.any() or not s > 0.0:
+        return None
     closed = one - np.outer(space.Q @ h / s, h)
     observed = space.A.T @ h
     power = (closed @ space.A, closed @ space.Q, np.outer(observed, observed) / s)
@@ -474,14 +471,10 @@ def _skip(space: StateSpace, most: int) -> Skip:
         if bit == "1":
             total = _followed(total, power)
         power = _followed(power, power)
-    A, C, J = total
-    parts = (np.pad(A, grown), np.pad(J, grown), np.pad(factor((C + C.T) / 2.0), grown), np.asarray(True))
-    return Skip(*parts)
+    return total
 
 
-def _followed(
-    first: tuple[np.ndarray, np.ndarray, np.ndarray], then: tuple[np.ndarray, np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _followed(first: _Skipped, then: _Skipped) -> _Skipped:
     """Transition, covariance and information of samples and of those that follow."""
     (A1, C1, J1), (A2, C2, J2) = first, then
     between = np.linalg.inv(np.eye(len(A1)) + C1 @ J2)
@@ -496,9 +489,11 @@ def padded_size(spaces: Sequence[StateSpace]) -> int:
     return next(size for size in _SIZES if most <= size)
 
 
-def stacked(systems: Sequence[System]) -> System:
-    """Matrices of several models of one size, for a bank."""
-    return jax.tree.map(lambda *of_each: np.stack(of_each), *systems)
+def bank_of(spaces: Sequence[StateSpace], rows: Sequence[Float[np.ndarray, "rows n"]]) -> System:
+    """Matrices of several models padded to one size, for a bank."""
+    most = padded_size(spaces)
+    each = [padded(space, of, most) for space, of in zip(spaces, rows, strict=True)]
+    return jax.tree.map(lambda *of_each: np.stack(of_each), *each)
 
 
 def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] | None) -> Record:
@@ -529,15 +524,16 @@ class Constant:
         value, variance: estimate of the constant after each sample, and its variance, infinite before the
             first.
         innovation, innovation_std: innovations of the samples; NaN for missing and unpredictable ones.
-        log_likelihood: log-likelihood of all samples [nats]; with an unknown constant, that of the
-            differences of successive samples, which do not depend on it.
+        log_density: logarithms of the innovations' densities; zero for those. Their sum is the log-likelihood
+            of all samples; with an unknown constant, that of the differences of successive samples, which do
+            not depend on it.
     """
 
     value: Float[np.ndarray, " n"]
     variance: Float[np.ndarray, " n"]
     innovation: Float[np.ndarray, " n"]
     innovation_std: Float[np.ndarray, " n"]
-    log_likelihood: float
+    log_density: Float[np.ndarray, " n"]
 
     @classmethod
     def of(
@@ -577,8 +573,28 @@ class Constant:
             spread = np.sqrt(s + np.where(predicted, uncertain, 0.0) * ones**2)
         e = np.where(predicted, e - before * ones, np.nan)
         spread = np.where(predicted, spread, np.nan)
-        terms = np.log(2.0 * math.pi * spread**2) + (e / spread) ** 2
-        return cls(value, variance, e, spread, float(-0.5 * np.sum(terms[predicted])))
+        density = np.zeros(len(e))
+        density[predicted] = -0.5 * _chi2(e[predicted], spread[predicted] ** 2)
+        return cls(value, variance, e, spread, density)
+
+    def added_to(
+        self, rows: Columns, share: Float[np.ndarray, " rows"], smoothed: bool = False
+    ) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
+        """Rows with shares of the constant, and their standard deviations.
+
+        The constant is that after each sample, or, if the rows are `smoothed`, after all of them.
+        """
+        n, after = len(self.value), slice(-1, None) if smoothed else slice(None)
+        value, variance = self.value[after, None], self.variance[after, None]
+        of_samples, of_ones = np.moveaxis(np.asarray(rows.value)[:n], -1, 0)
+        moved = share - of_ones
+        added = np.where(moved == 0.0, 0.0, moved**2 * variance)
+        return of_samples + moved * value, np.sqrt(np.asarray(rows.std)[:n] ** 2 + added)
+
+
+def _chi2(e: Float[np.ndarray, "*n"], variance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Minus twice the logarithms of normal densities."""
+    return np.log(2.0 * math.pi * variance) + e**2 / variance
 
 
 def innovations_under(
@@ -594,9 +610,8 @@ def innovations_under(
     n = len(z)
     there = np.ones(n, bool) if missing is None else ~missing
     spaces = [model.state_space(rate, duration=n / rate) for model in models]
-    most = padded_size(spaces)
-    systems = stacked([padded(space, np.zeros((0, space.size)), most) for space in spaces])
-    out = jax.device_get(run_innovations(systems, in_blocks(z - z[there].mean(), missing)))
+    systems = bank_of(spaces, [np.zeros((0, space.size)) for space in spaces])
+    out = jax.device_get(run_bank(systems, in_blocks(z - z[there].mean(), missing))[0])
     each = [Constant.of(e[:n], std[:n], there, None) for e, std in zip(out.value, out.std, strict=True)]
     used = np.flatnonzero(there)[1:]
     return np.stack([c.innovation[used] for c in each]), np.stack([c.innovation_std[used] ** 2 for c in each])
@@ -607,4 +622,4 @@ def log_likelihoods(
 ) -> Float[np.ndarray, " models"]:
     """Log-likelihood [nats] of each model, from its innovations; NaN if a sample has no variance."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return -0.5 * np.sum(np.log(2.0 * math.pi * variance) + innovation**2 / variance, axis=1)
+        return -0.5 * np.sum(_chi2(innovation, variance), axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +15,12 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
-from allanjax.base.wording import duration, finite_or_none, format_range, percent, significant
-from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, in_si, sensors_of
+from allanjax.base.wording import duration, format_range, percent, significant
+from allanjax.estimate.as_json import in_json
+from allanjax.navigation.likely import AxisNoise, NoiseLike, Sensors, biases_of, in_si, sensors_of
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
-from allanjax.record.units import SI, Sensor, unit_scale
+from allanjax.record.units import Sensor, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -123,17 +125,10 @@ class AxisAlignment(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries, in SI; None for undefined numbers."""
-        names = ("best", "best_time", "needed", "white_time", "out_of_reach")
-        pairs = ("best_interval", "best_time_interval", "needed_interval")
-        return {
-            "axis": self.axis.name,
-            "angle": self.angle,
-            "wanted": self.wanted,
-            "falling": self.falling,
-            **{name: finite_or_none(getattr(self, name)) for name in names},
-            **{name: [finite_or_none(x) for x in getattr(self, name)] for name in pairs},
-            "verdict": self.verdict,
-        }
+        names = ["wanted", "falling", "best", "best_time", "needed", "white_time", "out_of_reach"]
+        names += ["best_interval", "best_time_interval", "needed_interval"]
+        numbers = in_json({name: getattr(self, name) for name in names})
+        return {"axis": self.axis.name, "angle": self.angle, **numbers, "verdict": self.verdict}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -216,24 +211,20 @@ def align(
     wanted = None if azimuth is None else in_si(azimuth, "rad", "azimuth")
     if wanted == 0.0:
         raise AllanjaxError("the error of an azimuth cannot be zero: give a positive azimuth")
-    sensors = sensors_of(data, rate, seed)
-    earth = EARTH_RATE * math.cos(phi)
-    bias = in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")
-    force_bias = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    sensors, biases = sensors_of(data, rate, seed), biases_of(gyro_bias, accel_bias)
+    per_angle: dict[Sensor, float] = {"gyro": EARTH_RATE * math.cos(phi), "accel": gravity}
     level = [noise for noise in sensors.axes.values() if not noise.axis.name.endswith("_z")]
     if not level:
         raise AllanjaxError(f"alignment needs a level axis, x or y; there are {', '.join(sensors.axes)}")
-    results = (
-        _of_axis(noise, sensors, earth, bias, wanted)
-        if noise.axis.sensor == "gyro"
-        else _of_axis(noise, sensors, gravity, force_bias)
-        for noise in level
-    )
+    results = []
+    for noise in level:
+        s = noise.axis.sensor
+        results.append(_of_axis(noise, sensors, per_angle[s], biases[s], wanted if s == "gyro" else None))
     return Alignment(sensors.name, phi, tuple(results))
 
 
 def _of_axis(
-    noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None = None
+    noise: AxisNoise, sensors: Sensors, per_angle: float, bias: float, wanted: float | None
 ) -> AxisAlignment:
     """Accuracy of one axis; `per_angle` is its rate for an angle of 1 rad."""
     rate, longest = sensors.rate, min(sensors.record, _LONGEST)
@@ -253,38 +244,32 @@ def _of_axis(
 
     error, known, above = (angle(x) for x in (drawn.total, drawn.known, drawn.upper))
     lower, upper = (angle(end) for end in sensors.ends(drawn))
-    white = drawn.mean.get(f"{noise.axis.name} angle random walk")
+
+    def found(of: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> tuple:
+        """A property of the error, and its interval by draws of the error."""
+        return float(of(error[None])[0]), _interval(of(low), of(high), sensors.estimated)
+
+    def first(errors: Float[np.ndarray, "draws t"]) -> Float[np.ndarray, " draws"]:
+        """The first times at which errors are within a per cent of the least."""
+        return time[np.argmax(errors <= 1.01 * errors.min(axis=1, keepdims=True), axis=1)]
+
+    best, best_interval = found(lambda errors: errors.min(axis=1), known, above)
+    # Terms that are only known to be below a limit make an error rise sooner.
+    best_time, best_time_interval = found(first, above, known)
     reached: dict[str, Any] = {}
     if wanted is not None:
-        low, high = (np.array([_reached(time, row, wanted) for row in rows]) for rows in (known, above))
+        needed, interval = found(lambda x: np.array([_reached(time, e, wanted) for e in x]), known, above)
+        white = drawn.mean.get(f"{noise.axis.name} angle random walk")
         reached = {
             "wanted": wanted,
-            "needed": _reached(time, error, wanted),
-            "needed_interval": _interval(low, high, sensors.estimated),
+            "needed": needed,
+            "needed_interval": interval,
             "white_time": math.nan if white is None else white[-1] * time[-1] / (wanted * per_angle) ** 2,
-            "out_of_reach": float(np.isinf(high).mean()),
+            "out_of_reach": float((above > wanted).all(axis=1).mean()),
         }
-    return AxisAlignment(
-        axis=noise.axis,
-        time=time,
-        error=error,
-        lower=lower,
-        upper=upper,
-        best=float(error.min()),
-        best_interval=_interval(known.min(axis=1), above.min(axis=1), sensors.estimated),
-        best_time=float(_nearly_best(time, error[None])[0]),
-        # Terms that are only known to be below a limit make an error rise sooner.
-        best_time_interval=_interval(_nearly_best(time, above), _nearly_best(time, known), sensors.estimated),
-        falling=bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)]),
-        **reached,
-    )
-
-
-def _nearly_best(
-    time: Float[np.ndarray, " t"], errors: Float[np.ndarray, "draws t"]
-) -> Float[np.ndarray, " draws"]:
-    """The first times at which errors are within a per cent of the least."""
-    return time[np.argmax(errors <= 1.01 * errors.min(axis=1, keepdims=True), axis=1)]
+    falling = bool(error[-1] < _FALLING * error[-min(len(error), _PER_OCTAVE + 1)])
+    of_best = (best, best_interval, best_time, best_time_interval, falling)
+    return AxisAlignment(noise.axis, time, error, lower, upper, *of_best, **reached)
 
 
 def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], wanted: float) -> float:

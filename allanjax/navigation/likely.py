@@ -51,6 +51,14 @@ class Drawn(NamedTuple):
         """The mean of all detected terms, with other causes."""
         return sum(self.mean.values(), np.zeros_like(self.known[0]) + self.correlation)
 
+    def plus(
+        self, causes: Mapping[str, Float[np.ndarray, ...]], all_of_them: Float[np.ndarray, ...]
+    ) -> Drawn:
+        """With known values of other causes: each by itself, by its title, and all of them together."""
+        mean = {**self.mean, **{title: part for title, part in causes.items() if np.any(part > 0.0)}}
+        correlation = all_of_them - sum(causes.values())
+        return Drawn(mean, self.known + all_of_them, self.upper + all_of_them, correlation)
+
 
 class AxisNoise(NamedTuple):
     """Noise of an axis: sets of terms, and draws of their powers."""
@@ -206,6 +214,12 @@ def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None
     if not 0.0 <= float(number) < np.inf:
         raise AllanjaxError(f"{name} must be finite and at least 0, not {value}")
     return float(convert(float(number), text, unit, sensor))
+
+
+def biases_of(gyro_bias: float | str, accel_bias: float | str) -> dict[Sensor, float]:
+    """Standard deviations of biases by sensor [SI], see `in_si`."""
+    given: dict[Sensor, float | str] = {"gyro": gyro_bias, "accel": accel_bias}
+    return {s: in_si(bias, SI[s]["rate"], f"{s}_bias", s) for s, bias in given.items()}
 
 
 def together(parts: Sequence[Drawn]) -> Drawn:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -41,13 +41,13 @@ class Profile(ByValue):
     duration: Any = math.inf
 
     def __post_init__(self) -> None:
-        given = self.duration
-        seconds = given if given == math.inf else in_si(given, "s", "the duration of a profile (--for)")
-        vectors = {
+        in_units: dict[str, Any] = {
             "turn_rate": _vector(self.turn_rate, "gyro", "turn_rate (--turn-rate)", 2),
             "acceleration": _vector(self.acceleration, "accel", "acceleration (--acceleration)", 0),
         }
-        for name, value in {**vectors, "duration": seconds}.items():
+        if (given := self.duration) != math.inf:
+            in_units["duration"] = in_si(given, "s", "the duration of a profile (--for)")
+        for name, value in in_units.items():
             object.__setattr__(self, name, value)
 
     def describe(self) -> str:
@@ -78,13 +78,13 @@ class Profile(ByValue):
 
 def _vector(given: Any, sensor: Sensor, name: str, along: int) -> tuple[float, float, float]:
     """Three components in SI from three numbers or one, along this axis, or a text of these with a unit."""
-    si, factor, numbers = SI[sensor]["rate"], 1.0, given
+    si, numbers = SI[sensor]["rate"], given
     try:
         if isinstance(given, str):
             *others, last = given.split(",")
             number, unit = parse_quantity(last) or (math.nan, si)
-            numbers, factor = [*map(float, others), number], convert(1.0, unit, si, sensor)
-        values = factor * np.atleast_1d(np.asarray(numbers, float))
+            numbers = convert(np.array([*others, number], float), unit, si, sensor)
+        values = np.atleast_1d(np.asarray(numbers, float))
     except AllanjaxError:
         raise
     except (TypeError, ValueError):
@@ -99,51 +99,56 @@ def _vector(given: Any, sensor: Sensor, name: str, along: int) -> tuple[float, f
 
 
 class AxisErrors(NamedTuple):
-    """Errors that remain in an axis: causes, second moments [SI], inputs at rest and, besides, in motion."""
+    """Errors of an axis besides its noise, the first of which is the bias.
 
-    causes: tuple[str, ...]
-    moment: Float[np.ndarray, "p p"]
-    resting: Float[np.ndarray, " p"]
-    moving: Float[np.ndarray, " p"]
+    Attributes:
+        causes: their names.
+        moment: their second moments [SI].
+        resting, moving: what each is multiplied by at rest, and what motion adds to that.
+        duration: how long the motion lasts [s].
+    """
 
-    def variances(
-        self, always: Float[np.ndarray, "orders t"], during: Float[np.ndarray, "orders t"]
-    ) -> tuple[dict[str, Any], Float[np.ndarray, "orders t"]]:
-        """Variances of the navigator's errors by cause, each alone, and of all together.
-
-        "bias" is the error of the readings at rest, with what gravity makes of the other causes.
-
-        Args:
-            always: response to a unit input that lasts.
-            during: response to a unit input that lasts as long as the motion.
-        """
-        resting, moving = self.resting[:, None, None] * always, self.moving[:, None, None] * during
-        parts = {"bias": resting}
-        for cause in dict.fromkeys(self.causes[1:]):
-            parts[cause] = np.array([own == cause for own in self.causes])[:, None, None] * moving
-        alone = {cause: _quadratic(self.moment, part) for cause, part in parts.items()}
-        return alone, _quadratic(self.moment, resting + moving)
-
-
-class Remaining(NamedTuple):
-    """Errors that a calibration leaves, by sensor and direction of the axis, in a motion so long [s]."""
-
-    axes: Mapping[tuple[Sensor, str], AxisErrors]
-    notes: tuple[str, ...] = ()
+    causes: tuple[str, ...] = ("bias",)
+    moment: Float[np.ndarray, "p p"] = np.zeros((1, 1))
+    resting: Float[np.ndarray, " p"] = np.ones(1)
+    moving: Float[np.ndarray, " p"] = np.zeros(1)
     duration: float = math.inf
 
+    def with_bias(self, std: float) -> AxisErrors:
+        """With an independent part of the bias."""
+        moment = self.moment.copy()
+        moment[0, 0] += std**2
+        return self._replace(moment=moment)
 
-def _quadratic(
-    moment: Float[np.ndarray, "p p"], x: Float[np.ndarray, "p orders t"]
-) -> Float[np.ndarray, "orders t"]:
-    """The quadratic form x'·moment·x, which rounding must not make negative."""
-    return np.maximum(np.einsum("iot,ij,jot->ot", x, moment, x), 0.0)
+    def variances(
+        self, response: Callable[[float], Float[np.ndarray, " t"]]
+    ) -> tuple[dict[str, Float[np.ndarray, " t"]], Float[np.ndarray, " t"]]:
+        """Variances of a navigator's error by cause, each alone, and of all together.
+
+        "bias" is the error of the readings at rest, with what gravity makes of the other causes. `response`
+        is the navigator's error for a unit input that lasts so many seconds.
+        """
+        resting = np.outer(self.resting, response(math.inf))
+        moving = np.outer(self.moving, response(self.duration))
+        parts = {"bias": resting}
+        for cause in dict.fromkeys(self.causes[1:]):
+            parts[cause] = moving * (np.array(self.causes) == cause)[:, None]
+
+        def variance(x: Float[np.ndarray, "p t"]) -> Float[np.ndarray, " t"]:
+            # Rounding must not make it negative.
+            return np.maximum(np.einsum("it,ij,jt->t", x, self.moment, x), 0.0)
+
+        return {cause: variance(part) for cause, part in parts.items()}, variance(resting + moving)
+
+
+#: Errors of axes by sensor and direction.
+AllErrors: TypeAlias = dict[tuple[Sensor, str], AxisErrors]
 
 
 def remaining(
     calibration: Calibration, profile: Profile, gravity: float, corrected: bool, rested: bool
-) -> Remaining:
-    """What a calibration leaves of the errors of each axis, for the inputs of a level craft in motion.
+) -> tuple[AllErrors, list[str]]:
+    """What a calibration leaves of the errors of each axis of a level craft in motion, and notes.
 
     Args:
         calibration: the calibration.
@@ -152,29 +157,31 @@ def remaining(
         corrected: whether the samples are corrected; else the errors themselves count, too.
         rested: whether means at rest have replaced the biases, and what gravity adds to them.
     """
-    found: dict[tuple[Sensor, str], AxisErrors] = {}
+    found: AllErrors = {}
     notes = []
     for axis in calibration.results:
-        rest = np.array([0.0, 0.0, -gravity]) if axis.axis.sensor == "accel" else np.zeros(3)
-        motion = profile.acceleration if axis.axis.sensor == "accel" else profile.turn_rate
+        accel = axis.axis.sensor == "accel"
+        rest = np.array([0.0, 0.0, -gravity * accel])
         resting = _inputs(axis, rest)
-        moving = _inputs(axis, rest + np.array(motion)) - resting
-        resting = resting * (not rested)
-        coefficients = axis.coefficients.values()
-        unknown = [
-            c.label.replace("_", " ")
-            for c, *inputs in zip(coefficients, resting, moving, strict=True)
-            if math.isnan(c.value) and any(inputs)
-        ]
+        moving = _inputs(axis, rest + (profile.acceleration if accel else profile.turn_rate)) - resting
+        # Errors that are not known well enough to be corrected stay, with all that is known of them.
+        cs = axis.coefficients.values()
+        left = [0.0 if corrected and calibration.corrects(c) else c.value for c in cs]
+        moment = np.nan_to_num(axis.covariance + np.outer(left, left))
+        acting = moving != 0.0
+        if rested:
+            resting = np.eye(len(cs))[0]
+            moment[0] = moment[:, 0] = 0.0
+        else:
+            acting |= resting != 0.0
+        names = [c.label.replace("_", " ") for c in cs]
+        unknown = [names[k] for k, c in enumerate(cs) if acting[k] and math.isnan(c.value)]
         if unknown:
             notes.append(f"{axis.axis.name}: not included, as the calibration lacks it: {', '.join(unknown)}")
-        # Errors that are not known well enough to be corrected stay, with all that is known of them.
-        own = [0.0 if corrected and calibration.corrects(c) else c.value for c in coefficients]
-        moment = np.nan_to_num(axis.covariance + np.outer(own, own))
-        causes = tuple(re.sub("_[xyz]$", "", c.label).replace("_", " ") for c in coefficients)
-        own_axis = axis.axis.sensor, "xyz"[place_of(axis.axis)]
-        found[own_axis] = AxisErrors(causes, moment, resting, moving)
-    return Remaining(found, tuple(notes), profile.duration)
+        causes = tuple(re.sub(" [xyz]$", "", name) for name in names)
+        own = axis.axis.sensor, "xyz"[place_of(axis.axis)]
+        found[own] = AxisErrors(causes, moment, resting, moving, profile.duration)
+    return found, notes
 
 
 def _inputs(axis: AxisCalibration, f: Float[np.ndarray, 3]) -> Float[np.ndarray, " p"]:

@@ -17,12 +17,13 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
+from allanjax.base.wording import duration, format_range, plain, significant
 from allanjax.calibration.result import Calibration
-from allanjax.navigation.likely import Drawn, NoiseLike, Sensors, in_si, sensors_of, together
-from allanjax.navigation.motion import Profile, Remaining, remaining
+from allanjax.estimate.as_json import in_json
+from allanjax.navigation.likely import Drawn, NoiseLike, Sensors, biases_of, sensors_of, together
+from allanjax.navigation.motion import AllErrors, AxisErrors, Profile, remaining
 from allanjax.noise.model import Model
-from allanjax.record.units import SI, Sensor
+from allanjax.record.units import Sensor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -91,63 +92,38 @@ class ErrorGrowth(ByValue):
         """One row per direction and time, in SI."""
         import pandas as pd
 
-        tables = [
-            pd.DataFrame(
-                {
-                    "quantity": self.quantity,
-                    "channel": channel,
-                    "time": self.time,
-                    "error": self.error[k],
-                    "lower_95": self.lower[k],
-                    "upper_95": self.upper[k],
-                    "unit": self.unit,
-                    "largest cause": self.largest(channel),
-                }
-            )
-            for k, channel in enumerate(self.channels)
-        ]
+        tables = []
+        for channel, numbers in self._numbers().items():
+            columns = {"quantity": self.quantity, "channel": channel, "time": self.time, **numbers}
+            columns |= {"unit": self.unit, "largest cause": self.largest(channel)}
+            tables.append(pd.DataFrame(columns))
         return pd.concat(tables, ignore_index=True)
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries and lists, in SI; None for the ends of missing intervals."""
+        channels = {c: numbers | {"causes": self.causes[c]} for c, numbers in self._numbers().items()}
+        return {"unit": self.unit, "channels": in_json(channels)}
 
-        def numbers(values: Float[np.ndarray, " t"]) -> list[float | None]:
-            return [finite_or_none(x) for x in values]
-
-        return {
-            "unit": self.unit,
-            "channels": {
-                channel: {
-                    "error": numbers(self.error[k]),
-                    "lower_95": numbers(self.lower[k]),
-                    "upper_95": numbers(self.upper[k]),
-                    "causes": {cause: numbers(x) for cause, x in self.causes[channel].items()},
-                }
-                for k, channel in enumerate(self.channels)
-            },
-        }
+    def _numbers(self) -> dict[str, dict[str, Any]]:
+        """Errors with their intervals by direction."""
+        names = ("error", "lower_95", "upper_95")
+        each = zip(self.channels, self.error, self.lower, self.upper, strict=True)
+        return {channel: dict(zip(names, numbers, strict=True)) for channel, *numbers in each}
 
     def columns(self, at: Sequence[int]) -> list[Column]:
         """Columns of the printed table, with rows at these indices of the times."""
         unit, scale = SHOWN[self.quantity]
         cells = []
-        numbers = (x / scale for x in (self.error, self.lower, self.upper))
-        for channel, error, lower, upper in zip(self.channels, *numbers, strict=True):
+        for channel, numbers in self._numbers().items():
             largest = self.largest(channel)
             for j in at:
+                error, *ends = (x[j] / scale for x in numbers.values())
                 cause = self.causes[channel][largest[j]][j] / scale
-                share = (cause / error[j]) ** 2 if error[j] > 0.0 else 1.0
-                texts = (plain(self.time[j], 4), significant(error[j]), format_range(lower[j], upper[j]))
+                share = (cause / error) ** 2 if error > 0.0 else 1.0
+                texts = (plain(self.time[j], 4), significant(error), format_range(*ends))
                 cells.append((f"{self.quantity} {channel}", *texts, largest[j], f"{100.0 * share:.0f}"))
-        heads = (
-            "error",
-            "after (s)",
-            f"1σ ({unit})",
-            f"95 % interval ({unit})",
-            "largest cause",
-            "share (%)",
-        )
-        return columns_from(heads, cells)
+        heads = ("error", "after (s)", f"1σ ({unit})", f"95 % interval ({unit})", "largest cause")
+        return columns_from((*heads, "share (%)"), cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -291,38 +267,31 @@ class ErrorVariances:
     """Variances of errors for the noise of any axis, whose common part is computed once."""
 
     def __init__(
-        self,
-        orders: Sequence[int],
-        steps: Int[np.ndarray, " t"],
-        before: int,
-        rate: float,
-        stiffness: float = 0.0,
+        self, orders: int, steps: Int[np.ndarray, " t"], before: int, rate: float, stiffness: float = 0.0
     ) -> None:
         """Prepare the errors.
 
         Args:
-            orders: how many times they are integrated: 1, 2 or 3.
+            orders: how many times they are integrated at most: 1, 2 or 3.
             steps: numbers of samples since the start.
             before: number of samples before it over which the bias was averaged.
             rate: sample rate [Hz].
             stiffness: see `bias_response`.
         """
-        self._rate = rate
+        self._time, self._rate, self._stiffness = steps / rate, rate, stiffness
         self._functionals = [
-            [_functional(order, int(n), before, rate, stiffness) for n in steps] for order in orders
+            [_functional(order, int(n), before, rate, stiffness) for n in steps]
+            for order in range(1, orders + 1)
         ]
         whole = np.arange(steps.max() + 1)
         self._lags = np.concatenate([whole, whole + before]) / rate
         self._known: list[tuple[Model, np.ndarray]] = []
-        self._time, self._orders, self._stiffness = steps / rate, orders, stiffness
-        #: Errors after the steps from a unit bias, by order.
-        self.of_bias = self.of_input(np.inf)
 
-    def of_input(self, seconds: float) -> Float[np.ndarray, "orders t"]:
-        """Errors after the steps from a unit input that ends after so many seconds, by order."""
+    def of_input(self, order: int, seconds: float) -> Float[np.ndarray, " t"]:
+        """Errors after the steps from a unit input that ends after so many seconds."""
         after = np.maximum(self._time - seconds, 0.0)
-        pairs = [[bias_response(t, k, self._stiffness) for t in (self._time, after)] for k in self._orders]
-        return np.array([whole - rest for whole, rest in pairs])
+        whole, rest = (bias_response(t, order, self._stiffness) for t in (self._time, after))
+        return whole - rest
 
     def __call__(self, one: Model) -> Float[np.ndarray, "orders t"]:
         """Variances for a model of one term, kept for other axes and sets of terms with the same."""
@@ -422,81 +391,73 @@ def navigate(
         AllanjaxError, UnitError: a time, rate or bias is out of range or cannot be read; no axis can be used;
             more than two million samples.
     """
-    sensors = sensors_of(data, rate, seed)
-    biases = {"gyro": in_si(gyro_bias, SI["gyro"]["rate"], "gyro_bias", "gyro")}
-    biases["accel"] = in_si(accel_bias, SI["accel"]["rate"], "accel_bias", "accel")
+    sensors, biases = sensors_of(data, rate, seed), biases_of(gyro_bias, accel_bias)
     if not 0.0 < gravity < np.inf:
         raise AllanjaxError(f"gravity must be positive and finite, not {gravity}")
     given = np.geomspace(1.0, 1000.0, 19) if times is None else np.unique(np.asarray(times, float))
-    if calibration is not None and not isinstance(calibration, Calibration):
+    left: AllErrors = {}
+    notes, used, before = [*sensors.notes], "", 600.0
+    if isinstance(calibration, Calibration):
+        left, lacking = remaining(calibration, profile or Profile(), gravity, corrected, at_rest is not None)
+        used = "corrected" if corrected else "uncorrected"
+        before = sum(p.duration for p in calibration.positions)
+        notes += [*lacking, *_without(sensors, left)]
+    elif calibration is not None:
         raise AllanjaxError("calibration= is what calibrate returned; for the time at rest pass at_rest=")
-    motion = profile or Profile()
-    left = Remaining({})
-    if calibration is not None:
-        left = remaining(calibration, motion, float(gravity), corrected, at_rest is not None)
     elif profile is not None:
         raise AllanjaxError("profile= needs the errors that act in motion: pass calibration= (--calibration)")
-    if at_rest is None:
-        at_rest = 600.0 if calibration is None else sum(p.duration for p in calibration.positions)
-    steps, before = _whole_samples(given, at_rest, sensors.rate)
-    variances = _variances(sensors, steps, before, biases, float(gravity), schuler, left)
+    samples = _whole_samples(given, before if at_rest is None else at_rest, sensors.rate)
+    variances = _variances(sensors, samples, biases, gravity, schuler, left)
     if not any(variances.values()):
         raise AllanjaxError(
             f"no axis can be used; use names such as gyro_x or accel_z, not {', '.join(sensors.axes)}"
         )
-    time = steps / sensors.rate
+    time, rested = samples[0] / sensors.rate, samples[1] / sensors.rate
     growths = tuple(_growth(q, of, time, sensors) for q, of in variances.items() if of)
-    used = "" if calibration is None else "corrected" if corrected else "uncorrected"
-    shared = (sensors.name, sensors.rate, before / sensors.rate, float(gravity), schuler, growths)
+    shared = (sensors.name, sensors.rate, rested, float(gravity), schuler, growths)
     result = Navigation(*shared, calibrated=used, profile=profile)
-    notes = (*sensors.notes, *left.notes, *_without(sensors, left), *_notes(result, sensors, float(time[-1])))
-    return dataclasses.replace(result, notes=notes)
+    return dataclasses.replace(result, notes=(*notes, *_notes(result, sensors)))
 
 
 def _variances(
     sensors: Sensors,
-    steps: Int[np.ndarray, " t"],
-    before: int,
-    biases: Mapping[str, float],
+    samples: tuple[Int[np.ndarray, " t"], int],
+    biases: Mapping[Sensor, float],
     gravity: float,
     schuler: bool,
-    left: Remaining,
-) -> dict[str, dict[str, list[Drawn]]]:
-    """Variances of the errors by quantity and direction, one for each sensor that contributes."""
-    level = ErrorVariances((1, 2, 3), steps, before, sensors.rate, gravity / EARTH_RADIUS if schuler else 0.0)
+    left: AllErrors,
+) -> dict[str, dict[str, Drawn]]:
+    """Variances of the errors by quantity and direction, from all sensors that contribute."""
+    stiffness = gravity / EARTH_RADIUS if schuler else 0.0
+    level = ErrorVariances(3, *samples, sensors.rate, stiffness)
     # Along the vertical gravity drives errors, and about it nothing does.
-    vertical = level
-    about = level
+    vertical = about = level
     if schuler:
-        vertical = ErrorVariances((1, 2), steps, before, sensors.rate, -2.0 * gravity / EARTH_RADIUS)
-        about = ErrorVariances((1,), steps, before, sensors.rate)
+        vertical = ErrorVariances(2, *samples, sensors.rate, -2.0 * stiffness)
+        about = ErrorVariances(1, *samples, sensors.rate)
 
-    def errors(sensor: Sensor, letter: str, orders: Sequence[int], of: ErrorVariances) -> list[Drawn]:
-        """Drawn variances of an axis's errors, of each order of integration."""
-        noise = sensors.along(sensor, letter)
-        if noise is None:
+    def error(
+        sensor: Sensor, letter: str | None, order: int, of: ErrorVariances, factor: float = 1.0
+    ) -> list[Drawn]:
+        """Variance of an axis's error after so many integrations; none without the axis."""
+        noise = sensors.along(sensor, letter) if letter else None
+        if noise is None or letter is None:
             return []
-        drawn, given = noise.drawn(of), (biases[sensor] * of.of_bias) ** 2
-        causes, both = {"bias": given}, given
-        if (own := left.axes.get((sensor, letter))) is not None:
-            causes, both = own.variances(of.of_bias, of.of_input(left.duration))
-            causes["bias"], both = causes["bias"] + given, both + given
-        return [_with_causes(drawn, n - 1, causes, both, noise.axis.name) for n in orders]
+        errors = left.get((sensor, letter), AxisErrors()).with_bias(biases[sensor])
+        alone, all_of_them = errors.variances(lambda seconds: factor * of.of_input(order, seconds))
+        causes = {f"{noise.axis.name} {cause}": part for cause, part in alone.items()}
+        return [noise.drawn(lambda term: factor**2 * of(term)[order - 1]).plus(causes, all_of_them)]
 
-    variances: dict[str, dict[str, list[Drawn]]] = {name: {} for name in get_args(Quantity)}
+    variances: dict[str, dict[str, Drawn]] = {name: {} for name in get_args(Quantity)}
     for channel, along, tilting in _CHANNELS:
-        upright = tilting is None
-        turned = errors("gyro", along, (1,), about if upright else level)
-        forced = errors("accel", along, (1, 2), vertical if upright else level)
-        tilted = errors("gyro", tilting, (2, 3), level) if tilting else []
-        tilted = [_times(drawn, gravity**2) for drawn in tilted]
-        for quantity, parts in (
-            ("attitude", turned[:1]),
-            ("velocity", forced[:1] + tilted[:1]),
-            ("position", forced[1:] + tilted[1:]),
-        ):
+        turned, forced = (level, level) if tilting else (about, vertical)
+        for quantity, parts in {
+            "attitude": error("gyro", along, 1, turned),
+            "velocity": error("accel", along, 1, forced) + error("gyro", tilting, 2, level, gravity),
+            "position": error("accel", along, 2, forced) + error("gyro", tilting, 3, level, gravity),
+        }.items():
             if parts:
-                variances[quantity][channel] = parts
+                variances[quantity][channel] = together(parts)
     return variances
 
 
@@ -510,88 +471,61 @@ def _whole_samples(times: Float[np.ndarray, " t"], at_rest: float, rate: float) 
     return np.unique(np.rint(times * rate).astype(int)), round(at_rest * rate)
 
 
-def _with_causes(
-    drawn: Drawn,
-    k: int,
-    causes: Mapping[str, Float[np.ndarray, "orders t"]],
-    both: Float[np.ndarray, "orders t"],
-    name: str,
-) -> Drawn:
-    """The k-th of several drawn quantities, with the variance from other causes, alone and together."""
-    mean = {title: part[k] for title, part in drawn.mean.items()}
-    mean |= {f"{name} {cause}": part[k] for cause, part in causes.items() if np.any(part[k] > 0.0)}
-    shared = both[k] - sum(part[k] for part in causes.values())
-    return Drawn(mean, drawn.known[:, k] + both[k], drawn.upper[:, k] + both[k], shared)
-
-
-def _times(drawn: Drawn, factor: float) -> Drawn:
-    mean = {title: factor * part for title, part in drawn.mean.items()}
-    return Drawn(mean, factor * drawn.known, factor * drawn.upper, factor * drawn.correlation)
-
-
 def _growth(
-    quantity: Any, channels: Mapping[str, list[Drawn]], time: Float[np.ndarray, " t"], sensors: Sensors
+    quantity: Any, drawn: Mapping[str, Drawn], time: Float[np.ndarray, " t"], sensors: Sensors
 ) -> ErrorGrowth:
-    summed = {name: together(parts) for name, parts in channels.items()}
-    lower, upper = np.sqrt(np.array([sensors.ends(drawn) for drawn in summed.values()])).swapaxes(0, 1)
+    lower, upper = np.sqrt(np.array([sensors.ends(own) for own in drawn.values()])).swapaxes(0, 1)
     return ErrorGrowth(
         quantity=quantity,
-        channels=tuple(summed),
+        channels=tuple(drawn),
         time=time,
-        error=np.array([np.sqrt(drawn.total) for drawn in summed.values()]),
+        error=np.sqrt([own.total for own in drawn.values()]),
         lower=lower,
         upper=upper,
         causes={
-            name: {title: np.sqrt(part) for title, part in drawn.mean.items()}
-            for name, drawn in summed.items()
+            channel: {title: np.sqrt(part) for title, part in own.mean.items()}
+            for channel, own in drawn.items()
         },
     )
 
 
-def _without(sensors: Sensors, left: Remaining) -> list[str]:
+def _without(sensors: Sensors, left: AllErrors) -> list[str]:
     """Note on axes with noise that a calibration lacks; AllanjaxError if it lacks all."""
     axes = [noise.axis for noise in sensors.axes.values()]
-    lacking = [a.name for a in axes if "_" in a.name and (a.sensor, a.name[-1]) not in left.axes]
-    if left.axes and len(lacking) == len(axes):
+    lacking = [a.name for a in axes if "_" in a.name and (a.sensor, a.name[-1]) not in left]
+    if len(lacking) == len(axes):
         raise AllanjaxError(
             f"the calibration has none of the axes {', '.join(lacking)}: give that of this sensor"
         )
-    return [f"{', '.join(lacking)}: not calibrated, noise only"] if left.axes and lacking else []
+    return [f"{', '.join(lacking)}: not calibrated, noise only"] if lacking else []
 
 
-def _notes(result: Navigation, sensors: Sensors, last: float) -> list[str]:
+def _notes(result: Navigation, sensors: Sensors) -> Iterator[str]:
     """Limitations: sensors that are missing, and times for which the errors do not hold."""
-    notes = []
     for channel, along, tilting in _CHANNELS:
         gyro = tilting and sensors.along("gyro", tilting)
         accel = sensors.along("accel", along)
         if tilting and (gyro is None) != (accel is None):
             only = "the accelerometer" if gyro is None else "the gyro's tilt"
-            notes.append(f"velocity and position {channel} contain the errors of {only} only")
-    if not result.schuler and last > result.quarter_period:
-        notes.append(
-            f"short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "
+            yield f"velocity and position {channel} contain the errors of {only} only"
+    last = float(result.growths[0].time[-1])
+    if last > result.quarter_period:
+        yield (
+            "the vertical channel is unstable without a height sensor; the Earth's rotation is not included"
+            if result.schuler
+            else f"short-term errors hold up to {duration(result.quarter_period)}, a quarter of the Schuler "
             "period; for longer times pass schuler=True (--schuler)"
         )
-    if result.schuler and last > result.quarter_period:
-        notes.append(
-            "the vertical channel is unstable without a height sensor; the Earth's rotation is not included"
-        )
-    if any(
-        (part > 1.01 * growth.of(channel)).any()
-        for growth in result.growths
-        for channel, parts in growth.causes.items()
-        for part in parts.values()
-    ):
-        notes.append("some errors that the calibration leaves cancel each other in part: shares exceed 100 %")
+    pairs = ((p, g.of(c)) for g in result.growths for c, of in g.causes.items() for p in of.values())
+    if any((part > 1.01 * error).any() for part, error in pairs):
+        yield "some errors that the calibration leaves cancel each other in part: shares exceed 100 %"
     if result.profile is not None and result.profile.is_long(last):
-        notes.append(
+        yield (
             "the turn is long: it spreads errors from misalignment over both level directions, in which "
             "together they are smaller than given"
         )
     if last + result.at_rest > sensors.record / 2.0:
-        notes.append(
+        yield (
             f"times plus time at rest exceed half the record ({duration(sensors.record / 2.0)}): the errors "
             "extrapolate the model"
         )
-    return notes

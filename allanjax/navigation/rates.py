@@ -16,7 +16,8 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import PerAxis
-from allanjax.base.wording import finite_or_none, plain, significant
+from allanjax.base.wording import plain, significant
+from allanjax.estimate.as_json import in_json
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import AxisFit
 from allanjax.noise.estimate import Estimate
@@ -130,18 +131,10 @@ class AxisRates(ByValue):
 
     def to_dict(self) -> dict[str, Any]:
         """The numbers as plain dictionaries, in SI; None for undefined numbers."""
-        estimates = {"bandwidth": self.bandwidth, "quantization": self.quantization}
-        return {
-            "axis": self.axis.name,
-            **{name: [finite_or_none(x) for x in values] for name, values in self._columns().items()},
-            **{
-                name: None
-                if e is None
-                else {"value": e.value, "interval_95": [*map(finite_or_none, e.interval)]}
-                for name, e in estimates.items()
-            },
-            "agree_from": self.agree_from,
-        }
+        numbers = self._columns() | {"agree_from": self.agree_from}
+        for name, e in (("bandwidth", self.bandwidth), ("quantization", self.quantization)):
+            numbers[name] = e and {"value": e.value, "interval_95": e.interval}
+        return {"axis": self.axis.name, **in_json(numbers)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

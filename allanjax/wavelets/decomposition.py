@@ -283,10 +283,8 @@ def denoise(
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
     models = [model_of(model, axis) for axis in recording.axes]
     # All axes may have the same model.
-    levels, known = decomposition.levels, {}
-    for of_axis in models:
-        if repr(of_axis) not in known:
-            known[repr(of_axis)] = _variances(of_axis, filters, levels, recording)
+    each = {repr(of_axis): of_axis for of_axis in models}
+    known = {key: _variances(one, filters, decomposition.levels, recording) for key, one in each.items()}
     results = []
     for axis, of_axis in zip(recording.axes, models, strict=True):
         white, drift = known[repr(of_axis)]
@@ -295,8 +293,8 @@ def denoise(
         cutoff = recording.rate / 2.0 ** (level + 1)
         reason = _reason(axis, level, white, drift)
         results.append(AxisDenoising(axis, level, cutoff, white, drift, reason))
-    each = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
-    notes = (*recording.notes, f"de-noised with {wavelet}: {each}")
+    done = ", ".join(f"{r.axis.name} at level {r.level}" for r in results)
+    notes = (*recording.notes, f"de-noised with {wavelet}: {done}")
     at = {r.level: decomposition.approximation(r.level).values for r in results}
     values = np.stack([at[r.level][:, k] for k, r in enumerate(results)], axis=1)
     left = dataclasses.replace(recording, values=values, others=(), notes=notes)

@@ -20,7 +20,7 @@ from scipy.stats import t as student
 
 import allanjax as aj
 from allanjax.calibration.result import Position, as_orientation
-from allanjax.calibration.sensor_errors import Covariances, Setting, World, errors_of, parts_of_model
+from allanjax.calibration.sensor_errors import Setting, World, errors_of, parts_of_model
 from allanjax.record.columns import Axis
 from benchmarks.common.hidden_sensors import term_noise
 from benchmarks.common.ours import TERM_LABELS, true_model
@@ -106,7 +106,7 @@ def calibrated(kind: str, seed: int, first: int, count: int) -> tuple[np.ndarray
         fits = aj.fit_many(aj.allan_deviation(np.concatenate(records, axis=1), RATE), TERMS[kind])
         for k, unit in enumerate(units):
             models = [model_of(fits.coefficients, v) for v in fits.value[3 * k : 3 * k + 3]]
-            noise = Covariances.of(places, [parts_of_model(m, RATE) for m in models])
+            noise = [parts_of_model(m, RATE) for m in models]
             found, misfit = errors_of(setting, unit.means, noise)
             value, std = np.empty((3, 4)), np.empty((3, 4))
             for i, result in enumerate(found):

@@ -82,19 +82,14 @@ def test_scale_factor_and_misalignment_at_one_g():
     still = aj.navigate(models, TIME, **options)["velocity"]
     for channel, size in (("north", 200.0), ("down", 800.0)):
         assert_allclose(still.of(channel), G0 * size * PPM * TIME, rtol=1e-3)
-        assert {cause.partition(" ")[2] for cause in still.causes[channel]} == {
-            "bias",
-            "velocity random walk",
-        }
+        kinds = {cause.partition(" ")[2] for cause in still.causes[channel]}
+        assert kinds == {"bias", "velocity random walk"}
 
 
 def test_what_is_left_is_the_covariance_of_the_calibration():
     """By dense least squares of readings up and twice down, whose bias and scale factor are correlated."""
-    means = [G + 0.01, -G + 0.012, -G + 0.0118]
-    records = [
-        at_rest([m], 64, 0.1, name=f"z {w}", axes="z")
-        for m, w in zip(means, ("up", "down", "down"), strict=True)
-    ]
+    means = (("up", G + 0.01), ("down", -G + 0.012), ("down", -G + 0.0118))
+    records = [at_rest([m], 64, 0.1, name=f"z {way}", axes="z") for way, m in means]
     known = aj.calibrate(records, gravity=G, model=f"N={LEVEL} m/s/√s", as_is=True)
     X = np.array([[1.0, G], [1.0, -G], [1.0, -G]])
     C = LEVEL**2 / 640.0 * np.linalg.inv(X.T @ X)
@@ -111,27 +106,16 @@ def test_what_is_left_is_the_covariance_of_the_calibration():
         assert_allclose(alone["accel_z scale factor"], np.sqrt(C[1, 1]) * integrated(5.0, order), rtol=1e-3)
     # All of the calibration at rest was before the start.
     assert found.at_rest == pytest.approx(3 * 640.0)
-    assert any(
-        "misalignment x, misalignment y" in note
-        for note in aj.navigate(
-            {"accel_z": QUIET},
-            TIME,
-            rate=RATE,
-            calibration=known,
-            profile=aj.Profile(acceleration=(1.0, 2.0, 0.0)),
-        ).notes
-    )
+    across = aj.Profile(acceleration=(1.0, 2.0, 0.0))
+    found = aj.navigate({"accel_z": QUIET}, TIME, rate=RATE, calibration=known, profile=across)
+    assert any("misalignment x, misalignment y" in note for note in found.notes)
 
 
 def test_corrected_velocities_scatter_as_told():
     """150 simulated calibrations of one sensor, each applied to 5 m/s² for 9 s and to rest until 20 s."""
-    rng, errors, left = (
-        np.random.default_rng(5),
-        Errors(SCALE, np.array([0.01, -0.02, 0.03]), np.zeros(3)),
-        [],
-    )
-    rest = np.array([[0.0, 0.0, -G0]])
-    push = np.array([[5.0, 0.0, -G0]])
+    rng, left = np.random.default_rng(5), []
+    errors = Errors(SCALE, np.array([0.01, -0.02, 0.03]), np.zeros(3))
+    rest, push = np.array([[0.0, 0.0, -G0]]), np.array([[5.0, 0.0, -G0]])
     for _ in range(150):
         means = errors.readings(G * EIGHTEEN[:6]) + LEVEL / np.sqrt(640.0) * rng.standard_normal((6, 3))
         records = {name: at_rest(m, 64, 0.1) for name, m in zip(SIX, means, strict=True)}
@@ -188,26 +172,15 @@ def test_a_calibration_from_its_file_is_the_same(tmp_path):
     for one, other in zip(found.values(), known.values(), strict=True):
         assert one.coefficients.keys() == other.coefficients.keys()
         for label, c in one.coefficients.items():
-            own = other[label]
-            assert_allclose(
-                [c.value, c.std, *c.interval, *c.interval_68],
-                [own.value, own.std, *own.interval, *own.interval_68],
-                rtol=1e-12,
-                atol=1e-300,
-            )
+            numbers = ([x.value, x.std, *x.interval, *x.interval_68] for x in (c, other[label]))
+            assert_allclose(*numbers, rtol=1e-12, atol=1e-300)
         assert_allclose(one.covariance, other.covariance)
     assert_allclose(found.misfit["accel"].residuals, known.misfit["accel"].residuals)
     options = {"rate": RATE, "corrected": False}
-    grown = [
-        aj.navigate({"accel_x": QUIET}, TIME, calibration=k, **options)["position"] for k in (found, known)
-    ]
-    assert_allclose(grown[0].error, grown[1].error, rtol=1e-12)
-    damaged = dict(known.to_dict(), axes=None)
-    for text, word in (
-        ("{", "JSON"),
-        ('{"schema_version": 1}', "allanjax calibrate"),
-        (json.dumps(damaged), "damaged"),
-    ):
+    grown = (aj.navigate({"accel_x": QUIET}, TIME, calibration=k, **options) for k in (found, known))
+    assert_allclose(*(of["position"].error for of in grown), rtol=1e-12)
+    damaged, other = json.dumps(known.to_dict() | {"axes": None}), '{"schema_version": 1}'
+    for text, word in (("{", "JSON"), (other, "allanjax calibrate"), (damaged, "damaged")):
         path.write_text(text, encoding="utf-8")
         refuses(word, aj.load_calibration, path)
     refuses("no such file", aj.load_calibration, tmp_path / "none.json")
