@@ -73,8 +73,12 @@ class RandomEffects(ByValue, Tabled):
 
     @property
     def odd_one(self) -> str:
-        """The value that differs from the others for certain (p < 0.05); "" if none does."""
-        return self.odd if self.odd_p_value < _CERTAIN else ""
+        """The value that differs from the others for certain (p < 0.05); "" if none does.
+
+        If the errors explain all differences, none does, even if the others are nearer to each other.
+        """
+        alike = self.p_value >= _CERTAIN
+        return "" if alike or not self.odd_p_value < _CERTAIN else self.odd
 
     @property
     def verdict(self) -> str:

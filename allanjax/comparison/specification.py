@@ -308,12 +308,10 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
         return LimitCheck(name, limit, reason="this term was not fitted; fit it with terms= (--terms)")
     if c.held:
         return LimitCheck(name, limit, c, reason="the value was given and not estimated")
-    greatest = floor.probability_below(limit.value) if floor.detected else 1.0
-    found, seconds, reason = (
-        LimitCheck(name, limit, c, (c.probability_below(limit.value), greatest)),
-        None,
-        "",
-    )
+    least = c.probability_below(limit.value)
+    # The laws of the two differ, so that the greatest may come out below the least.
+    greatest = max(least, floor.probability_below(limit.value)) if floor.detected else 1.0
+    found, seconds, reason = LimitCheck(name, limit, c, (least, greatest)), None, ""
     if found.verdict == "typical" and c.detected:
         reason = f"{significant(found.ratio)} times typical, {found.score:+.1f} standard errors"
     elif found.verdict == "undecided" and c is not floor:
