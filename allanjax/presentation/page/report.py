@@ -15,6 +15,7 @@ from allanjax.estimate.check import Check
 from allanjax.estimate.fit import fit
 from allanjax.estimate.result import Fit
 from allanjax.fleet.fleet import FleetResult
+from allanjax.presentation.page import sections
 from allanjax.presentation.page.blocks import Section
 from allanjax.presentation.page.comparison import of_comparison
 from allanjax.presentation.page.fleet import of_fleet
@@ -109,9 +110,6 @@ def page_about(parts: Sequence[Reported], title: str | None = None, first: Seque
     Raises:
         AllanjaxError: nothing to show.
     """
-    # Here, as the critic imports slow libraries.
-    from allanjax.presentation.page import sections
-
     shown, names = list(first), ", ".join(dict.fromkeys(one.fit.name for one in parts if one.fit.name))
     for one in parts:
         prefix = f"{one.fit.name}: " if len(parts) > 1 else ""
