@@ -48,7 +48,9 @@ _OTHER = re.compile(
     r"(?:^|_)(?:lower|upper|min|max|low|high|ci|err|errors?|edf|freedom|dof|count|model|alpha|type|n|m|af"
     r"|size|fit|uncertainty)(?=_|$)"
 )
-_OTHER_KINDS = re.compile(r"(?:^|_)(?:mdev|mvar|hdev|ohdev|tdev|totdev|modified|hadamard|theo1)(?=_|$)")
+_OTHER_KINDS = re.compile(
+    r"(?:^|_)(?:mdev|mvar|hdev|ohdev|tdev|totdev|mod|modified|hadamard|total|theo1|time_sigma)(?=_|$)"
+)
 _TIME = re.compile(r"taus?|τ|period|t|time|(?:cluster|averaging|correlation)_time|tau_?s")
 _SIZES, _COUNTS = ("cluster_size", "size", "m", "af"), ("count", "n", "number")
 # Relative change of a cluster time by rounding to whole samples that a note reports.
@@ -242,11 +244,14 @@ def _curve(
         )
     if moved.max() > _ROUNDED:
         notes.append(f"cluster times are rounded to whole samples, by up to {percent(float(moved.max()))}")
-    if duration is None and "count" in extra:
-        lengths = extra["count"] + 2 * sizes - 1
-        if np.ptp(lengths) <= 2.0:
+    if "count" in extra and np.ptp(lengths := extra["count"] + 2 * sizes - 1) <= 2.0:
+        if duration is None:
             duration = float(np.median(lengths)) / rate
             notes.append(f"the length, {in_words(duration)}, follows from the counts")
+    elif "count" in extra and max((extra["count"] + 1) * sizes) < min((extra["count"] + 2) * sizes):
+        raise source.error(
+            "its counts are those of clusters that do not overlap; export the overlapping deviation (oadev)"
+        )
     if duration is None:
         duration = 2.0 * float(sizes[-1]) / rate
         assumed.append(f"duration= (--duration): {in_words(duration)}, twice the longest cluster, is assumed")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Roles of columns, explained at `Column`.
-Role = Literal["axis", "time", "counter", "auxiliary"]
+Role = Literal["axis", "time", "counter", "cluster time", "auxiliary"]
 
 # Patterns of the sensors' names, and of the names of increments.
 _ALIASES: dict[Sensor, str] = {
@@ -65,6 +65,8 @@ _TIME_PART = re.compile(r"(.*?)_?(secs?|seconds|nsecs?|nanosecs?|nanoseconds)")
 # Names of sample counters, which are times if the rate is known; and clocks of a known unit.
 _COUNTER = re.compile(r"(?:.*_)?(?:packet|sample|frame|message|msg)_?(?:counter|count|number|num|index|nr)")
 _CLOCKS = {"sample_time_fine": "0.1 ms"}
+# Names of the cluster times of Allan curves, which are no recordings.
+_CLUSTER_TIME = re.compile(r"taus?|(?:cluster|averaging|correlation)_time")
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,8 @@ class Column:
 
     Attributes:
         label: label in the file.
-        role: `axis` of a sensor, `time` stamps, `counter` of samples, or `auxiliary`.
+        role: `axis` of a sensor, `time` stamps, `counter` of samples, `cluster time` of an Allan curve, or
+            `auxiliary`.
         name: `gyro_x` ... `accel_z`, `gyro`, `gyro_1` for an axis, else the label without its unit.
         sensor: sensor of an axis, else None.
         unit: unit that the label states, if any.
@@ -155,6 +158,8 @@ def _axis(label: str, words: str, unit: str | None) -> Column | None:
 
 def _time(label: str, stem: str, words: str, unit: str | None) -> Column | None:
     """Return the column of time stamps, or None if the name is not that of one."""
+    if _CLUSTER_TIME.fullmatch(words.removesuffix("_s")):
+        return Column(label, "cluster time", stem, unit=unit)
     if _TIME.fullmatch(words):
         return Column(label, "time", stem, unit=unit or _CLOCKS.get(words))
     if _COUNTER.fullmatch(words):

@@ -81,6 +81,45 @@ def test_tables_of_other_programs_are_read(curve, tmp_path):
         np.testing.assert_allclose(found.deviation, fit.curve.deviation, rtol=1e-9)
 
 
+STABLE32 = """\
+# Stable32 1.60
+# Sigma Type: Overlapping Allan
+# Confidence Factor = 0.683
+#
+#  AF        Tau        #    Alpha  Min Sigma      Sigma         Max Sigma
+    1   1.0000e+00      999     0   2.8515e-01    2.9223e-01     2.9987e-01
+    2   2.0000e+00      997     0   1.9520e-01    2.0102e-01     2.0738e-01
+    4   4.0000e+00      993     0   1.3931e-01    1.4479e-01     1.5098e-01
+"""
+
+
+def test_headers_in_comments_are_read(tmp_path):
+    # Stable32's own file, whose names have blanks; the ends of its intervals are left out.
+    (path := tmp_path / "s.txt").write_text(STABLE32)
+    found = aj.read_curve(path, gyro_unit="deg/h")
+    assert (found.n, found.rate, found.determined) == (1000, 1.0, True)
+    np.testing.assert_allclose(found.deviation[:, 0] / (DEG / 3600.0), [0.29223, 0.20102, 0.14479])
+    # numpy.savetxt writes its header as a comment.
+    np.savetxt(path := tmp_path / "n.txt", [[0.01, 0.2], [0.02, 0.1]], header="tau adev")
+    found = aj.read_curve(path, 100.0, 60.0, gyro_unit="deg/h")
+    np.testing.assert_allclose(found.deviation[:, 0] / (DEG / 3600.0), [0.2, 0.1])
+
+
+def test_deviations_that_are_not_overlapping_are_refused(tmp_path):
+    # Counts of disjoint clusters of 1,000 samples: 1000 / m - 1.
+    disjoint = STABLE32.replace("997", "499").replace("993", "249")
+    for text, words in ((disjoint, "do not overlap"), (STABLE32.replace("  Sigma  ", "Mod Sigma "), "Mod")):
+        (path := tmp_path / "s.txt").write_text(text)
+        with pytest.raises(aj.RecordingError, match=words):
+            aj.read_curve(path, gyro_unit="deg/h")
+
+
+def test_a_curve_is_no_recording(tmp_path):
+    path = written(tmp_path / "c.csv", "tau [s],gyro_x [deg/s]", np.arange(1.0, 9.0), np.ones(8))
+    with pytest.raises(aj.RecordingError, match=r"'tau \[s\]' has cluster times.*--curve"):
+        aj.read(path, rate=100.0)
+
+
 def test_a_fit_of_the_curve_agrees_with_that_of_the_record(curve, tmp_path):
     path = written(tmp_path / "c.csv", "tau,gyro_x,gyro_y,gyro_z", *columns_of(curve))
     found = aj.fit(aj.read_curve(path, 100.0, 163.84, gyro_unit="deg/h"), "N + B")

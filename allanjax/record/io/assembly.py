@@ -96,6 +96,12 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
     sensors = {column.sensor for column in found if column.role == "axis"}
     named = [c if (axis := by_unit(c)).sensor in sensors else axis for c in found]
     axes = tuple(c for c in named if c.role == "axis" and c.index not in {column.index for column in time})
+    clusters = next((c for c in found if c.role == "cluster time"), None)
+    if clusters is not None and not time:
+        raise table.source.error(
+            f"column {clusters.label!r} has cluster times, so that this is an Allan curve and no recording; "
+            "read it with read_curve, or give --curve to characterize and compare"
+        )
     if not axes:
         raise table.source.error(
             f"no gyro or accelerometer column among {', '.join(column.label for column in found)}; "
@@ -107,7 +113,7 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
     if renamed:
         notes.append(f"axes: {', '.join(renamed)}")
     used = {column.index for column in (*axes, *time)}
-    auxiliary = tuple(c for c in found if c.role in ("auxiliary", "counter") and c.index not in used)
+    auxiliary = tuple(c for c in found if c.role not in ("axis", "time") and c.index not in used)
     return Layout(axes, time, auxiliary)
 
 
@@ -246,8 +252,8 @@ _LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
 def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
     """Make a recording from a table; RecordingError or UnitError if something is missing or wrong."""
     columns, notes = table.columns(), [*table.notes]
-    check_length(len(columns[0]), table.source)
     layout = find_layout(table, columns, options, notes)
+    check_length(len(columns[0]), table.source)
     rate = stated_rate(table, options.rate, notes)
     segment, source = _read(columns, layout, rate, options, table.source, notes)
     others: tuple[_Segment, ...] = ()

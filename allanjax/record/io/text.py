@@ -228,7 +228,7 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
     """Return the layout with the header, which is searched before the first line with numbers."""
     plain = [(number, line) for number, line in before if not _is_comment(line)]
     comments = [line for _, line in before if _is_comment(line)]
-    headers = [(number, line, _trim(_split(line, bare.delimiter))) for number, line in plain]
+    headers = [(number, line, _labels(line, bare.delimiter, fields)) for number, line in plain]
     named = [header for header in headers if any(recognise(label).role == "axis" for label in header[2])]
     for number, _, labels in named or headers:
         if _fits(fields, len(labels)):
@@ -241,7 +241,7 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
             return replace(bare, start=start, labels=tuple(labels), fields=len(labels), notes=notes)
     for line in reversed(comments):
         # The % of `%time`, as ROS writes it, is part of the name.
-        labels = _trim(_split(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter))
+        labels = _labels(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter, fields)
         if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
             return replace(bare, labels=tuple(labels), fields=len(labels))
     return replace(bare, notes=_skipped([line for _, line in plain]))
@@ -346,6 +346,12 @@ def _split(line: str, delimiter: str | None) -> list[str]:
         return re.split(r"\s+(?![\[(]|[^\[\](]*[\])])", line.strip())
     fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     return [field.strip() for field in fields]
+
+
+def _labels(line: str, delimiter: str | None, fields: list[str]) -> list[str]:
+    """Return the names in a header; they may have blanks if two or more separate as many as the fields."""
+    aligned = re.split(r"\s{2,}", line.strip()) if delimiter is None else []
+    return aligned if len(aligned) == len(fields) else _trim(_split(line, delimiter))
 
 
 def _trim(fields: list[str]) -> list[str]:
