@@ -1,8 +1,8 @@
 """Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
 
 Recordings are independent, so that the evidence of a set of terms is the product of the recordings' own. Each
-recording has coefficients of its own. A term that is too weak to be seen in any of them is also sought by its
-common power.
+recording has coefficients of its own. A term that is too weak to be seen in any of them is sought as if its
+power, and those of the other basic terms, were the same in all: by the evidence of the sum of their spectra.
 
 Averages are those of the squares v of the amplitudes, estimated from a recording's Allan variances V by
 (D'C⁻¹D)⁻¹D'C⁻¹V with the covariance C of V under the joint model. These estimates are linear in V, and so
@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError, FitError
@@ -31,11 +31,10 @@ from allanjax.estimate.as_json import load_one
 from allanjax.estimate.axis_fits import check_terms
 from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
-from allanjax.estimate.evidence import over_prior
 from allanjax.estimate.fit import fit
 from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import AxisSelection, TermSet
+from allanjax.estimate.selection import AxisSelection, TermSet, pooled
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike
@@ -49,7 +48,6 @@ _ODDS = 20.0
 # Rounds in which weights and powers settle.
 _ROUNDS = 4
 _Terms = Float[np.ndarray, "records terms"]
-_Flags = Bool[np.ndarray, " terms"]
 # Estimates of powers and shapes of every recording, their variances, and their skewness.
 _Forms = Float[np.ndarray, "3 records params"]
 
@@ -64,9 +62,10 @@ def joint_fit(
     """Fit recordings of one unit on several days, or of units of one type, by one set of terms per axis.
 
     Without a model, the terms of an axis are those of the highest joint evidence (as `select_terms` chooses),
-    and basic terms whose common power has a Bayes factor above 20. The values, the common value and the
-    scatter follow from the Allan deviations of all recordings, see the module and `random_effects`; those of
-    an axis with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
+    and basic terms that have a Bayes factor above 20 if the powers are the same in all recordings. These are
+    not sought in saved fits, which have no spectra, nor beside a Markov process. The values, the common value
+    and the scatter follow from the Allan deviations of all recordings, see the module and `random_effects`;
+    those of an axis with a model of its own (`AxisFit.own_template`) or with segments are taken from its fit.
 
     Args:
         recordings: at least two recordings, or whatever `fit` takes, fits, or paths of saved fits (.json).
@@ -105,29 +104,37 @@ def _fit(of: Any, model: ModelLike | None, options: Mapping[str, Any]) -> Fit:
 
 def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> AxisJoint:
     """The joint fit of one axis of the recordings that have it."""
-    axis, selection, rivals = next(iter(fits.values()))[name].axis, None, dict[str, tuple[str, ...]]()
+    axis = next(iter(fits.values()))[name].axis
+    seen = {c.term for f in fits.values() for c in f[name].coefficients.values() if c.detected}
+    selection, gains, rivals = None, dict[str, float](), dict[str, tuple[str, ...]]()
     if model is None:
-        selection = _joint_ranking(axis, fits)
-        chosen = selection.chosen.terms
-        rivals |= {term: others for term, others in selection.doubtful().items() if others}
-        full = basic_terms() + Markov() if "markov" in chosen else basic_terms()
-    else:
-        full = model_to_fit(model, [axis])
-        check_terms(full, "must be estimated from the record itself; leave it out of a joint fit")
-        chosen = full.term_labels
-    records = _Records.of(name, fits, full, np.isin(full.term_labels, chosen))
-    # Without curves that the terms alone describe there is nothing to search.
-    while records.groups and model is None and not records.active.all():
-        gains = {k: records.log_bayes_factor(k) for k in np.flatnonzero(~records.active).tolist()}
-        best = max(gains, key=lambda k: gains[k])
-        if gains[best] < np.log(_ODDS):
-            break
-        records = records.with_terms(records.active | (np.arange(len(full)) == best))
-        near = (k for k, x in gains.items() if k != best and x > gains[best] - np.log(_ODDS))
-        if names := tuple(full.term_labels[k] for k in near):
-            rivals[full.term_labels[best]] = names
-    found = records.found_jointly() if records.groups else {}
-    return AxisJoint(axis, tuple(fits), records.coefficients(found), selection, found, rivals)
+        selection, chosen, gains, rivals = _chosen(axis, fits, seen)
+        every = basic_terms() + Markov()
+        model = every.without([label for label in every.term_labels if label not in chosen])
+    terms = model_to_fit(model, [axis])
+    check_terms(terms, "must be estimated from the record itself; leave it out of a joint fit")
+    found = {t: gain for t, gain in gains.items() if gain > np.log(_ODDS) and t not in seen}
+    told = {t: others for t, others in rivals.items() if others}
+    coefficients = _Records.of(name, fits, terms).coefficients(found)
+    return AxisJoint(axis, tuple(fits), coefficients, selection, found, told)
+
+
+def _chosen(axis: Axis, fits: Mapping[str, Fit], seen: Set[str]) -> tuple[AxisSelection, Any, Any, Any]:
+    """Ranking by the sum of the evidences, chosen terms, what each gains as common to all, and its rivals."""
+    selection, together = _joint_ranking(axis, fits), _together(axis, fits)
+    chosen, rivals = selection.chosen.terms, selection.doubtful()
+    if together is None or not {*chosen} <= {*together.inclusion}:
+        return selection, chosen, {}, rivals
+    # What no recording shows alone may be another term with the same power in all.
+    own = {*chosen} & seen or {*chosen}
+    more = dataclasses.replace(together, ranking=tuple(s for s in together.ranking if own <= {*s.terms}))
+    best = more.chosen.terms
+    if together.gain(best, own) > np.log(_ODDS):
+        doubtful, instead = more.doubtful(), tuple(t for t in chosen if t not in best)
+        rivals |= {t: (*doubtful.get(t, ()), *instead) for t in best if t not in own}
+        chosen = best
+    rest = {t: [other for other in chosen if other != t] for t in chosen if len(chosen) > 1}
+    return selection, chosen, {t: together.gain(chosen, others) for t, others in rest.items()}, rivals
 
 
 def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
@@ -149,22 +156,31 @@ def _joint_ranking(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection:
     return AxisSelection(axis, tuple(found), max(r.discrepancy for r in rankings))
 
 
+def _together(axis: Axis, fits: Mapping[str, Fit]) -> AxisSelection | None:
+    """Ranking for common powers by the recordings whose spectra are known, at the rate of most; or None."""
+    by_rate = dict[float, list[AxisSelection]]()
+    for f in fits.values():
+        if f.selection is not None and (own := f.selection[axis.name]).spectrum is not None:
+            by_rate.setdefault(own.spectrum[0].rate, []).append(own)
+    most = max(by_rate.values(), key=len, default=[])
+    return pooled(most) if len(most) > 1 else None
+
+
 @dataclasses.dataclass(frozen=True)
 class _Records:
-    """One axis of several recordings, with the active ones of all terms that are considered.
+    """One axis of several recordings, and a model with the terms of all.
 
     `groups` are the recordings of one length and rate, by their rows. The curves of all others do not
     suffice: their fits' own estimates are used.
     """
 
-    full: Model
-    active: _Flags
+    model: Model
     names: list[str]
     results: list[AxisFit]
     groups: list[tuple[Int[np.ndarray, " rows"], AllanDeviation, Hypotheses]]
 
     @classmethod
-    def of(cls, name: str, fits: Mapping[str, Fit], full: Model, active: _Flags) -> _Records:
+    def of(cls, name: str, fits: Mapping[str, Fit], model: Model) -> _Records:
         results, alike = [f[name] for f in fits.values()], dict[Any, list[int]]()
         curves = [f.curve for f in fits.values()]
         for row, (curve, result) in enumerate(zip(curves, results, strict=True)):
@@ -177,24 +193,20 @@ class _Records:
             axes = tuple(dataclasses.replace(results[row].axis, name=f"{row}") for row in rows)
             curve, edf = curves[rows[0]], np.ones(deviation.shape)
             curve = dataclasses.replace(curve, deviation=deviation, edf=edf, axes=axes)
-            groups.append((np.array(rows), curve, _hypotheses(curve, full, _only(full, active))))
-        return cls(full, active, list(fits), results, groups)
-
-    def with_terms(self, active: _Flags) -> _Records:
-        """The same recordings with other terms in use."""
-        return dataclasses.replace(self, active=active)
+            groups.append((np.array(rows), curve, _hypotheses(curve, model)))
+        return cls(model, list(fits), results, groups)
 
     @property
     def places(self) -> dict[str, int]:
         """Columns of the forms by label: powers of the terms, then shapes."""
-        amplitudes = {p.label: p.term for p in self.full.parameters if p.parameter.is_amplitude}
-        return amplitudes | {p.label: len(self.full) + k for k, p in enumerate(free_shapes(self.full))}
+        amplitudes = {p.label: p.term for p in self.model.parameters if p.parameter.is_amplitude}
+        return amplitudes | {p.label: len(self.model) + k for k, p in enumerate(free_shapes(self.model))}
 
     def forms(self, power: _Terms) -> _Forms:
         """Linear estimates of powers and shapes with weights of these powers; NaN where there is none."""
-        terms = len(self.full)
-        found = np.full((3, len(self.results), terms + len(free_shapes(self.full))), np.nan)
-        for (row, result), p in itertools.product(enumerate(self.results), self.full.parameters):
+        terms = len(self.model)
+        found = np.full((3, len(self.results), terms + len(free_shapes(self.model))), np.nan)
+        for (row, result), p in itertools.product(enumerate(self.results), self.model.parameters):
             c = result.coefficients.get(p.label)
             if c is None or c.held:
                 continue
@@ -204,7 +216,7 @@ class _Records:
                 distance = c.value - p.parameter.lower
                 found[:, row, self.places[p.label]] = np.log(distance), (c.std / distance) ** 2, 0.0
         for rows, _, at in self.groups:
-            p, fitted = power[rows], np.broadcast_to(self.active & free_powers(self.full), power[rows].shape)
+            p, fitted = power[rows], np.broadcast_to(free_powers(self.model), power[rows].shape)
             estimated = np.concatenate([fitted, p[:, at.tangent.owner] > 0.0], axis=1)
             X, weighed, covariance, step = at.linearized(p, estimated)
             sd = np.sqrt(np.where(estimated, np.einsum("rpp->rp", covariance), np.nan))
@@ -217,12 +229,12 @@ class _Records:
 
     def settled(self) -> tuple[_Forms, _Terms]:
         """Estimates and powers drawn towards the common ones, after a few rounds."""
-        power = np.zeros((len(self.results), len(self.full)))
+        power = np.zeros((len(self.results), len(self.model)))
         for rows, _, at in self.groups:
-            power[rows] = np.where(self.active, at.power, 0.0)
+            power[rows] = at.power
         for _ in range(_ROUNDS):
             forms = self.forms(power)
-            for k in np.flatnonzero(self.active):
+            for k in range(len(self.model)):
                 known = np.isfinite(forms[1, :, k])
                 v, s = forms[0, known, k], np.sqrt(forms[1, known, k])
                 if known.sum() > 1:
@@ -232,37 +244,11 @@ class _Records:
                 power[known, k] = np.maximum(v, 0.0)
         return forms, power
 
-    def log_bayes_factor(self, k: int) -> float:
-        """ln of the Bayes factor of a term whose power is the same in all recordings, beside the other terms.
-
-        The likelihood is normal about the common power, with the weights of a model without the term; the
-        prior is that of `evidence`.
-        """
-        alone = np.arange(len(self.full)) == k
-        _, power = self.with_terms(self.active & ~alone).settled()
-        value, variance, _ = self.with_terms(self.active | alone).forms(power)[:, :, k]
-        known = np.isfinite(variance)
-        weight = 1.0 / variance[known]
-        v, sd = weight @ value[known] / weight.sum(), weight.sum() ** -0.5
-        low, high = np.sqrt(max(v - 8.0 * sd, 0.0)), np.sqrt(max(v, 0.0) + 8.0 * sd)
-        ends = np.array([[low]]), np.array([[high]]), np.array([[np.sqrt(sd)]])
-        return float(over_prior(lambda c: (v**2 - (c**2 - v) ** 2) / (2.0 * sd**2), *ends)[0])
-
-    def found_jointly(self) -> dict[str, float]:
-        """Active terms that no recording detects, but all together do, with ln of their Bayes factors."""
-        found = dict[str, float]()
-        for p in self.full.parameters if self.active.sum() > 1 else ():
-            own = [r.coefficients[p.label] for r in self.results if p.label in r.coefficients]
-            unseen = p.parameter.is_amplitude and not any(c.detected for c in own)
-            if self.active[p.term] and unseen and (gain := self.log_bayes_factor(p.term)) > np.log(_ODDS):
-                found[p.term_label] = gain
-        return found
-
     def coefficients(self, found: Mapping[str, float]) -> dict[str, JointCoefficient]:
-        """The coefficients of the active terms, with what is common to all recordings."""
-        template, axis, result = _only(self.full, self.active), self.results[0].axis, {}
-        (forms, power), own = self.settled(), self._own_estimates(template)
-        for p in (p for p in reported(template) if p.free):
+        """The coefficients, with what is common to all recordings."""
+        axis, result = self.results[0].axis, {}
+        (forms, power), own = self.settled(), self._own_estimates(self.model)
+        for p in (p for p in reported(self.model) if p.free):
             k = self.places[p.label]
             rows = [r for r, of in enumerate(own) if p.label in of and np.isfinite(forms[1, r, k])]
             if len(rows) < 2:
@@ -306,25 +292,20 @@ class _Records:
         return own
 
 
-def _only(full: Model, active: _Flags) -> Model:
-    """The model without the terms that are not active."""
-    return full.without(list(itertools.compress(full.term_labels, ~active)))
-
-
-def _hypotheses(curve: AllanDeviation, full: Model, chosen: Model) -> Hypotheses:
-    """Curves with all terms, at the best fit of the chosen ones."""
-    first, count = fit_many(curve, chosen), len(curve.names)
-    power, shape = np.zeros((count, len(full))), np.zeros((count, len(free_shapes(full))))
+def _hypotheses(curve: AllanDeviation, model: Model) -> Hypotheses:
+    """Curves at the best fit of a model."""
+    first, count = fit_many(curve, model), len(curve.names)
+    power, shape = np.zeros((count, len(model))), np.zeros((count, len(free_shapes(model))))
     values = dict(zip(first.coefficients, first.value.T, strict=True))
-    for p in full.parameters:
+    for p in model.parameters:
         if p.parameter.is_amplitude and p.label in values:
             power[:, p.term] = np.nan_to_num(values[p.label]) ** 2
-    for k, p in enumerate(free_shapes(full)):
+    for k, p in enumerate(free_shapes(model)):
         u = np.log(values[p.label] - p.parameter.lower)
         # Where no recording has the term, any shape will do.
         known = u[np.isfinite(u)] if np.isfinite(u).any() else 0.5 * np.log(curve.n) - np.log(curve.rate)
         shape[:, k] = np.where(np.isfinite(u), u, np.median(known))
-    tangent = AllanDesign.of(full, curve).tangent(shape)
+    tangent = AllanDesign.of(model, curve).tangent(shape)
     error = 2.0 * np.nan_to_num(first.discrepancy)
     none = np.zeros(power.shape, bool)
     return Hypotheses(tangent, curve.variance.T, none, none, power, error, np.zeros(shape.shape, bool))

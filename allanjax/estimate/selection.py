@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -37,7 +37,7 @@ from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
 from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
-from allanjax.spectrum.cosine import Bins, SpectralStatistics, joint_statistics
+from allanjax.spectrum.cosine import Bins, Part, SpectralStatistics, joint_statistics
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -124,12 +124,14 @@ class AxisSelection(ByValue):
         ranking: all sets, the most probable first.
         discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
         averaged: coefficients and drift averaged over all sets.
+        spectrum: what was ranked; None for a selection from a file.
     """
 
     axis: Axis
     ranking: tuple[TermSet, ...]
     discrepancy: float
     averaged: Averaged | None = None
+    spectrum: tuple[Bins, SpectralStatistics] | None = dataclasses.field(default=None, compare=False)
 
     @property
     def best(self) -> TermSet:
@@ -144,6 +146,11 @@ class AxisSelection(ByValue):
     def indistinguishable(self) -> tuple[TermSet, ...]:
         """The best set and those that cannot be distinguished from it: Bayes factors below 20."""
         return self._within(_ODDS)
+
+    def gain(self, terms: Iterable[str], over: Iterable[str]) -> float:
+        """ln of the Bayes factor of one set of terms over another [nats]; infinite over one not ranked."""
+        known = {frozenset(s.terms): s.log_evidence for s in self.ranking}
+        return known[frozenset(terms)] - known.get(frozenset(over), -np.inf)
 
     @property
     def chosen(self) -> TermSet:
@@ -361,6 +368,29 @@ def ranked(
     return rank_terms(Candidates.of(model, bins), statistics, recording.axes, recording.name)
 
 
+def pooled(selections: Sequence[AxisSelection]) -> AxisSelection:
+    """Ranking of the sets of basic terms for an axis of several records whose noise has the same powers.
+
+    The records are at one rate, and each selection has its `spectrum`. The ramp is the same, too.
+    """
+    alike = dict[Any, tuple[Part, SpectralStatistics]]()
+    for bins, statistics in (s.spectrum for s in selections if s.spectrum is not None):
+        ends = np.cumsum([len(part.edges) - 1 for part in bins.parts])[:-1]
+        sums = zip(*(np.split(x, ends) for x in statistics), strict=True)
+        for part, own in zip(bins.parts, map(SpectralStatistics._make, sums), strict=True):
+            key = part.n, part.rate, part.edges.tobytes()
+            if key in alike:
+                old, total = alike[key]
+                part = part._replace(segments=old.segments + part.segments)
+                own = SpectralStatistics(*(x + y for x, y in zip(total, own, strict=True)))
+            alike[key] = part, own
+    parts, each = zip(*alike.values(), strict=True)
+    bins = Bins(parts[0].n, parts[0].rate, parts)
+    statistics = SpectralStatistics(*map(np.concatenate, zip(*each, strict=True)))
+    candidates = Candidates.of(basic_terms(), bins)._replace(statistics=statistics)
+    return candidates.ranked_for(selections[0].axis)
+
+
 def basic_candidates(processes: int = 1) -> Model:
     """The basic terms and one or two Markov processes."""
     return basic_terms() + Model((Markov(),) * processes)
@@ -480,7 +510,7 @@ class Candidates(NamedTuple):
             names = tuple(itertools.compress(labels, sets[k]))
             ranking.append(TermSet(names, int(free @ sets[k]), behind, float(probability[k]), known))
         averaged = weighed.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
-        return AxisSelection(axis, tuple(ranking), error / 2.0, averaged)
+        return AxisSelection(axis, tuple(ranking), error / 2.0, averaged, (self.bins, self.statistics))
 
     def evidence(self, sets: TermSets) -> TermSets:
         return evidence(sets, self.levels, self.statistics, self.size)
