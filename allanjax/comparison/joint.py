@@ -114,7 +114,7 @@ def _of_axis(name: str, fits: Mapping[str, Fit], model: ModelLike | None) -> Axi
     terms = model_to_fit(model, [axis])
     check_terms(terms, "must be estimated from the record itself; leave it out of a joint fit")
     found = {t: gain for t, gain in gains.items() if gain > np.log(_ODDS) and t not in seen}
-    told = {t: others for t, others in rivals.items() if others}
+    told = {t: others for t, others in rivals.items() if others and t in terms.term_labels}
     coefficients = _Records.of(name, fits, terms).coefficients(found)
     return AxisJoint(axis, tuple(fits), coefficients, selection, found, told)
 

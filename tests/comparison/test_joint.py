@@ -145,9 +145,12 @@ def test_a_term_that_no_recording_shows_is_found_by_all_together():
     assert not any(alone)
     K = axis["K"].common
     assert K.interval[0] < labelled(**c)["rate_random_walk"] < K.interval[1]
-    # A Bayes factor above 1000, in which a ramp in each recording does nearly as well.
+    # A Bayes factor above 1000 over N alone. B alone has nearly as much, a ramp of one slope far less.
     assert axis.found_jointly["rate_random_walk"] > np.log(1000.0)
-    assert axis.rivals == {"rate_random_walk": ("drift_ramp",)}
+    longer = [aj.fit(day(2110 + k, f"longer {k}", n=MIDDLE + 500, **c)) for k in range(4)]
+    assert aj.joint_fit([*fits, *longer])["gyro_x"].found_jointly.keys() == axis.found_jointly.keys()
+    assert list(axis.coefficients) == ["angle_random_walk", "rate_random_walk"]
+    assert axis.rivals == {"rate_random_walk": ("bias_instability",)}
     assert "rate random walk: no recording shows it alone, but all together" in str(joint)
     without = aj.joint_fit([aj.fit(day(200 + k, f"{k}", N=GYRO)) for k in range(4)])["gyro_x"]
     assert list(without.coefficients) == ["angle_random_walk"]
