@@ -23,9 +23,9 @@ from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.check import length_for, random_terms, trial_lengths
 from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.tables import detail
+from allanjax.estimate.tables import SYMBOLS, detail
 from allanjax.noise.datasheet import LEAST, Figures
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import Estimate, is_called
 from allanjax.noise.model import Model
 from allanjax.noise.notation import term_classes
 from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
@@ -120,9 +120,16 @@ def _limits(section: str, sensor: Sensor, given: Any, where: str) -> Iterator[Li
                 f"{where} {key} needs meaning: maximum (of this unit) or meaning: typical (of many units, so "
                 f"reported only), not {meaning!r}"
             )
-        label, size = Figures(sensor, {**own, key: limit}, where, _exponents()).one(str(key))
+        name = _label(str(key), sensor)
+        label, size = Figures(sensor, {**own, name: limit}, where, _exponents()).one(name)
         unit = default_coefficient_unit(sensor, _exponents().get(label, 0.0))
         yield Limit(str(key), section, label, size, unit, meaning)
+
+
+def _label(key: str, sensor: Sensor) -> str:
+    """Label of the coefficient with a usual name, such as N or VRW; other keys as they are."""
+    known = (label for label in _exponents() if SYMBOLS.get(label) == key or is_called(key, label, sensor))
+    return next(known, key)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -260,7 +267,7 @@ def check_spec(fit: Fit, sheet: SpecLike) -> SpecCheck:
     """Check a sensor against the limits of its specification, with the probability that each is met.
 
     The sheet is a YAML file, or the same as a dictionary, with the keys of a data sheet (see `datasheet`) and
-    the labels of other coefficients, such as `quantization`. Each limit has a meaning:
+    the usual names of coefficients, such as `quantization`, `N` or `VRW`. Each limit has a meaning:
 
         name: acceptance test
         gyro:

@@ -260,7 +260,8 @@ class Figures:
         for key in figures:
             if key not in (*_FIGURES, *answers, "rate", "conditions", *others):
                 known = ", ".join((*_FIGURES, *answers, "rate", "conditions"))
-                raise AllanjaxError(f"{where}: unknown key {key!r}; the keys are {known}")
+                more = ", and names of coefficients such as N or quantization" if others else ""
+                raise AllanjaxError(f"{where}: unknown key {key!r}; the keys are {known}{more}")
 
     def model(self) -> Model:
         """Sum of the terms that the figures give."""

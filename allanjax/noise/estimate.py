@@ -397,11 +397,13 @@ def called(name: str, coefficients: Mapping[str, Estimate]) -> str | None:
     by_symbol = [label for label, c in coefficients.items() if c.symbol == name]
     if len(by_symbol) == 1:
         return by_symbol[0]
+    return next((label for label, c in coefficients.items() if is_called(name, label, c.axis.sensor)), None)
+
+
+def is_called(name: str, label: str, sensor: Sensor) -> bool:
+    """Whether this is the label of a coefficient, in any case and with spaces, or an abbreviation of it."""
     spelt = re.sub(r"[\s-]+", "_", name.strip().lower())
-    for label, c in coefficients.items():
-        if spelt in (label, *_CALLED.get(label, {}).get(c.axis.sensor, "").split()):
-            return label
-    return None
+    return spelt in (label, *_CALLED.get(label, {}).get(sensor, "").split())
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

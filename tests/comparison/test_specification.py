@@ -68,6 +68,7 @@ def test_figures_have_the_meaning_of_data_sheets(white):
     assert (B.label, B.value) == ("bias_instability", pytest.approx(8.0 * DEG / HOUR))
     Q = one(white, "2 arcsec", "quantization").limit
     assert (Q.label, Q.value) == ("quantization", pytest.approx(2.0 * DEG / HOUR))
+    assert {one(white, "1 deg/√h", name).limit.label for name in ("N", "ARW", "angle random walk")} == {WALK}
     markov = one(white, "2 deg/h/√h", "markov_amplitude")
     assert markov.limit.value == pytest.approx(2.0 * DEG / HOUR / 60.0)
     assert (markov.verdict, "--terms" in markov.reason) == ("undecided", True)
