@@ -154,7 +154,7 @@ def test_typical_values_are_reported_and_axes_replace_their_sensor(walk):
 HOSTILE = [
     ("gyro: {random_walk: 0.1 deg/√h}", "random_walk needs meaning"),
     ("gyro: {meaning: minimum, random_walk: 0.1 deg/√h}", "'minimum'"),
-    ("gyro: {meaning: maximum, arw: 0.1 deg/√h}", "unknown key 'arw'"),
+    ("gyro: {meaning: maximum, vrw: 0.1 deg/√h}", "unknown key 'vrw'"),
     ("gyro: {meaning: maximum, random_walk: {limit: 0.1 deg/√h, side: one}}", "unknown key 'side'"),
     ("gyro: {meaning: maximum, random_walk: {sided: one}}", "needs limit"),
     ("gyro: {meaning: maximum, random_walk: 0.1}", "with its unit"), ("[" * 5000, "a YAML file"),
