@@ -27,7 +27,6 @@ from allanjax.allan.pyramid import Pyramid, check_finite, pyramid_strides
 from allanjax.base.chi_squared import chi_squared_factors
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.renamed import renamed
 from allanjax.base.wording import plain
 from allanjax.record.columns import OfAxes
 from allanjax.record.completion import widening
@@ -112,8 +111,6 @@ class AllanDeviation(ByValue, OfAxes):
         if self.estimator == "pyramid":
             return pyramid_strides(self.cluster_size)
         return np.ones_like(self.cluster_size) if self.overlapping else self.cluster_size
-
-    others_told = renamed("describe_others")
 
     def describe_others(self) -> str:
         """The other segments in words, to append to a text about the longest; "" if there are none."""

@@ -8,7 +8,6 @@ nothing that is not used.
 import ast
 import functools
 import importlib
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
@@ -84,24 +83,6 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
         return _function(method, args[:1])(*args, **kwargs)
 
     return call
-
-
-class _Text(str):
-    """Text of a property that used to be a method: a call warns and returns the text."""
-
-    def __call__(self) -> str:
-        warnings.warn("this is a property now: write it without ()", DeprecationWarning, stacklevel=2)
-        return str(self)
-
-
-class TextProperty:
-    """Decorator that makes a method returning text a property, which can still be called."""
-
-    def __init__(self, method: Callable[[Any], str]) -> None:
-        self._method, self.__doc__ = method, method.__doc__
-
-    def __get__(self, of: Any, owner: type) -> Any:
-        return self if of is None else _Text(self._method(of))
 
 
 def present(functions: Mapping[str, str]) -> None:

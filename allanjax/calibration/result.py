@@ -14,7 +14,7 @@ from jaxtyping import ArrayLike, Float
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
-from allanjax.base.late import TextProperty, presented
+from allanjax.base.late import presented
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import chi_squared, plain, significant
 from allanjax.calibration.least_squares import Triad
@@ -212,7 +212,7 @@ class AxisCalibration(ByValue, AxisEstimates):
     widening: Mapping[str, float]
     covariance: Float[np.ndarray, "p p"]
 
-    @TextProperty
+    @property
     def verdict(self) -> str:
         """How much wider intervals are than those for white noise alone; "" if they are not."""
         wider = significant(max((x for x in self.widening.values() if np.isfinite(x)), default=1.0))

@@ -29,7 +29,6 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.base.renamed import renamed
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
 from allanjax.estimate.inference import estimate_of
@@ -82,8 +81,6 @@ class NeededLength(ByValue):
     now: float
     seconds: float | None
     reason: str = ""
-
-    told = renamed("describe")
 
     @property
     def known(self) -> bool:

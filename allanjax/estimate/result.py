@@ -20,8 +20,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.late import TextProperty, presented
-from allanjax.base.renamed import renamed
+from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
 from allanjax.estimate.tables import details, overview, remarks
@@ -426,7 +425,7 @@ class AxisFit(ByValue, AxisEstimates):
             return text
         return f"{text}: N {significant(old.value, 3)} → {significant(new.value, 3)} {new.unit}"
 
-    @TextProperty
+    @property
     def level(self) -> str:
         """Mean and rms of the samples, e.g. "mean 9.807 m/s², rms 0.012 m/s²"; "" if unknown."""
         if not np.isfinite(self.mean):
@@ -435,7 +434,7 @@ class AxisFit(ByValue, AxisEstimates):
         mean, rms = significant(self.mean / scale, 4), significant(self.rms / scale, 2)
         return f"mean {mean} {unit}, rms {rms} {unit}"
 
-    @TextProperty
+    @property
     def verdict(self) -> str:
         """How well the model fits, in one line."""
         if not self.converged:
@@ -496,8 +495,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
     dead: tuple[DeadAxis, ...] = ()
     facts: tuple[Fact, ...] = ()
     parts: tuple[tuple[float, float], ...] = ()
-
-    stretch = renamed("longest_part")
 
     def __post_init__(self) -> None:
         for result in self.results:

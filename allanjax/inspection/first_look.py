@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.renamed import renamed
 from allanjax.base.threads import for_each
 from allanjax.base.wording import plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
@@ -85,11 +84,6 @@ class Inspection(ByValue):
     steps: Float[np.ndarray, " axes"]
     disturbance_error: Float[np.ndarray, " axes"]
     added_noise: Float[np.ndarray, " axes"]
-
-    said = renamed("left_out")
-    stretch = renamed("longest_part")
-    allowance = renamed("disturbance_error")
-    foreign = renamed("added_noise")
 
     @property
     def longest_part(self) -> tuple[float, float] | None:

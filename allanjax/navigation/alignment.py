@@ -13,7 +13,6 @@ from jaxtyping import Float
 from allanjax.base.earth import EARTH_RATE, STANDARD_GRAVITY
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.late import TextProperty
 from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration, format_range, percent, significant
 from allanjax.estimate.as_json import in_json
@@ -83,7 +82,7 @@ class AxisAlignment(ByValue):
         best = f"{significant(self.best / _DEG)} deg after {duration(self.best_time)}"
         return f"<AxisAlignment {self.axis.name}: best {self.angle} {best}>"
 
-    @TextProperty
+    @property
     def verdict(self) -> str:
         """Whether and when the wanted error is reached, in words."""
         if self.best > _LARGE:

@@ -19,7 +19,6 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.module import Module
-from allanjax.base.renamed import renamed
 from allanjax.noise.parameter import Parameter, Parametrized
 from allanjax.noise.process import FilteredProcess, Process
 from allanjax.noise.response import Response
@@ -192,8 +191,6 @@ class Model(Module):
     def _is_inside(self) -> tuple[bool, ...]:
         """Whether each term passes the response."""
         return self.inside or (False,) * len(self.terms)
-
-    seen = renamed("processes")
 
     @property
     def processes(self) -> tuple[Process, ...]:

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, AllanjaxWarning
-from allanjax.base.late import TextProperty, presented
+from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import duration, plain, record_size
 from allanjax.estimate.result import AxisEstimates, Fit
@@ -150,7 +150,7 @@ class AxisPosterior(ByValue, AxisEstimates):
         matrix = np.corrcoef(self.draws.T).reshape(2 * (len(self.labels),))
         return pd.DataFrame(matrix, index=self.labels, columns=self.labels)
 
-    @TextProperty
+    @property
     def verdict(self) -> str:
         """Convergence of the chain in one line."""
         state = "converged" if self.converged else "NOT CONVERGED"

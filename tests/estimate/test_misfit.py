@@ -136,8 +136,6 @@ def test_a_curve_that_is_far_off_is_no_measurement(fits, objective):
         result = found[axis]
         assert result.is_far_off
         assert result.verdict.startswith("not a measurement of this sensor")
-        with pytest.deprecated_call():
-            assert result.verdict() == result.verdict
         assert np.isnan(result.covariance).all()
         for c in result.coefficients.values():
             assert np.isnan([c.std, *c.interval, *c.interval_68]).all()
