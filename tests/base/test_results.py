@@ -287,14 +287,3 @@ def test_commands_find_all_that_an_earlier_one_compiled_also_without_a_home(told
     (asked, hits), again = counts
     assert asked > hits
     assert again == (asked, asked)
-
-
-def test_former_names_warn_and_still_work():
-    fit, look = bench.fit("small"), aj.inspect(short())
-    former = [(fit, "stretch longest_part"), (fit["gyro_x"].model, "seen processes")]
-    former += [(fit.curve, "others_told describe_others"), (look, "foreign added_noise")]
-    for result, names in former:
-        old, new = names.split()
-        with pytest.deprecated_call(match=new):
-            shown = repr(getattr(result, old))
-        assert shown == repr(getattr(result, new))

@@ -87,8 +87,6 @@ def test_what_happened_is_named_measured_and_left_out(kind):
     assert stop - start > max(first, 300.0 - last) - (45.0 if slow else 6.0)
     (text,) = result.about("disturbances")
     assert text.startswith(result.left_out)
-    with pytest.deprecated_call(match="left_out"):
-        assert result.said == result.left_out
     sizes = [f"{abs(event.size) / DEG:.2g} deg/s"] * (kind in ("step", "spike", "shift"))
     for word in (f"{start:g}", f"{stop:g}", *sizes, *([NAMES[axis]] * (kind != "noisier"))):
         assert word in text
