@@ -193,7 +193,7 @@ def tables_of(
     first: Sequence[Column], main: Sequence[Column], others: Sequence[Column], last: Sequence[Column] = ()
 ) -> list[list[Column]]:
     """Columns of as many tables as they need at the width of a page, the others being the first to move."""
-    tables = [[*first, *main, *last]]
+    tables, others = [[*first, *main, *last]], [c for c in others if any(c.cells)]
     if width_of([*tables[0], *others]) > WIDTH:
         # Units in a second line of the head make columns narrower.
         tables = [[c.broken() for c in tables[0]]]

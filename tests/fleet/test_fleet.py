@@ -381,6 +381,11 @@ def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
     ranges = [["axis", "N 5…95 % (deg/√h)"], ["gyro_x", "0.946 … 1.054"]]
     assert [line.split(maxsplit=1) for line in lines[5:8:2]] == ranges
     assert lines[8] == "unit_5: outlying in gyro_x N (×9.0 the median)"
+    # Coefficients that no unit has need no room: the table stays one.
+    labels = ("drift_ramp", "quantization", "markov_amplitude", "markov_correlation_time", "rate_random_walk")
+    absent = [("gyro", label, np.full((6, 1), np.nan), 0.05) for label in labels]
+    shown = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits), *absent))
+    assert len(shown.splitlines()) == len(lines)
     # Where the others have limits alone, there is no median.
     *_, row, unit = str(fleet.judged((*few, limits / 1e4))).splitlines()[:5]
     assert (row.split()[-1], unit) == ("unit_0", "unit_0: outlying in gyro_x B")
