@@ -104,7 +104,7 @@ class _Column:
         try:
             return self if self.role == "other" else replace(self, values=np.asarray(values, float))
         except (TypeError, ValueError) as error:
-            remedy = "correct it, or skip it with columns="
+            remedy = "correct it, or skip it with columns= (--columns)"
             raise source.error(f"column {self.label!r} has text: {error}; {remedy}") from error
 
 
@@ -146,7 +146,7 @@ def read_curve(
     if not times or not chosen:
         wanted = "deviations, e.g. gyro_x [deg/s]" if times else "cluster times, e.g. tau [s]"
         labels = ", ".join(c.label for c in every)
-        raise source.error(f"no column of {wanted}, among {labels}; name them with columns=")
+        raise source.error(f"no column of {wanted}, among {labels}; name them with columns= (--columns)")
     tau = convert(times[0].values, times[0].unit or "s", "s")
     axes = _axes(chosen, {"gyro": gyro_unit, "accel": accel_unit}, source)
     scale = [rate_unit_of(axis.unit, axis.sensor)[1] for axis in axes]
@@ -172,7 +172,9 @@ def _columns(path: Path, source: Source, columns: str | Sequence[str] | None) ->
         given = _ROS.split(",")
     if given is not None:
         if len(given) != len(data):
-            raise source.error(f"{len(data)} columns, but columns= names {len(given)}; use - to skip")
+            raise source.error(
+                f"{len(data)} columns, but columns= (--columns) names {len(given)}; use - to skip"
+            )
         labels = tuple(x.strip() for x in given)
     if labels is None:
         raise source.error("the columns have no names; give columns=, e.g. 'tau,gyro_x'")
@@ -205,7 +207,7 @@ def _axes(named: Sequence[_Column], units: dict[Sensor, str | None], source: Sou
             raise UnitError(f"{source.label}: column {column.label!r}: {told}{SI[sensor]['rate']}")
         axes.append(Axis(name, sensor, rate_unit_of(unit, sensor)[0]))
     if len({axis.name for axis in axes}) < len(axes):
-        raise source.error("two columns are of the same axis; skip one with columns=")
+        raise source.error("two columns are of the same axis; skip one with columns= (--columns)")
     return tuple(axes)
 
 
