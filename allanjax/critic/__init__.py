@@ -6,7 +6,7 @@ method `detect(view)`, which takes a `View` of one axis and returns its best `Ca
 candidate's parameters are `Estimate`s made by `View.estimate`, `time_estimate`, `amplitude_estimate` or
 `log_estimate`. Shapes that are known except for some parameters go into a `Bank`, after `centred`, and
 `additive` finds the best of them. `Effect.sensible` has a `Range` for each parameter in which it makes
-sense. `critic.acceptance` has the rule by which a candidate becomes a finding.
+sense. `critic.search` has the rule by which a candidate becomes a finding.
 """
 
 from pathlib import Path

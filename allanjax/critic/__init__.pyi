@@ -1,6 +1,8 @@
 # What users import, and where it comes from, as `allanjax/__init__.pyi` has it.
 
 from allanjax.critic.bank import Bank as Bank
+from allanjax.critic.bank import Template as Template
+from allanjax.critic.bank import additive as additive
 from allanjax.critic.effect import Effect as Effect
 from allanjax.critic.effect import Range as Range
 from allanjax.critic.effects import EFFECTS as EFFECTS
@@ -12,5 +14,3 @@ from allanjax.critic.result import AxisCritique as AxisCritique
 from allanjax.critic.result import Critique as Critique
 from allanjax.critic.view import Candidate as Candidate
 from allanjax.critic.view import View as View
-from allanjax.critic.waveform import Template as Template
-from allanjax.critic.waveform import additive as additive

@@ -12,9 +12,8 @@ from jaxtyping import Float
 from scipy.special import betainc
 
 from allanjax.critic.bank import any_of, folds
-from allanjax.critic.finding import Finding
+from allanjax.critic.finding import Finding, Limit, parameter_estimate
 from allanjax.critic.noise import NEARLY_ALL, WHITE
-from allanjax.critic.parameters import Limit, parameter_estimate
 from allanjax.critic.policy import judged
 from allanjax.critic.stage import Stage
 from allanjax.record.recording import Axis

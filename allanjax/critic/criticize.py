@@ -10,29 +10,31 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.memory import return_freed
 from allanjax.base.wording import finite_or_none, plain
-from allanjax.critic.acceptance import AcceptanceRule
-from allanjax.critic.baseline import basic_model, extended, further_terms, view_of
-from allanjax.critic.coefficients import coefficient_changes
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import Comparison, compared
-from allanjax.critic.effect import Effect
-from allanjax.critic.finding import Discrepancy, DriftChange, Finding, Rival
-from allanjax.critic.places import elsewhere, places_in
+from allanjax.critic.effect import Effect, elsewhere, places_in
+from allanjax.critic.finding import Discrepancy, DriftChange, Finding
+from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.policy import judged
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.critic.search import Search, concluded, going_on, search
+from allanjax.critic.search import AcceptanceRule, Search, concluded, going_on, search
 from allanjax.critic.stage import Stage
-from allanjax.critic.step import Step
+from allanjax.critic.step import Step, coefficient_changes
 from allanjax.critic.unknown import CERTAIN, reported
-from allanjax.critic.view import View
+from allanjax.critic.view import EVERYTHING, View
+from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
+from allanjax.noise.model import Model
+from allanjax.noise.terms import DriftRamp
+from allanjax.record.completion import in_time
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.spectrum.cosine import fast_length
 
@@ -67,7 +69,7 @@ def criticize(
     first, last = ([of_axis[stage] for of_axis in stages] for stage in (0, -1))
     with ThreadPoolExecutor(_WORKERS) as pool:
         list(pool.map(_whitened, [*first, *last]))
-    shared = tuple(common_mode(last, AcceptanceRule.of(per_axis).level(NAME)))
+    shared = tuple(common_mode(last, AcceptanceRule(per_axis).level(NAME)))
 
     def judged(k: int) -> AxisCritique:
         s, axis = searches[k], searches[k].start.axis
@@ -84,6 +86,8 @@ def criticize(
         # The fit may have failed because of an effect.
         baseline = result.model if result.converged else basic_model(s.start)
         model, left_out = extended(s)
+        if given is not None and not given.chosen and (further := further_terms(given[axis.name].model)):
+            model = model + further
         # Copies, as other axes still need what these have computed.
         own_stages = tuple(map(dataclasses.replace, stages[k]))
         told = findings, made.before, made.after, s.tests, own_stages, baseline, model
@@ -172,7 +176,7 @@ def _searches(
 ) -> tuple[list[Search], Fit]:
     """Searches in all axes except those that `failed`, and the fit from which the critique starts."""
 
-    rule = AcceptanceRule.of(false_alarms, effects)
+    rule = AcceptanceRule(false_alarms, effects)
 
     def searched(k: int) -> Search:
         """Search in one axis, starting from the given model."""
@@ -180,7 +184,7 @@ def _searches(
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
         drawn = None if recording.missing is None else recording.missing[:, k]
         view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-        return search(view, effects, rule, tell)
+        return search(view, rule, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
@@ -191,8 +195,7 @@ def _searches(
             if (own := [place for place in others if place.effect == effect.name])
         ]
         state = going_on(states[k], there, rule, tell) if there else states[k]
-        further = None if given is None or given.chosen else further_terms(given.results[k].model)
-        return concluded(state, effects, further or None)
+        return concluded(state, effects)
 
     # Transforms and compiled functions, which do most of the work, run in parallel. If the terms are chosen,
     # the search needs no fit: the fit is for the report.
@@ -298,7 +301,7 @@ def _finding(
         p_value=candidate.p_value,
         evidence=finite_or_none(candidate.gain),
         gain=finite_or_none(step.gain),
-        rivals=tuple(Rival(cause, odds) for cause, odds in step.rivals),
+        rivals=step.rivals,
         span=span,
         domain=candidate.domain,
         details=candidate.details,
@@ -308,3 +311,87 @@ def _finding(
         rest=rest if rest and rest.p_value < CERTAIN else None,
         stages=(stage, stage + 1),
     )
+
+
+def view_of(
+    axis: Axis,
+    scale: float,
+    x: Float[np.ndarray, " n"],
+    rate: float,
+    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
+    baseline: tuple[Model, Model] | None,
+    drawn: Bool[np.ndarray, " n"] | None = None,
+) -> View:
+    """First view of an axis; terms of the baseline other than basic ones are subtracted or in the factor.
+
+    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed. Samples
+    that were missing are `drawn`.
+    """
+    n = len(x)
+    drawn = np.zeros(n, bool) if drawn is None else drawn
+    family = family_of(n, rate)
+    if baseline is None:
+        return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, drawn, drawn=drawn)
+    model, template = baseline
+    allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
+    basic = [name for name in model.term_labels if name in EVERYTHING]
+    others = further_terms(model)
+    y, density = x, np.zeros(n - 1)
+    for term in others.terms:
+        if not term.deterministic:
+            density += family.spectrum(term.sampled(rate))
+    if any(term.deterministic for term in others.terms):
+        y = _without_deterministic(others, x, rate)
+    factor = None
+    if density.any():
+        noise = np.zeros(n - 1)
+        for name in basic:
+            if name != RAMP:
+                noise += family.spectrum(model[name].sampled(rate))
+        factor = 1.0 + density / np.maximum(noise, 1e-12 * density)
+    # A baseline without basic noise still needs some to be compared with.
+    if not set(allowed) - {RAMP}:
+        allowed = ("angle_random_walk", *allowed)
+    return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, drawn, drawn=drawn)
+
+
+def further_terms(model: Model) -> Model:
+    """Model without its basic terms."""
+    return model.without([name for name in model.term_labels if name in EVERYTHING])
+
+
+def _without_deterministic(model: Model, x: Float[np.ndarray, " n"], rate: float) -> Float[np.ndarray, " n"]:
+    """Record from which a baseline's lines and transients are subtracted, by least squares."""
+    lines, wanted = lines_of(model)
+    y = x - x.mean()
+    t = (np.arange(len(x)) + 0.5) / rate
+    columns = [
+        np.asarray(term.column(t))
+        for k, term in enumerate(model.terms)
+        if term.deterministic and k not in lines
+    ]
+    if columns:
+        D = np.column_stack(columns)
+        D = D - D.mean(axis=0)
+        y = y - D @ np.linalg.lstsq(D, y, rcond=None)[0]
+    if lines:
+        y = in_time(without_lines(*take_out_lines(y, rate, wanted), rate))
+    return y + x.mean()
+
+
+def basic_model(view: View, random: Model | None = None) -> Model:
+    """Model of a view's basic terms with their values, or with these in place of the random ones."""
+    model = random or view.noise.model()
+    if not view.noise.ramp:
+        return model
+    return model + DriftRamp(abs(view.slope), sign=int(np.copysign(1.0, view.slope)))
+
+
+def extended(search: Search) -> tuple[Model, tuple[str, ...]]:
+    """Model of an axis with all findings, and the effects that no model term can describe."""
+    model, left_out = basic_model(search.end, search.noise_model), []
+    for step in search.steps:
+        before, model = model, step.candidate.add_to_model(model)
+        if model is before and step.candidate.domain == "time" and step.path is not None:
+            left_out.append(step.candidate.cause)
+    return model, tuple(dict.fromkeys(left_out))

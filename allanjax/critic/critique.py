@@ -42,7 +42,7 @@ def critique(
             are effects, too; if they were chosen, they are chosen again with every finding.
         effects: effects to look for; by default `allanjax.critic.effects.EFFECTS`.
         false_alarms: probability of any finding in a recording without an effect, shared by its axes. Basic
-            terms that a given model lacks have the same probability in addition (`critic.acceptance`).
+            terms that a given model lacks have the same probability in addition (`critic.search`).
         vibrating: whether the platform is meant to move or vibrate; the test for rest is then skipped.
         progress: called with a text that describes the current step.
         rate, gyro_unit, accel_unit, names: needed for an array, see `allanjax.fit`.

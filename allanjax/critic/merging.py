@@ -14,8 +14,16 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import gammainc
 
-from allanjax.critic.finding import UNEXPLAINED, Finding, Rival
-from allanjax.critic.parameters import Detail, Limit, numbers_in, parameter_estimate, side_of_limit
+from allanjax.critic.finding import (
+    UNEXPLAINED,
+    Detail,
+    Finding,
+    Limit,
+    Rival,
+    numbers_in,
+    parameter_estimate,
+    side_of_limit,
+)
 from allanjax.critic.policy import judged
 from allanjax.noise.estimate import Estimate
 

@@ -15,9 +15,8 @@ from jaxtyping import Float, PRNGKeyArray
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
-from allanjax.critic.finding import Discrepancy, Finding
+from allanjax.critic.finding import Detail, Discrepancy, Finding, written
 from allanjax.critic.merging import merged
-from allanjax.critic.parameters import Detail, written
 from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect

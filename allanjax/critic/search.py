@@ -1,4 +1,4 @@
-"""The critic's main loop in one axis.
+"""The critic's main loop in one axis, and the rule by which candidates become findings.
 
 1. *Compare*: a view is the record as the model so far leaves it, whitened by that model.
 2. *Propose*: every effect searches it and offers the correction of the model that explains most.
@@ -8,27 +8,69 @@
 5. *Prune*: earlier findings are refitted if that changed their conditions, and dropped if nothing is left.
 
 So on until no offer is accepted. Then everything is refitted once more, filter and resonances jointly.
+
+A candidate's log posterior odds are its log Bayes factor `gain` plus the log prior odds of its effect in
+`policy`. It is accepted if
+
+- the log posterior odds reach ln(FALSE_ALARMS/α), where α is the allowed probability of a false finding in
+  the axis: zero at the default, more if several axes share the probability;
+- if the test is a p-value, p < α·share. Each effect has its own share of the false alarms, whatever the other
+  effects. Under noise alone odds of e^gain have a probability of at most e^−gain (Markov's inequality), which
+  replaces p if it is smaller or if there is no other test; and
+- its parameters make sense: each is within the range that the effect declares (`Effect.sensible`).
+
+An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
+finding must also gain on held-out data, if it can be tested on them.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from allanjax.base.wording import plain
-from allanjax.critic.acceptance import AcceptanceRule
 from allanjax.critic.effect import Effect
-from allanjax.critic.effects.spectral_shape import SpectralShape
-from allanjax.critic.finding import cause_title
-from allanjax.critic.grouping import grouped
-from allanjax.critic.policy import judged
-from allanjax.critic.shape import finished
+from allanjax.critic.effects.spectral_shape import SpectralShape, finished
+from allanjax.critic.finding import Detail, Rival, cause_title
+from allanjax.critic.merging import OUTLIERS, order_of
+from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS, SHARED, judged
 from allanjax.critic.step import Step, refitted, replay
 from allanjax.critic.view import Candidate, View
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+
+
+class AcceptanceRule(NamedTuple):
+    """Rule by which candidates of these effects in one axis are accepted.
+
+    `false_alarms` is the probability of a false finding in the axis.
+    """
+
+    false_alarms: float
+    effects: Sequence[Effect] = ()
+
+    def level(self, cause: str) -> float:
+        """Probability of a false finding of an effect; 1 where its odds are the test."""
+        own = {effect.name for effect in self.effects} - PRIORS.keys()
+        share = PRIORS[cause].share if cause in PRIORS else EQUAL / max(len(own), 1)
+        return 1.0 if share is None else self.false_alarms * share
+
+    def accepts(self, candidate: Candidate) -> bool:
+        """Whether a candidate is probable enough, unlikely to be chance, and makes sense."""
+        prior = SHARED if candidate.is_shared else candidate.cause
+        least = np.log(FALSE_ALARMS / self.false_alarms) - PRIORS.get(prior, OWN).log_odds
+        # An effect that is visible directly in the samples has no odds: nan.
+        if candidate.gain < least or candidate.chance >= self.level(prior):
+            return False
+        ranges = {effect.name: effect.sensible for effect in self.effects}.get(candidate.cause, {})
+        return all(
+            ranges[e.label].holds(e, candidate.after) for e in candidate.estimates if e.label in ranges
+        )
+
 
 _ODDS, _MOST, _CERTAIN, _CLEARLY, _TOO_MANY = (
     judged("search", name) for name in ("rivals", "most", "certain", "clearly", "imputed")
@@ -47,7 +89,6 @@ class Search:
         preprocessed: whether a finding concerns the samples themselves, such as rounding.
         is_anew: whether findings were refitted, so that the views of the steps are outdated.
         noise_model: random terms of the extended model, if there is a filter or a resonance among them.
-        others: terms of the baseline other than basic ones, if any.
     """
 
     start: View
@@ -58,7 +99,6 @@ class Search:
     preprocessed: bool = False
     is_anew: bool = False
     noise_model: Model | None = None
-    others: Model | None = None
 
     def noting(self, texts: Iterable[str]) -> Search:
         """Ended search, with these further notes on its axis."""
@@ -68,20 +108,12 @@ class Search:
         return dataclasses.replace(self, notes=tuple(dict.fromkeys((*self.notes, *more))))
 
 
-class Proposals(NamedTuple):
-    """Candidates of a round by their effects, and effects not tried, as they had offered far less."""
-
-    candidates: dict[Effect, Candidate]
-    untried: list[Effect]
-
-
-def search(
-    view: View, effects: Sequence[Effect], rule: AcceptanceRule, tell: Callable[[str], None]
-) -> Search:
+def search(view: View, rule: AcceptanceRule, tell: Callable[[str], None]) -> Search:
     """Search for effects in one axis; `tell` is called with a text that describes the step."""
-    state = prepared(view, effects, rule)
-    tests = {c.name: p for c in _sought(state.end, effects) if (p := c.p_value(state.end)) is not None}
-    return going_on(dataclasses.replace(state, tests=tests), effects, rule, tell)
+    state = prepared(view, rule)
+    sought = _sought(state.end, rule.effects)
+    tests = {c.name: p for c in sought if (p := c.p_value(state.end)) is not None}
+    return going_on(dataclasses.replace(state, tests=tests), rule.effects, rule, tell)
 
 
 def going_on(
@@ -93,26 +125,25 @@ def going_on(
     for _ in range(2 * int(_MOST)):
         if len(state.steps) >= _MOST:
             break
-        proposals = propose(state.end, effects, promised, tell)
-        step = measure(proposals, state.end, rule)
-        if step is None and proposals.untried:
-            rest = propose(state.end, proposals.untried, {}, tell)
-            proposals = Proposals(proposals.candidates | rest.candidates, rest.untried)
-            step = measure(proposals, state.end, rule)
+        found, untried = propose(state.end, effects, promised, tell)
+        step = measure(found, state.end, rule)
+        if step is None and untried:
+            found |= propose(state.end, untried, {}, tell)[0]
+            step = measure(found, state.end, rule)
         if step is None:
-            return state.noting(_undecided(c, state.end) for c in proposals.candidates.values())
+            return state.noting(_undecided(c, state.end) for c in found.values())
         longer = extend(state, step)
         state = prune(longer, effects)
         # A waveform may have hidden any effect, others hardly; in the end all effects are tried again.
         alone = len(state.steps) < len(longer.steps) or step.candidate.has_waveform
-        promised = {} if alone else _promised(proposals, promised, effects, step)
+        promised = {} if alone else _promised(found, untried, promised, effects, step)
     return state.noting([f"the search stopped at {len(state.steps)} findings; there may be more"])
 
 
-def prepared(view: View, effects: Sequence[Effect], rule: AcceptanceRule) -> Search:
+def prepared(view: View, rule: AcceptanceRule) -> Search:
     """Search with what is visible directly in the samples and must be undone before the search for others."""
     state = Search(view, (), view, {})
-    for effect in (c for c in effects if c.is_preprocessing):
+    for effect in (c for c in rule.effects if c.is_preprocessing):
         candidate = effect.detect(state.end)
         # Gains that cannot be held out are nan.
         if candidate and rule.accepts(candidate) and not (gain := candidate.held_out()) <= 0.0:
@@ -123,8 +154,8 @@ def prepared(view: View, effects: Sequence[Effect], rule: AcceptanceRule) -> Sea
 
 def propose(
     view: View, effects: Sequence[Effect], promised: Mapping[Effect, float], tell: Callable[[str], None]
-) -> Proposals:
-    """Candidates of the effects in a view, until one gains far more than the others promise."""
+) -> tuple[dict[Effect, Candidate], list[Effect]]:
+    """Candidates in a view, until one gains far more than the other effects promise, and those effects."""
     left = sorted(effects, key=lambda effect: -promised.get(effect, np.inf))
     candidates: dict[Effect, Candidate] = {}
     most = 0.0
@@ -140,19 +171,19 @@ def propose(
                 part.after.forget()
             candidates[effect] = candidate
             most = max(most, float(candidate.gain))
-    return Proposals(candidates, left)
+    return candidates, left
 
 
-def measure(proposals: Proposals, view: View, rule: AcceptanceRule) -> Step | None:
+def measure(found: Mapping[Effect, Candidate], view: View, rule: AcceptanceRule) -> Step | None:
     """Candidate with the largest evidence that is significant and has a gain on held-out data."""
-    ranked = sorted(proposals.candidates.values(), key=lambda candidate: -candidate.gain)
+    ranked = sorted(found.values(), key=lambda candidate: -candidate.gain)
     for place, candidate in enumerate(ranked):
         if rule.accepts(candidate) and (gain := candidate.held_out()) > 0.0:
             # Those before it in the ranking have been rejected.
             rivals = [(other.cause, candidate.gain - other.gain) for other in ranked[place + 1 :]]
             # Basic terms that the finding replaces had explained it so far.
             rivals += [(t, candidate.gain) for t in view.noise.terms if t not in candidate.after.noise.terms]
-            odds = ((name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
+            odds = (Rival(name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
             return Step(candidate, gain, tuple(odds), view)
     return None
 
@@ -176,7 +207,7 @@ def prune(state: Search, effects: Sequence[Effect], last: bool = False) -> Searc
     return dataclasses.replace(state, steps=tuple(steps), end=end, is_anew=state.is_anew or anew)
 
 
-def concluded(state: Search, effects: Sequence[Effect], others: Model | None) -> Search:
+def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     state = prune(state, _sought(state.end, effects), last=True)
     steps, view, anew, shape = list(state.steps), state.end, state.is_anew, None
@@ -193,7 +224,6 @@ def concluded(state: Search, effects: Sequence[Effect], others: Model | None) ->
         steps=tuple(grouped(steps)),
         end=view.without_caches(),
         noise_model=shape and shape.model,
-        others=others,
     )
 
 
@@ -203,10 +233,13 @@ def _sought(view: View, effects: Sequence[Effect]) -> list[Effect]:
 
 
 def _promised(
-    proposals: Proposals, before: Mapping[Effect, float], effects: Sequence[Effect], step: Step
+    found: Mapping[Effect, Candidate],
+    untried: Sequence[Effect],
+    before: Mapping[Effect, float],
+    effects: Sequence[Effect],
+    step: Step,
 ) -> dict[Effect, float]:
     """Gains that effects offered last, of those that a finding hardly affects; 0 for what was rejected."""
-    found, untried = proposals
     nothing = {effect: 0.0 for effect in effects if effect not in untried and effect not in found}
     # What is found in time hardly affects the spectrum, and the other way round.
     others = {e: float(c.gain) for e, c in found.items() if "time" in (c.domain, step.candidate.domain)}
@@ -225,3 +258,55 @@ def _undecided(candidate: Candidate, view: View) -> str:
         return ""
     name, odds = cause_title(candidate.cause, sensor), np.exp(min(candidate.gain, 700.0))
     return f"{' and '.join(instead)} may actually be {name} (odds {plain(odds, 2)} : 1)"
+
+
+def grouped(steps: Sequence[Step]) -> list[Step]:
+    """Steps in which the harmonics of a fundamental are one finding, and all outliers are one."""
+    groups: dict[Step, list[Step]] = {}
+    for step in steps:
+        groups.setdefault(_first(step, steps), []).append(step)
+    return [_together(first, group) if len(group) > 1 else first for first, group in groups.items()]
+
+
+def _first(step: Step, steps: Sequence[Step]) -> Step:
+    """Step to which another one belongs: its fundamental, the first outliers, or itself."""
+    alike = [s for s in steps if s.candidate.cause == step.candidate.cause]
+    if step.candidate.cause == "sinusoid":
+        lower = [s for s in alike if order_of(_frequency(step), _frequency(s))]
+        return _first(min(lower, key=lambda s: _frequency(s).value), steps) if lower else step
+    return alike[0] if step.candidate.cause == OUTLIERS else step
+
+
+def _frequency(step: Step) -> Estimate:
+    return step.candidate.parameters["frequency"]
+
+
+def _together(first: Step, group: Sequence[Step]) -> Step:
+    """A group of steps as one, with what the first of them has and lists of what the others add."""
+    others = [s for s in group if s is not first]
+    every, estimates, details = (first, *others), first.candidate.estimates, _lists(first, others)
+    if "times" in details:
+        count, *rest = estimates
+        estimates = [first.before.estimate("count", len(details["times"]), count.std, "1"), *rest]
+    candidate = dataclasses.replace(
+        first.candidate,
+        estimates=estimates,
+        details=details,
+        gain=sum(s.candidate.gain for s in every),
+        add_to_model=lambda model: functools.reduce(lambda m, s: s.candidate.add_to_model(m), every, model),
+    )
+    return dataclasses.replace(first, candidate=candidate, gain=sum(s.gain for s in every))
+
+
+def _lists(first: Step, others: Sequence[Step]) -> Mapping[str, Detail]:
+    """Harmonics of a line with their amplitudes, or times and sizes of all outliers."""
+    if first.candidate.cause == "sinusoid":
+        orders = (round(_frequency(s).value / _frequency(first).value) for s in others)
+        return {
+            "harmonics": tuple(first.before.estimate("harmonic", order, 0.0, "1") for order in orders),
+            "harmonic_amplitudes": tuple(s.candidate.parameters["amplitude"] for s in others),
+        }
+    each = [s.candidate.details for s in (first, *others)]
+    lists = {name: [e for own in each for e in own[name] if isinstance(e, Estimate)] for name in each[0]}
+    order = np.argsort([e.value for e in lists["times"]], kind="stable")
+    return {name: tuple(own[k] for k in order) for name, own in lists.items()}

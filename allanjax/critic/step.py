@@ -1,18 +1,23 @@
-"""Steps of the search: a finding, and its change of a view."""
+"""Steps of the search: a finding, its change of a view, and that of the basic coefficients."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.critic.bank import FINEST, SLOW
 from allanjax.critic.effect import Effect
-from allanjax.critic.noise import centred
+from allanjax.critic.finding import CoefficientChange, Rival
+from allanjax.critic.noise import FIXED, MARKOV, WHITE, centred
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
+from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.structure.structure import Structure
+from allanjax.noise.terms import Markov, basic_terms
+from allanjax.record.units import default_coefficient_unit, unit_scale
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -26,69 +31,43 @@ class Step:
 
     candidate: Candidate
     gain: float
-    rivals: tuple[tuple[str, float], ...]
+    rivals: tuple[Rival, ...]
     before: View
     conditions: Float[np.ndarray, " k"] | None = None
 
     @classmethod
-    def of(cls, candidate: Candidate, gain: float, rivals: Sequence[tuple[str, float]], view: View) -> Step:
+    def of(cls, candidate: Candidate, gain: float, rivals: tuple[Rival, ...], view: View) -> Step:
         """Step that keeps only the necessary parts of its views."""
         candidate = dataclasses.replace(
             candidate, after=candidate.after.without_caches(), held_out=lambda: gain
         )
-        return cls(candidate, gain, tuple(rivals), view.without_caches())
+        return cls(candidate, gain, rivals, view.without_caches())
 
     @property
-    def change(self) -> Change:
-        """Change that it makes in a view."""
-        return Change.of(self.before, self.candidate.after)
+    def path(self) -> Float[np.ndarray, " n"] | None:
+        """Samples that are subtracted, if any."""
+        before, after = self.before.samples, self.candidate.after.samples
+        return None if after is before else before - after
 
+    def made(self, view: View, undone: bool = False) -> View:
+        """View after the finding, from one before it, or `undone` the other way round.
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Change:
-    """Change that a finding makes in a view.
-
-    The structure of the spectrum is not part of it.
-
-    Attributes:
-        path: samples that are subtracted.
-        added, removed: basic terms of the noise.
-        imputed: samples imputed by this step.
-    """
-
-    path: Float[np.ndarray, " n"] | None
-    added: Collection[str]
-    removed: Collection[str]
-    imputed: Bool[np.ndarray, " n"] | None
-
-    @classmethod
-    def of(cls, before: View, after: View) -> Change:
-        """Change from one view to another."""
-        return cls(
-            None if after.samples is before.samples else before.samples - after.samples,
-            [t for t in after.allowed if t not in before.allowed],
-            [t for t in before.allowed if t not in after.allowed],
-            None if after.imputed is before.imputed else after.imputed & ~before.imputed,
-        )
-
-    def apply(self, view: View) -> View:
-        """View after the finding is made, from one before it."""
-        return self._made(view)
-
-    def undo(self, view: View) -> View:
-        """View as it would be without the finding."""
-        return self._made(view, undone=True)
-
-    def _made(self, view: View, undone: bool = False) -> View:
-        if self.path is not None:
-            view = view.with_samples(view.samples + self.path if undone else view.samples - self.path)
-        more, less = (self.removed, self.added) if undone else (self.added, self.removed)
-        if more or less:
-            view = view.allowing([*(t for t in view.allowed if t not in less), *more])
-        if self.imputed is not None:
-            now = view.imputed & ~self.imputed if undone else view.imputed | self.imputed
-            view = dataclasses.replace(view, imputed=now)
-        return view
+        Waveforms, basic terms and imputed samples change, the structure of the spectrum does not.
+        """
+        before, after = self.before, self.candidate.after
+        names = [*view.found] if undone else [*view.found, self.candidate.cause]
+        if undone:
+            names.remove(self.candidate.cause)
+        if (path := self.path) is not None:
+            view = view.with_samples(view.samples + path if undone else view.samples - path)
+        one, other = (after, before) if undone else (before, after)
+        if set(one.allowed) != set(other.allowed):
+            kept = [t for t in view.allowed if t in other.allowed or t not in one.allowed]
+            view = view.allowing([*kept, *(t for t in other.allowed if t not in one.allowed)])
+        if after.imputed is not before.imputed:
+            own = after.imputed & ~before.imputed
+            view = dataclasses.replace(view, imputed=view.imputed & ~own if undone else view.imputed | own)
+        return view.with_findings(*names)
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
@@ -98,7 +77,7 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     """
     view, found = start, []
     for step in steps:
-        after = step.change.apply(view).with_findings(*view.found, step.candidate.cause)
+        after = step.made(view)
         if (
             step.candidate.domain == "frequency"
             and step.candidate.after.structure is not step.before.structure
@@ -137,7 +116,7 @@ def refitted(
             break
         for k in stale:
             cause = found[k].candidate.cause
-            without = _without(found[k], end)
+            without = found[k].made(end, undone=True)
             given_others = without.with_findings(*without.found, nuisances=_shapes(found, k))
             candidate = again[cause].again(given_others, found[k].candidate)
             if candidate is None or not candidate.gain > 0.0:
@@ -154,18 +133,11 @@ def refitted(
         return list(steps), view
     # Only the weakest one, as the rest after its removal may explain the others.
     for k in sorted(lost, key=lambda k: found[k].candidate.gain)[:1]:
-        without = _without(found[k], end)
+        without = found[k].made(end, undone=True)
         if end.noise.log_evidence - without.noise.log_evidence < _SURE:
             found.pop(k)
             end = without
     return found, end
-
-
-def _without(step: Step, end: View) -> View:
-    """View as it would be without this step."""
-    names = list(end.found)
-    names.remove(step.candidate.cause)
-    return step.change.undo(end).with_findings(*names)
 
 
 def _stale(k: int, steps: Sequence[Step], end: View) -> bool:
@@ -207,5 +179,46 @@ def _others(k: int, steps: Sequence[Step]) -> list[Step]:
 
 def _shapes(steps: Sequence[Step], k: int) -> tuple[Float[np.ndarray, " slow"], ...]:
     """Lowest coefficients of the waveforms of the other steps."""
-    paths = [other.change.path for other in _others(k, steps)]
+    paths = [other.path for other in _others(k, steps)]
     return tuple(centred(path)[:FINEST] for path in paths if path is not None)
+
+
+def coefficient_changes(step: Step) -> tuple[CoefficientChange, ...]:
+    """Changes of every basic coefficient that is in the noise before or after a finding."""
+    views = step.before, step.candidate.after
+    # Spectral structure is fitted jointly with the terms, waveforms in time are not.
+    jointly = views[0].structure is not views[1].structure
+    before, after = (
+        v.noise.power if v.structure is None or not jointly else _of_structure(v.structure, v.rate)
+        for v in views
+    )
+    sensor = step.before.axis.sensor
+    changes = []
+    for name in (*FIXED, MARKOV):
+        if name not in before and name not in after:
+            continue
+        term = Markov() if name == MARKOV else basic_terms()[name]
+        unit = default_coefficient_unit(sensor, term.amplitude_parameter().time_exponent)
+        scale = unit_scale(unit, sensor)
+        old, new = (float(np.sqrt(p[name])) / scale if name in p else float("nan") for p in (before, after))
+        changes.append(CoefficientChange(name, old, new, unit))
+    return tuple(changes)
+
+
+def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
+    """Squared coefficients of the basic terms that were fitted jointly with filter and resonances.
+
+    A wide resonance is white noise at low frequencies, of N² = σ²/(π·f0·Q): an angle grows by both.
+    """
+    power: dict[str, float] = {}
+    for own in map(structure.components.__getitem__, structure.there):
+        if own.kind == kinds.COLUMN and own.which < len(FIXED):
+            name, square = FIXED[own.which], own.power
+        elif own.kind == kinds.MARKOV:
+            name, square = MARKOV, 2.0 * own.power * rate / own.time
+        elif own.kind == kinds.OSCILLATOR and own.quality < kinds.WIDE:
+            name, square = WHITE, 2.0 * own.power / (own.frequency * rate * own.quality)
+        else:
+            continue
+        power[name] = power.get(name, 0.0) + square
+    return power

@@ -16,10 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from allanjax.critic.comparison import Comparison
-from allanjax.critic.finding import UNEXPLAINED, Discrepancy, Finding
-from allanjax.critic.free import Free
-from allanjax.critic.parameters import Detail, parameter_estimate
+from allanjax.critic.comparison import Comparison, Free
+from allanjax.critic.finding import UNEXPLAINED, Detail, Discrepancy, Finding, parameter_estimate
 from allanjax.critic.policy import judged
 from allanjax.critic.profiles import Profile
 from allanjax.critic.stage import Stage

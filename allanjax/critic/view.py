@@ -13,10 +13,18 @@ from jaxtyping import Bool, Float
 from scipy.fft import dct, idct
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.factor import spectrum_factor
-from allanjax.critic.model_evidence import ModelEvidence
-from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
-from allanjax.critic.parameters import Detail, Limit, parameter_estimate
+from allanjax.critic.finding import Detail, Limit, parameter_estimate
+from allanjax.critic.noise import (
+    FIXED,
+    MARKOV,
+    RAMP,
+    ModelEvidence,
+    Noise,
+    NoiseFamily,
+    centred,
+    coefficient_folds,
+    spectrum_factor,
+)
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model

@@ -20,10 +20,9 @@ from scipy.stats import norm
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
-from allanjax.critic.finding import UNEXPLAINED, Finding
-from allanjax.critic.law import Curve, summaries
+from allanjax.critic.finding import UNEXPLAINED, Finding, numbers_in
 from allanjax.critic.merging import EVENT, OUTLIERS
-from allanjax.critic.parameters import numbers_in
+from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins
 from allanjax.presentation import draw

@@ -7,8 +7,7 @@ from importlib.metadata import version
 from typing import Any
 
 from allanjax.base.wording import finite_or_none
-from allanjax.critic.finding import Discrepancy, Finding
-from allanjax.critic.parameters import Detail, written
+from allanjax.critic.finding import Detail, Discrepancy, Finding, written
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model

@@ -20,12 +20,15 @@ from allanjax.base.wording import (
 from allanjax.critic.finding import (
     UNEXPLAINED,
     CoefficientChange,
+    Detail,
     Discrepancy,
     DriftChange,
     Finding,
     cause_title,
+    numbers_in,
+    side_of_limit,
+    values_of,
 )
-from allanjax.critic.parameters import Detail, numbers_in, side_of_limit, values_of
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.unknown import DOMAINS
 from allanjax.estimate.result import LIMIT

@@ -10,9 +10,13 @@ from jaxtyping import Float
 
 from allanjax.critic.bank import (
     FINEST,
+    HOPELESS,
     Bank,
+    additive,
     log_occam_factor,
     log_trials_factor,
+    mean_and_std,
+    shape_parameter,
     step_bank,
     step_coefficients,
 )
@@ -21,7 +25,6 @@ from allanjax.critic.effects.slow_change import is_slow
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import HOPELESS, additive, mean_and_std, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

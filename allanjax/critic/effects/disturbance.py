@@ -12,9 +12,8 @@ from scipy.special import gammaincc
 
 from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import folds
-from allanjax.critic.effect import Effect
-from allanjax.critic.gap_filling import impute_gaussian
-from allanjax.critic.places import Place
+from allanjax.critic.effect import Effect, Place
+from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time

@@ -12,14 +12,13 @@ from scipy.optimize import minimize
 from scipy.stats import binom, norm
 
 from allanjax.base.normal import bulk_std
-from allanjax.critic.bank import PARTS, any_of, owners
+from allanjax.critic.bank import PARTS, any_of, owners, shape_parameter
 from allanjax.critic.effect import Effect
-from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.finding import Limit, values_of
+from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.noise import Noise
-from allanjax.critic.parameters import Limit, values_of
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import shape_parameter
 from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.

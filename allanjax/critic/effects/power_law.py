@@ -9,11 +9,10 @@ from typing import ClassVar
 import numpy as np
 
 from allanjax.critic.effect import Effect, Range
-from allanjax.critic.effects.basic_term import noise_with
+from allanjax.critic.effects.basic_term import likely_shape, noise_with, relative_errors
+from allanjax.critic.finding import limited
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
-from allanjax.critic.parameters import limited
 from allanjax.critic.policy import judged
-from allanjax.critic.spectral import likely_shape, relative_errors
 from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 

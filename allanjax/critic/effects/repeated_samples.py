@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import norm
 
 from allanjax.critic.effect import Effect
-from allanjax.critic.gap_filling import impute_gaussian
+from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import lattice

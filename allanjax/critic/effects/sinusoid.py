@@ -12,8 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import PARTS, owners
-from allanjax.critic.effect import FREQUENCIES, Effect
-from allanjax.critic.places import Place
+from allanjax.critic.effect import FREQUENCIES, Effect, Place
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns

@@ -9,12 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.critic.bank import Bank, sampled_bank
+from allanjax.critic.bank import Bank, additive, sampled_bank
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import additive
 from allanjax.noise.estimate import Estimate
 
 # Lengths as shares of the record, and places per length.

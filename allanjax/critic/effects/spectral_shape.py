@@ -6,16 +6,402 @@ described after the search, from the final model.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
+from scipy.optimize import approx_fprime
+from scipy.special import gammaincc
 
-from allanjax.critic.effect import FREQUENCIES, Effect
-from allanjax.critic.places import Place
-from allanjax.critic.shape import candidate_structure, chance_of_peak, held_out_gain, structure_at
+from allanjax.critic.bank import any_of
+from allanjax.critic.effect import FREQUENCIES, Effect, Place
+from allanjax.critic.finding import Detail, Limit, limited
+from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of_noise
+from allanjax.critic.policy import judged
+from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
-from allanjax.estimate.spectral.model import response_of
+from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
+from allanjax.estimate.spectral.model import Component, response_of
+from allanjax.estimate.structure import structure as structures
+from allanjax.estimate.structure.search import Record, at_all, at_some, completed, narrow, refitted, searched
+from allanjax.estimate.structure.structure import FIXED, Fitted, Spectrum, Structure, model_of
+from allanjax.noise.estimate import Estimate
+from allanjax.noise.model import Model
+from allanjax.noise.response import Response
+from allanjax.noise.terms import PowerLaw
+from allanjax.record.completion import in_time
+from allanjax.spectrum.cosine import cosine_transform
+from allanjax.spectrum.peaks import LOWEST, NARROWEST
+
+# Number of independent windows per width, and its growth per e-fold of a smaller p-value; number of the
+# widest windows that add nothing. Measured on simulated spectra.
+_INDEPENDENT, _WIDE = (1.9, 0.11), 3.0
+
+
+def chance_of_peak(ratio: Float[np.ndarray, " n-1"]) -> float:
+    """p-value of the largest excess in any window of squared whitened coefficients.
+
+    Windows a quarter of a width apart count as two to four independent ones for each width, the more the
+    smaller the p-value (`_INDEPENDENT`).
+    """
+    total = np.concatenate([[0.0], np.cumsum(ratio)])
+    least, widths, width = 1.0, 0, NARROWEST
+    while width <= (len(ratio) - LOWEST) // 4:
+        step = max(width // 4, 1)
+        excess = np.max(total[LOWEST + width :: step] - total[LOWEST : len(total) - width : step])
+        tail = min(max(float(gammaincc(width / 2.0, excess / 2.0)), 1e-300), 1.0 - 1e-12)
+        independent = min(_INDEPENDENT[0] - _INDEPENDENT[1] * np.log(tail), 4.0)
+        least = min(least, any_of(tail, independent * len(ratio) / width))
+        width, widths = 2 * width, widths + 1
+    # Every width is a separate search, except that the widest ones repeat narrower ones.
+    return any_of(least, max(widths - _WIDE, 1.0))
+
+
+#: Names of the findings.
+LOW_PASS, RESONANCE = "low_pass", "resonance"
+_LINES, _BESIDE = judged("line", "quality"), judged("line", "beside")
+# Share of a filter's corner frequency at which its pass band is judged.
+_PASSED = 0.5
+# Share of the record at each end that is drawn anew behind a steep filter.
+_ENDS = 0.02
+_LEFT = judged("spectral_shape", "left")
+# Correlation time [samples] below which a Markov process without white noise is filtered white noise.
+_SHORT = 20.0
+# Number of points of the response in the search for its half-power frequency, the share of half the sample
+# rate up to which this is sought, and the step of derivatives.
+_POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
+
+
+def _problem(view: View, whole: bool = False) -> tuple[Record, Structure]:
+    """Spectrum of a view without its baseline's other terms, and a structure with all that it may have.
+
+    A Markov process that may be filtered white noise is left out, unless the `whole` noise is wanted.
+    """
+    noise, squares = view.noise, view.residual**2
+    further = PowerLaw(1.0, noise.shape) if POWER_LAW in noise.power else None
+    start = Structure.plain(k for k, name in enumerate(FIXED) if name in view.allowed)
+    start = dataclasses.replace(start, further=further)
+    time = noise.shape * view.rate
+    # As filtered white noise it shows where the pass band ends.
+    filtered = not whole and "angle_random_walk" not in noise.power and time < _SHORT
+    for name, power in noise.power.items():
+        if name != MARKOV:
+            start = start.with_column(structures.FURTHER if name == POWER_LAW else FIXED.index(name), power)
+        elif not filtered:
+            start = start.plus(structures.markov(time, 0.5 * power * noise.shape))
+    start = start if view.structure is None else start.with_shape_of(view.structure)
+    return Record(squares if view.base is None else squares / view.base, view.rate, further), start
+
+
+def candidate_structure(view: View) -> tuple[View, float] | None:
+    """View with the structure of its spectrum beyond the findings, and its log odds [nats].
+
+    The odds are against all basic terms, also missing ones: a Markov process may explain much of a filter.
+    """
+    if view.structure is not None and not _left(view):
+        return None
+    record, start = _problem(view)
+    spectrum, found = _searched(record, start)
+    if found.structure.has_shape_of(start):
+        return None
+    before, after = spectrum.fit(start), view.with_structure(found.structure)
+    gain = found.evidence - before.evidence
+    occam = before.loss - found.loss - gain
+    gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
+    return (_without_ends(after), gain) if gain > 0.0 else None
+
+
+def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
+    """View with narrow resonances at some of these places, and their log odds [nats].
+
+    The frequency of each is known within its place, which costs less than an unknown frequency.
+    """
+    record, start = _problem(view)
+    spectrum, now = refitted(record, start)
+    total = 0.0
+    for place in places:
+        low, high = (2.0 * np.pi * f / record.rate for f in place[1:])
+        angle, width = 0.5 * (low + high), high - low
+        level = at_some(spectrum, now, np.clip(angle / np.pi * record.n, 1.0, record.n - 1.0))
+        k, inside = len(now.structure.components), now.structure.kind != NONE
+        power = 0.5 * float(level) * width / np.pi
+        new = now.structure.plus(structures.resonance(angle, 2.0 * angle / width, power, inside))
+        finer = record.binned(new)
+        found = finer.fit(new)
+        own, first = found.structure.components[k], found.structure.first[k]
+        if own.power <= 0.0 or not low <= own.frequency <= high:
+            continue
+        before = finer.fit(now.structure)
+        std = float(np.sqrt(found.covariance[first, first]))
+        share = max(width / angle * len(places), np.sqrt(2.0 * np.pi) * std)
+        gain = (
+            found.evidence
+            - before.evidence
+            + float(np.log(np.log(record.n / structures.FREQUENCIES) / share))
+        )
+        if gain > 0.0:
+            spectrum, now, total = finer, found, total + gain
+    return (view.with_structure(now.structure), total) if total > 0.0 else None
+
+
+def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
+    """Structure of a spectrum, of resonances only."""
+    spectrum, found = searched(record, start)
+    return spectrum, _of_resonances(spectrum, found, record.n)
+
+
+def _of_resonances(spectrum: Spectrum, found: Fitted, n: int) -> Fitted:
+    """Structure without peaks as narrow as lines, and without those that may be the spectrum of one event."""
+    own = found.structure
+    # A resonance of ω per sample has ω·n/(2π) periods in the record.
+    least = 2.0 * np.pi * judged(RESONANCE, "periods") / n
+    single = [k for k in own.oscillators if own.components[k].frequency < least]
+    others = {*narrow(own, n), *single}
+    return spectrum.fit(own.without(*others)) if others else found
+
+
+def _without_ends(view: View) -> View:
+    """View whose ends are redrawn in the stop band of its response; they count as imputed.
+
+    Whitening amplifies the stop band, and with it the kinks of the mirrored record.
+    """
+    if view.structure is None or view.factor is None:
+        return view
+    share = share_of_noise(view.structure, view.family, view.factor)
+    if not (deep := share < 1.0).any():
+        return view
+    k = np.arange(view.n)
+    # Gradually, as an edge would be an outlying sample.
+    near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
+    root = np.sqrt(view.variance())
+    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
+    more = in_time(np.where(deep, root * cosine_transform(change), 0.0))
+    return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
+
+
+def _left(view: View) -> bool:
+    """Whether the spectrum has a rest that its structure does not explain."""
+    return chance_of_peak(view.squared_whitened) < _LEFT
+
+
+class Shape(NamedTuple):
+    """Final structure of a view's spectrum: filter and resonances as findings, by gain; and the model."""
+
+    steps: list[Step]
+    model: Model
+
+
+def finished(view: View, first: Step) -> Shape | None:
+    """Final fit of the structure first found in a step; None if there are only basic terms."""
+    record, start = _problem(view)
+    spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
+    spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
+    found = _of_resonances(spectrum, found, record.n)
+    while groups := _groups(found.structure):
+        less = [_without(found.structure, group) for group in groups]
+        best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
+        if min(losses) > best:
+            break
+        # What predicts nothing is not reported.
+        found = spectrum.fit(less[losses.index(min(losses))])
+    else:
+        return None
+    without = [spectrum.fit(each) for each in less]
+    order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
+    for place, k in enumerate(order):
+        if groups[k] == [_RESPONSE]:
+            # For a filter, the odds are the only statistic.
+            own, chance, after = _filter(view, found), None, first.candidate.after
+        else:
+            # Everything else is fitted to the spectrum without it.
+            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
+            own, after = _resonance(view, found, groups[k]), first.before
+        later = [component for j in order[place + 1 :] for component in groups[j]]
+        partial = spectrum.fit(_without(found.structure, later)) if later else found
+        candidate = Candidate(
+            own.cause,
+            own.estimates,
+            found.evidence - without[k].evidence,
+            chance,
+            after.with_structure(partial.structure),
+            lambda: np.nan,
+            own.support,
+            "frequency",
+            details=own.details,
+            doubt=own.doubt,
+        )
+        steps.append(Step(candidate, losses[k] - best, (), first.before))
+    return Shape(steps, model_of(found.structure, view.rate))
+
+
+#: Represents the response among the components of a group.
+_RESPONSE = -1
+
+
+def _groups(structure: Structure) -> list[list[int]]:
+    """The response, and resonances that belong together, as lists of components, the strongest first."""
+    groups: list[list[int]] = []
+    own = structure.components
+    for k in sorted(structure.oscillators, key=lambda k: own[k].frequency):
+        if groups and any(own[i].is_close_to(own[k]) for i in groups[-1]):
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    sharp = [g for g in groups if all(own[k].quality > _LINES for k in g)]
+    if sharp:
+        first = max(sharp, key=lambda g: max(own[k].power for k in g))
+        family = [g for g in sharp if g is first or _related(own[first[0]], own[g[0]])]
+        groups = [g for g in groups if g not in family] + [[k for g in family for k in g]]
+    places = [sorted(g, key=lambda k: -own[k].power) for g in groups]
+    return ([[_RESPONSE]] if structure.kind != NONE else []) + places
+
+
+def _related(first: Component, other: Component) -> bool:
+    """Whether a narrow resonance is at a multiple of another one's frequency, or beside such a multiple."""
+    ratio = other.frequency / first.frequency
+    return ratio > 0.5 and abs(ratio - np.rint(ratio)) < _BESIDE
+
+
+def _without(structure: Structure, group: Sequence[int]) -> Structure:
+    """Structure without a group of components."""
+    rest = structure.without(*group)
+    return dataclasses.replace(rest, kind=NONE) if _RESPONSE in group else rest
+
+
+def held_out_gain(view: View, structure: Structure) -> float:
+    """Gain in log-likelihood by a structure on each half of the coefficients, by fits to the other [nats].
+
+    The noise without it has all terms that it may have.
+    """
+    record, start = _problem(view, whole=True)
+    before, after = _held_out_losses(record, record.binned(structure), [start, structure])
+    return before - after
+
+
+def _held_out_losses(record: Record, spectrum: Spectrum, structures: Sequence[Structure]) -> list[float]:
+    """Minus the log-likelihood of each half of the coefficients under fits to the other half [nats]."""
+    losses = np.zeros(len(structures))
+    for fold in coefficient_folds(record.n):
+        mine, other = (
+            Spectrum.of(record.squares, spectrum.bins, record.further, half.astype(float)).with_error(
+                spectrum.error
+            )
+            for half in (fold, ~fold)
+        )
+        losses += [other.loss_of(mine.fit(structure)) for structure in structures]
+    return losses.tolist()
+
+
+class _Description(NamedTuple):
+    """Filter or resonance, with the frequencies between which it matters [Hz], and why it may be none."""
+
+    cause: str
+    estimates: list[Estimate]
+    support: tuple[float, float]
+    doubt: str
+    details: dict[str, Detail]
+
+
+def _filter(view: View, found: Fitted) -> _Description:
+    """Half-power frequency of the response, and its order."""
+    structure, rate = found.structure, view.rate
+
+    def log_corner(shape: Float[np.ndarray, " 2"]) -> float:
+        response = response_of(dataclasses.replace(structure, response=tuple(shape)), rate)
+        return float(np.log(_half_power(response, rate))) if response else np.nan
+
+    shape = np.array(structure.response)
+    log, slope = log_corner(shape), approx_fprime(shape, log_corner, _STEP)
+    std = float(np.sqrt(slope @ found.covariance[-2:, -2:] @ slope))
+    bounds = np.log([structures.LOWEST_BANDWIDTH * rate, rate])
+    # Filters steeper than the steepest one in the search look like it.
+    steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
+    estimates = [
+        view.log_estimate("bandwidth", *limited(log, std, bounds), "Hz"),
+        view.estimate("order", structures.order_of(structure), 0.0, "1", steepest),
+    ]
+    corner = float(np.exp(log))
+    doubt = _doubt_of_filter(structure, rate, corner)
+    return _Description(LOW_PASS, estimates, (corner, rate / 2.0), doubt, {})
+
+
+def _half_power(response: Response, rate: float) -> float:
+    """Frequency at which the samples' power has fallen by half [Hz].
+
+    If aliases keep it above that, it is the frequency of the analog filter with these poles.
+    """
+    f = np.linspace(0.0, _REACHED * rate / 2.0, _POINTS)
+    power = np.asarray(response.power(f, rate))
+    k = int(np.argmax(power < 0.5))
+    return float(np.interp(0.5, power[[k, k - 1]], f[[k, k - 1]])) if k else response.half_power
+
+
+def _doubt_of_filter(structure: Structure, rate: float, corner: float) -> str:
+    """Why a response with this corner [Hz] is hardly a low-pass filter."""
+    if corner >= rate / 2.0:
+        return "its corner would lie above half the sample rate"
+    # Resonances may be what falls.
+    smooth = model_of(structure.without(*structure.oscillators), rate)
+    inside, highest = np.asarray(smooth.sampled_psd(np.array([_PASSED * corner, rate / 2.0]), rate))
+    falls = highest < judged(LOW_PASS, "falls") * inside
+    return "" if falls else "the spectrum does not fall above its corner"
+
+
+def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
+    """Resonances of one source: the strongest one with those close to it, and the others as details."""
+    own = found.structure.components
+    near = [k for k in group if own[k].is_close_to(own[group[0]])]
+    others = sorted(set(group) - set(near), key=lambda k: own[k].frequency)
+    estimates, support = _parameters(view, found, near)
+    details: dict[str, Detail] = {}
+    if others:
+        frequencies, _, amplitudes = zip(*(_parameters(view, found, [k])[0] for k in others), strict=True)
+        details = {"further_frequencies": frequencies, "further_amplitudes": amplitudes}
+    broad = estimates[1].value < judged(RESONANCE, "quality")
+    doubt = "it is too broad for a resonance" if broad else ""
+    return _Description(RESONANCE, estimates, support, doubt, details)
+
+
+def _parameters(
+    view: View, found: Fitted, group: Sequence[int]
+) -> tuple[list[Estimate], tuple[float, float]]:
+    """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts.
+
+    Also the frequencies between which it matters [Hz].
+    """
+    structure, rate = found.structure, view.rate
+    own, shape = [structure.components[k] for k in group], np.array([structure.first[k] for k in group])
+    frequency = np.array([c.frequency for c in own]) * rate / (2.0 * np.pi)
+    quality, fitted = np.array([(c.quality, c.power) for c in own]).T
+    power, response = fitted, response_of(structure, rate)
+    if response is not None:
+        # As recorded, after the response.
+        power = np.where(structure.inside[group], power * response.power(frequency, rate), power)
+    share, amplitude = power / power.sum(), np.sqrt(power.sum())
+    f0 = float(share @ frequency)
+    moved = np.sqrt(share @ (frequency - f0) ** 2)
+    # The full width at half of the maximum of a normal law is 2.355 standard deviations.
+    width = np.hypot(share @ (frequency / quality), 2.355 * moved)
+    std = np.sqrt(np.diag(found.covariance))
+    each = std[shape], std[shape + 1] * (1.0 - 0.5 / quality), 0.5 * std[group] / fitted
+    f_std, q_std, a_std = (float(np.linalg.norm(share * x)) for x in each)
+    # A narrower one is a line, a wider one an edge; lower or higher ones are not observable.
+    spacing = rate / (2.0 * view.n)
+    band, widths = (
+        np.log([LOWEST * spacing, rate / 2.0]),
+        np.log([structures.LEAST_QUALITY, f0 / (structures.LINE * spacing)]),
+    )
+    estimates = [
+        view.log_estimate("frequency", *limited(np.log(f0), np.hypot(f_std, moved / f0), band), "Hz"),
+        view.log_estimate("quality_factor", *limited(np.log(f0 / width), q_std, widths), "1"),
+        view.amplitude_estimate("amplitude", amplitude, amplitude * a_std),
+    ]
+    reach = 2.0 * frequency / quality
+    low, high = np.clip([min(frequency - reach), max(frequency + reach)], 0.0, rate / 2.0).tolist()
+    return estimates, (low, high)
 
 
 class SpectralShape(Effect):

@@ -14,13 +14,12 @@ from scipy.signal import lfilter
 from scipy.special import expit, logit
 from scipy.stats import chi2
 
-from allanjax.critic.bank import Bank, folds, sampled_bank
+from allanjax.critic.bank import Bank, additive, folds, sampled_bank, shape_parameter
 from allanjax.critic.effect import TIMES, Effect
+from allanjax.critic.finding import Limit
 from allanjax.critic.noise import Noise, centred
-from allanjax.critic.parameters import Limit
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import additive, shape_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time

@@ -6,12 +6,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
-from allanjax.critic.bank import SLOW, Bank, any_of
+from allanjax.critic.bank import SLOW, Bank, additive, any_of, spaced_parameter
 from allanjax.critic.effect import Effect
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import additive, spaced_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

@@ -9,12 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.normal import ONE_SIDED_95
-from allanjax.critic.bank import SLOW, Bank
+from allanjax.critic.bank import SLOW, Bank, additive, spaced_parameter
 from allanjax.critic.effect import TIMES, Effect
 from allanjax.critic.effects.slow_change import is_broken
-from allanjax.critic.parameters import Limit
+from allanjax.critic.finding import Limit
 from allanjax.critic.view import Candidate, View
-from allanjax.critic.waveform import additive, spaced_parameter
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

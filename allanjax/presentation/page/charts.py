@@ -12,8 +12,7 @@ from allanjax.allan.deviation import rate_unit
 from allanjax.allan.dynamic import DynamicAllan
 from allanjax.base.wording import duration, percent, plain
 from allanjax.comparison.compare import SHOWN, drift
-from allanjax.critic.finding import Finding
-from allanjax.critic.parameters import numbers_in
+from allanjax.critic.finding import Finding, numbers_in
 from allanjax.critic.result import Critique
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from allanjax.allan.deviation import rate_unit
 from allanjax.critic.finding import UNEXPLAINED, Finding
-from allanjax.critic.law import Curve, summaries
+from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
 from allanjax.presentation import critique_story as story
