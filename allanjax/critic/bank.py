@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
@@ -20,13 +19,11 @@ from scipy.linalg.blas import dger
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.finding import Detail, Limit
 from allanjax.critic.noise import SETS, Noise, centred, odds
-from allanjax.critic.view import Candidate, View
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise.estimate import Estimate
-from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm
 
 # Draws of noise from which the law of the largest output is extrapolated.
@@ -49,8 +46,7 @@ FINEST = 8 * SLOW
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scan:
-    """Outputs of a bank's matched filters: for each shape the signed snr, the amplitude and its standard
-    deviation."""
+    """Outputs of matched filters: the signed snr, the amplitude and its standard deviation of each shape."""
 
     snr: Float[np.ndarray, " shapes"]
     amplitude: Float[np.ndarray, " shapes"]
@@ -62,14 +58,9 @@ class Scan:
         return int(np.argmax(abs(self.snr)))
 
     @property
-    def log_trials_factor(self) -> float:
-        """Log trials factor of the search [nats]."""
-        return log_trials_factor(0.5 * self.snr**2)
-
-    @property
     def log_price(self) -> float:
         """Log trials and Occam factors of the best shape [nats]."""
-        return self.log_trials_factor + float(log_occam_factor(self.snr[self.best]))
+        return log_trials_factor(0.5 * self.snr**2) + float(log_occam_factor(self.snr[self.best]))
 
 
 def log_trials_factor(gains: Float[np.ndarray, " k"]) -> float:
@@ -82,7 +73,6 @@ def log_occam_factor(snr: Float[ArrayLike, "*k"]) -> Float[np.ndarray, "*k"]:
     return np.log((np.abs(snr) + 1.0) * 2.0 * LOG_PRIOR_RANGE / np.sqrt(2.0 * np.pi))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
 class Matched:
     """Whitened shapes and record, after projecting out the nuisance directions (ramp, other accepted shapes).
 
@@ -96,12 +86,23 @@ class Matched:
         lengths: norms of the whitened and projected shapes.
     """
 
-    shapes: Float[np.ndarray, "shapes slow"]
-    root: Float[np.ndarray, " slow"]
-    whitened: Float[np.ndarray, " slow"]
-    nuisances: Float[np.ndarray, "slow k"]
-    common: Float[np.ndarray, "shapes k"]
-    lengths: Float[np.ndarray, " shapes"]
+    def __init__(
+        self,
+        bank: Bank,
+        v: Float[np.ndarray, " slow"],
+        nuisances: Sequence[Float[np.ndarray, " slow"]],
+        c: Float[np.ndarray, " slow"],
+    ) -> None:
+        """Matched filters for coefficients c whose expected squares are v."""
+        self.shapes, self.root = bank.shapes, np.sqrt(v)
+        e, own = c / self.root, bank.squares @ (1.0 / v)
+        basis = np.zeros((len(v), 0))
+        if nuisances:
+            columns = [h / self.root for h in nuisances]
+            basis = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
+        self.common = self.shapes @ (basis / self.root[:, None])
+        self.whitened, self.nuisances = e - basis @ (e @ basis), basis
+        self.lengths = np.sqrt(np.maximum(own - np.sum(self.common**2, axis=1), _NOTHING * own))
 
     def products(self, z: Float[np.ndarray, " slow"]) -> Float[np.ndarray, " shapes"]:
         """Product of every projected shape with whitened coefficients."""
@@ -121,6 +122,9 @@ class Bank:
     """Shapes to search for, each as its lowest `SLOW` cosine coefficients: one row per shape."""
 
     shapes: Float[np.ndarray, "shapes slow"]
+    _nulls: dict[tuple[tuple[float, ...], bool], np.ndarray] = dataclasses.field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @functools.cached_property
     def squares(self) -> Float[np.ndarray, "shapes slow"]:
@@ -131,24 +135,7 @@ class Bank:
         """Matched filters in this noise, whose ramp and the shapes in `view.nuisances` are projected out."""
         J = self.shapes.shape[1]
         nuisances = [*([view.family.ramp] if noise.ramp else []), *view.nuisances]
-        return self._matched(view.lowest(noise, J), [h[:J] for h in nuisances], view.coefficients[:J])
-
-    def _matched(
-        self,
-        v: Float[np.ndarray, " slow"],
-        nuisances: Sequence[Float[np.ndarray, " slow"]],
-        c: Float[np.ndarray, " slow"],
-    ) -> Matched:
-        """Matched filters for coefficients c whose expected squares are v."""
-        root = np.sqrt(v)
-        e, own = c / root, self.squares @ (1.0 / v)
-        basis = np.zeros((len(v), 0))
-        if nuisances:
-            columns = [h / root for h in nuisances]
-            basis = np.linalg.qr(np.stack([h / np.linalg.norm(h) for h in columns], axis=1))[0]
-        common = self.shapes @ (basis / root[:, None])
-        left = np.maximum(own - np.sum(common**2, axis=1), _NOTHING * own)
-        return Matched(self.shapes, root, e - basis @ (e @ basis), basis, common, np.sqrt(left))
+        return Matched(self, view.lowest(noise, J), [h[:J] for h in nuisances], view.coefficients[:J])
 
     def scan(self, view: View, noise: Noise) -> Scan:
         """Outputs of all matched filters, and their estimates of the amplitude."""
@@ -198,10 +185,6 @@ class Bank:
             self._nulls[coarse, noise.ramp] = self._null(edges, coarse, ramp)
         return extrapolated(self._nulls[coarse, noise.ramp], abs(snr))
 
-    @functools.cached_property
-    def _nulls(self) -> dict[tuple[tuple[float, ...], bool], Float[np.ndarray, " draws"]]:
-        return {}
-
     def _null(
         self,
         edges: Int[np.ndarray, " k"],
@@ -215,7 +198,7 @@ class Bank:
         """
         middle = 0.5 * np.log(np.maximum(edges[:-1], 0.5) * edges[1:])
         v = np.exp(np.interp(np.log(np.arange(1, edges[-1] + 1)), middle, _COARSE * np.array(coarse)))
-        matched = self._matched(v, [] if ramp is None else [ramp], np.zeros(len(v)))
+        matched = Matched(self, v, [] if ramp is None else [ramp], np.zeros(len(v)))
         # Seven digits suffice for draws, at half the work.
         rng = np.random.default_rng([len(v), *(int(level) % 2**32 for level in coarse)])
         draws = rng.standard_normal((len(v), _DRAWS), np.float32)
@@ -275,10 +258,7 @@ def step_bank(n: int, every: int = 1) -> tuple[Bank, np.ndarray]:
 
 
 def sampled_bank(shapes: Float[np.ndarray, "shapes points"], n: int, most: int | None = None) -> Bank:
-    """Bank for records of n samples, of shapes given at fewer points that are evenly spaced.
-
-    `most` is the number of lowest coefficients that are compared; all by default.
-    """
+    """Bank for n samples, of shapes at fewer even points; the `most` lowest coefficients are compared."""
     scale = np.sqrt(n / shapes.shape[1])
     return Bank(scale * dct(shapes, norm="ortho", axis=1)[:, 1 : most and most + 1])
 
@@ -299,36 +279,21 @@ _ROUNDS = 3
 _LIKELY, _BEYOND = float(np.exp(-2.0)), 0.05
 
 
-class Match(NamedTuple):
-    """Shape of a bank that explains a view best, its amplitude, and the noise without it.
+def _settled(
+    bank: Bank, view: View, scan: Scan, without: Callable[[int, float], Noise]
+) -> tuple[int, Noise, Scan]:
+    """Best shape, the noise without it and the outputs in that, from a scan in a first guess of the noise.
 
-    `scan` has the outputs of the bank in that noise.
+    The shape and the noise `without` it are estimated in turn. All results are from the same round, even if
+    the shape still changes in the last one.
     """
-
-    shape: int
-    amplitude: float
-    noise: Noise
-    scan: Scan
-
-    def gain(self, view: View) -> float:
-        """Log evidence for the shape [nats], in the most probable noise without it and in that with it."""
-        return self.noise.log_evidence - view.noise.log_evidence - self.scan.log_price
-
-    @classmethod
-    def of(cls, bank: Bank, view: View, scan: Scan, without: Callable[[int, float], Noise]) -> Match:
-        """Match found from a scan in a first guess of the noise; `without` estimates it without a shape.
-
-        The shape and the noise are estimated in turn. All results are from the same round, even if the shape
-        still changes in the last one.
-        """
-        for _ in range(_ROUNDS):
-            k = scan.best
-            a = float(scan.amplitude[k])
-            noise = without(k, a)
-            scan = bank.scan(view, noise)
-            if scan.best == k:
-                break
-        return cls(k, a, noise, scan)
+    for _ in range(_ROUNDS):
+        k = scan.best
+        noise = without(k, float(scan.amplitude[k]))
+        scan = bank.scan(view, noise)
+        if scan.best == k:
+            break
+    return k, noise, scan
 
 
 def additive(
@@ -365,11 +330,12 @@ def additive(
     # The noise without a shape as in the bank is approximate, but costs no transform.
     noises = view.noises if coarse is None else (coarse.after.noise,)
     scans = (bank.scan(view, noise) for noise in noises)
-    rough = (
-        Match.of(bank, view, scan, lambda k, a: view.noise_without(a * bank.shapes[k])) for scan in scans
-    )
-    first = max(rough, key=lambda match: match.gain(view))
-    if first.gain(view) - log_trials < HOPELESS:
+    rough = [
+        _settled(bank, view, scan, lambda k, a: view.noise_without(a * bank.shapes[k])) for scan in scans
+    ]
+    gains = [noise.log_evidence - view.noise.log_evidence - scan.log_price for _, noise, scan in rough]
+    first = int(np.argmax(gains))
+    if gains[first] - log_trials < HOPELESS:
         return None
     after: list[View] = []
 
@@ -377,11 +343,12 @@ def additive(
         after[:] = [view.with_samples(view.samples - a * shape(k))]
         return after[0].noise
 
-    match = Match.of(bank, view, first.scan, exact)
-    gain = after[0].log_evidence - view.log_evidence - match.scan.log_price - log_trials
+    k, noise, scan = _settled(bank, view, rough[first][2], exact)
+    gain = after[0].log_evidence - view.log_evidence - scan.log_price - log_trials
     if not gain > 0.0:
         return None
-    k, amplitude = match.shape, float(match.scan.amplitude[match.shape])
+    amplitude = float(scan.amplitude[k])
+    added = term and term(k, amplitude)
     found = Candidate(
         cause,
         parameters(k, amplitude, *marginal(view, after[0], bank, k, amplitude)),
@@ -390,7 +357,7 @@ def additive(
         after[0],
         functools.partial(bank.held_out, view, after[0]),
         span(k) if span else (0.0, view.duration),
-        add_to_model=adding(term and term(k, amplitude)),
+        add_to_model=lambda model: model if added is None else model + added,
         has_waveform=True,
         details=details or {},
     )
@@ -399,7 +366,7 @@ def additive(
             found, p_value=coarse.p_value, bound=coarse.bound, held_out=coarse.held_out
         )
     # Noise alone has an evidence of e^gain against it with no more than this probability.
-    p_value = bank.p_value(view, match.noise, float(match.scan.snr[k]))
+    p_value = bank.p_value(view, noise, float(scan.snr[k]))
     return dataclasses.replace(found, p_value=p_value, bound=float(np.exp(-gain)))
 
 
@@ -481,11 +448,6 @@ def marginal(
             off = scan.std[k] ** 2 + weight @ (scan.amplitude - amplitude) ** 2
             variance, likelihood = variance + share * off, likelihood + share * weight
     return float(np.sqrt(variance)), likelihood
-
-
-def adding(term: NoiseTerm | None) -> Callable[[Model], Model]:
-    """Function that adds a term, if any, to a model."""
-    return lambda model: model if term is None else model + term
 
 
 def shape_parameter(

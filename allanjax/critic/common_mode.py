@@ -53,10 +53,7 @@ class _Band:
 
     @functools.cached_property
     def p_value(self) -> Float[np.ndarray, "axes axes"]:
-        """Probabilities that the |correlation| of independent axes is larger.
-
-        For k pairs of zero mean r² ~ Beta(½, (k−1)/2).
-        """
+        """Probabilities that independent axes have a larger |r|: r² ~ Beta(½, (k−1)/2) for k pairs."""
         return betainc((np.maximum(self.size, _LEAST) - 1.0) / 2.0, 0.5, 1.0 - self.correlation**2)
 
     def common(self, pair: Pair) -> Float[np.ndarray, " k"]:
@@ -80,10 +77,7 @@ class _Band:
 
 
 def common_mode(records: Sequence[Stage], alpha: float) -> list[Finding]:
-    """Groups of axes whose whitened cosine coefficients are correlated.
-
-    `alpha` is the probability of a false finding.
-    """
+    """Groups of axes with correlated whitened coefficients; `alpha` is the probability of a false finding."""
     pairs = [(a, b) for a in range(len(records)) for b in range(a)]
     bands = _bands(records) if pairs else []
     linked, p_values = dict[Pair, _Band](), dict[Pair, float]()
@@ -114,10 +108,7 @@ def _bands(records: Sequence[Stage]) -> list[_Band]:
 
 
 def _groups(strength: Mapping[Pair, float]) -> Iterator[list[Pair]]:
-    """Pairs in groups, within which axes are linked directly or through others.
-
-    They are built from the strongest pair onwards; much weaker ones belong to other groups.
-    """
+    """Pairs linked directly or through others, the strongest first; much weaker ones are other groups."""
     left = dict(strength)
     while left:
         first = max(left, key=lambda pair: left[pair])

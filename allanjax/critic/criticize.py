@@ -10,23 +10,21 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.memory import return_freed
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.common_mode import NAME, common_mode
-from allanjax.critic.comparison import Comparison, compared
-from allanjax.critic.effect import Effect, elsewhere, places_in
-from allanjax.critic.finding import Discrepancy, DriftChange, Finding
+from allanjax.critic.comparison import CERTAIN, Comparison, compared, reported
+from allanjax.critic.effect import EVERYTHING, Effect, View, elsewhere, places_in
+from allanjax.critic.finding import Finding
 from allanjax.critic.noise import RAMP, family_of
 from allanjax.critic.policy import judged
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.search import AcceptanceRule, Search, concluded, going_on, search
 from allanjax.critic.stage import Stage
-from allanjax.critic.step import Step, coefficient_changes
-from allanjax.critic.unknown import CERTAIN, reported
-from allanjax.critic.view import EVERYTHING, View
+from allanjax.critic.step import coefficient_changes
 from allanjax.estimate.deterministic import lines_of, take_out_lines, without_lines
 from allanjax.estimate.fit import fit_inspected
 from allanjax.estimate.result import Fit
@@ -97,11 +95,11 @@ def criticize(
     with ThreadPoolExecutor(_WORKERS) as pool:
         found = tuple(pool.map(_guarded(judged, recording.axes, failed), range(len(searches))))
     _left(recording, failed)
-    unfitted = [r for r in fit.results if not r.converged]
     notes = [*fit.notes]
     notes += [
         f"{r.axis.name}: the fit failed ({r.reason}); critique starts from the most probable terms instead"
-        for r in unfitted
+        for r in fit.results
+        if not r.converged
     ]
     notes += [note for s in searches for note in s.notes]
     axes, dead = tuple(a for a in found if a is not None), (*recording.dead, *failed.values())
@@ -180,11 +178,8 @@ def _searches(
 
     def searched(k: int) -> Search:
         """Search in one axis, starting from the given model."""
-        scale, x = float(recording.own_scales[k]), recording.values[:, k]
         baseline = None if given is None or given.chosen else (given.results[k].model, given.template)
-        drawn = None if recording.missing is None else recording.missing[:, k]
-        view = view_of(recording.axes[k], scale, x, recording.rate, recording.auxiliary, baseline, drawn)
-        return search(view, rule, tell)
+        return search(_first_view(recording, k, baseline), rule, tell)
 
     def concluding(k: int) -> Search:
         """Search in an axis, also at the places of findings in other axes."""
@@ -246,16 +241,14 @@ def _baseline(recording: Recording, seen: Inspection, tell: Callable[[str], None
 
 def _stages(s: Search) -> tuple[Stage, ...]:
     """The axis before the first finding and after each finding."""
+    stages = []
     # The last stage is without all lines, as some harmonics, which are one finding, may have come late.
-    views = [s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])]
-    return tuple(map(_stage, views))
-
-
-def _stage(view: View) -> Stage:
-    noise, slope = view.noise, view.slope
-    view.forget()
-    own = noise.power, noise.shape, noise.index, slope if np.isfinite(slope) else 0.0
-    return Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed)
+    for view in (s.start, *(step.candidate.after for step in s.steps[:-1]), *([s.end] if s.steps else [])):
+        noise, slope = view.noise, view.slope
+        view.forget()
+        own = noise.power, noise.index, slope if np.isfinite(slope) else 0.0
+        stages.append(Stage(view.axis, view.samples, view.rate, *own, view.factor, view.imputed))
+    return tuple(stages)
 
 
 def _whitened(stage: Stage) -> None:
@@ -266,93 +259,63 @@ def _whitened(stage: Stage) -> None:
 
 def _findings(s: Search, made: Comparison) -> list[Finding]:
     """Findings of an axis, with what is compared before and after each of them."""
-    steps = enumerate(zip(s.steps, made.pairs, made.drifts, strict=True))
-    return [
-        _finding(k, step, (*pairs, *_of_samples(step, made.before, made.after)), drift, made)
-        for k, (step, pairs, drift) in steps
-    ]
+    before, after = ({d.statistic: d for d in found} for found in (made.before, made.after))
+    findings = []
+    for k, (step, pairs, drift) in enumerate(zip(s.steps, made.pairs, made.drifts, strict=True)):
+        candidate, view = step.candidate, step.before
+        if statistic := _IN_SAMPLES.get(candidate.cause):
+            pairs = (*pairs, (before[statistic], after[statistic]))
+        start, end = candidate.support
+        span = float(start), float(end if np.isfinite(end) else view.duration)
+        # An effect on the entire record has no place of its own.
+        rest = None if span == (0.0, view.duration) else made.rest(span, candidate.domain)
+        found = Finding(
+            cause=candidate.cause,
+            axes=(view.axis.name,),
+            parameters=candidate.parameters,
+            p_value=candidate.p_value,
+            evidence=finite_or_none(candidate.gain),
+            gain=finite_or_none(step.gain),
+            rivals=step.rivals,
+            span=span,
+            domain=candidate.domain,
+            details=candidate.details,
+            coefficients=coefficient_changes(step),
+            drift=drift,
+            discrepancies=pairs,
+            rest=rest if rest and rest.p_value < CERTAIN else None,
+            stages=(k, k + 1),
+        )
+        findings.append(found)
+    return findings
 
 
-def _of_samples(
-    step: Step, before: tuple[Discrepancy, ...], after: tuple[Discrepancy, ...]
-) -> list[tuple[Discrepancy, Discrepancy]]:
-    """Discrepancy of the samples themselves that a finding removes, before and after it."""
-    statistic = _IN_SAMPLES.get(step.candidate.cause)
-    old, new = ({d.statistic: d for d in found} for found in (before, after))
-    return [(old[statistic], new[statistic])] if statistic else []
-
-
-def _finding(
-    stage: int,
-    step: Step,
-    pairs: tuple[tuple[Discrepancy, Discrepancy], ...],
-    drift: DriftChange | None,
-    made: Comparison,
-) -> Finding:
-    candidate, view = step.candidate, step.before
-    start, end = candidate.support
-    span = float(start), float(end if np.isfinite(end) else view.duration)
-    # An effect on the entire record has no place of its own.
-    rest = None if span == (0.0, view.duration) else made.rest(span, candidate.domain)
-    return Finding(
-        cause=candidate.cause,
-        axes=(view.axis.name,),
-        parameters=candidate.parameters,
-        p_value=candidate.p_value,
-        evidence=finite_or_none(candidate.gain),
-        gain=finite_or_none(step.gain),
-        rivals=step.rivals,
-        span=span,
-        domain=candidate.domain,
-        details=candidate.details,
-        coefficients=coefficient_changes(step),
-        drift=drift,
-        discrepancies=pairs,
-        rest=rest if rest and rest.p_value < CERTAIN else None,
-        stages=(stage, stage + 1),
-    )
-
-
-def view_of(
-    axis: Axis,
-    scale: float,
-    x: Float[np.ndarray, " n"],
-    rate: float,
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
-    baseline: tuple[Model, Model] | None,
-    drawn: Bool[np.ndarray, " n"] | None = None,
-) -> View:
+def _first_view(recording: Recording, k: int, baseline: tuple[Model, Model] | None) -> View:
     """First view of an axis; terms of the baseline other than basic ones are subtracted or in the factor.
 
-    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed. Samples
-    that were missing are `drawn`.
+    The baseline is a fitted model and the template of its terms; None: all basic terms are allowed.
     """
-    n = len(x)
-    drawn = np.zeros(n, bool) if drawn is None else drawn
-    family = family_of(n, rate)
-    if baseline is None:
-        return View(axis, scale, rate, x, x, None, auxiliary, EVERYTHING, family, drawn, drawn=drawn)
-    model, template = baseline
-    allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
-    basic = [name for name in model.term_labels if name in EVERYTHING]
-    others = further_terms(model)
-    y, density = x, np.zeros(n - 1)
-    for term in others.terms:
-        if not term.deterministic:
-            density += family.spectrum(term.sampled(rate))
-    if any(term.deterministic for term in others.terms):
-        y = _without_deterministic(others, x, rate)
-    factor = None
-    if density.any():
-        noise = np.zeros(n - 1)
-        for name in basic:
-            if name != RAMP:
-                noise += family.spectrum(model[name].sampled(rate))
-        factor = 1.0 + density / np.maximum(noise, 1e-12 * density)
-    # A baseline without basic noise still needs some to be compared with.
-    if not set(allowed) - {RAMP}:
-        allowed = ("angle_random_walk", *allowed)
-    return View(axis, scale, rate, x, y, factor, auxiliary, allowed, family, drawn, drawn=drawn)
+    x, rate, missing = recording.values[:, k], recording.rate, recording.missing
+    drawn = np.zeros(len(x), bool) if missing is None else missing[:, k]
+    allowed: tuple[str, ...] = EVERYTHING
+    factor, y = None, x
+    if baseline is not None:
+        model, template = baseline
+        allowed = tuple(name for name in template.term_labels if name in EVERYTHING)
+        # A baseline without basic noise still needs some to be compared with.
+        if not set(allowed) - {RAMP}:
+            allowed = ("angle_random_walk", *allowed)
+        others, family = further_terms(model), family_of(len(x), rate)
+        basic = [name for name in model.term_labels if name in EVERYTHING and name != RAMP]
+        noise, density = (
+            sum((family.spectrum(term.sampled(rate)) for term in some), np.zeros(len(x) - 1))
+            for some in (map(model.__getitem__, basic), (t for t in others.terms if not t.deterministic))
+        )
+        factor = 1.0 + density / np.maximum(noise, 1e-12 * density) if density.any() else None
+        if any(term.deterministic for term in others.terms):
+            y = _without_deterministic(others, x, rate)
+    scale, auxiliary = float(recording.own_scales[k]), recording.auxiliary
+    return View(recording.axes[k], scale, rate, x, y, factor, auxiliary, allowed, drawn, drawn)
 
 
 def further_terms(model: Model) -> Model:

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 from scipy.special import ndtr, ndtri
 
+from allanjax.critic.effect import View
 from allanjax.critic.noise import centred
-from allanjax.critic.view import View
 from allanjax.record.completion import in_time, predicted
 
 # Most and fewest sweeps, and the change of the deviation, in standard errors, below which they end.

@@ -67,10 +67,6 @@ class Noise:
         """Expected squared cosine coefficients c_1 … c_{n−1} [rate²]."""
         return self.family.expected(self.power, self.index)
 
-    def lowest(self, count: int) -> Float[np.ndarray, " count"]:
-        """Expected squares of the lowest coefficients, without computing the others."""
-        return self.family.expected(self.power, self.index, count)
-
     @property
     def terms(self) -> tuple[str, ...]:
         """Names of the terms, the ramp included."""
@@ -91,10 +87,7 @@ def term_of(name: str, coefficient: float = 1.0, shape: float = float("nan")) ->
 
 
 class NoiseFamily:
-    """All subsets of the basic terms for records of n samples at a rate.
-
-    A power law takes the place of the Markov process in a subset.
-    """
+    """All subsets of the basic terms, with a Markov process or a power law, for n samples at a rate."""
 
     def __init__(self, n: int, rate: float) -> None:
         self.n, self.rate = n, rate
@@ -123,11 +116,7 @@ class NoiseFamily:
         return self.rate * np.concatenate([np.asarray(term.sampled_psd(f, self.rate)) for f in parts])
 
     def unit(self, name: str, index: int) -> Float[np.ndarray, " n-1"]:
-        """Expected squared coefficients of a term of unit amplitude.
-
-        Its shape is given by its place in the grid. They follow from the density, but are exact if a bin has
-        a single coefficient.
-        """
+        """Expected squared coefficients of a unit term with a shape of the grid; exact in the lowest bins."""
         return self._unit(name, 0 if name in FIXED else index)
 
     @functools.lru_cache(maxsize=14)  # noqa: B019 - families are few and cached; spectra are long
@@ -143,8 +132,7 @@ class NoiseFamily:
         variance: Float[np.ndarray, " n-1"],
         fold: Bool[np.ndarray, " n-1"] | None = None,
     ) -> tuple[float, float]:
-        """Slope of a record's ramp [rate/s], from all coefficients or those in a fold, and its standard
-        deviation."""
+        """Slope of the ramp [rate/s], by all coefficients or those in a fold, and its standard deviation."""
         weight = self.ramp / variance if fold is None else fold * self.ramp / variance
         gram = float(weight @ self.ramp)
         return float(weight @ c) / gram, float(1.0 / np.sqrt(gram))
@@ -172,10 +160,7 @@ def centred(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n-1"]:
 
 
 def coefficient_folds(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Every other pair of coefficients, and the rest: independent halves that both cover the whole spectrum.
-
-    They are pairs because a shape that is odd about the record's middle has odd coefficients only.
-    """
+    """Every other pair of coefficients, as odd shapes have odd ones only, and the rest; both cover all."""
     some = np.arange(n - 1) // 2 % 2 == 0
     return some, ~some
 
@@ -230,11 +215,13 @@ class ModelEvidence:
         size = family.size if fold is None else family.bins.sums(fold.astype(float))
         ramp = _weighted(family.ramp, factor, fold)
         levels = SpectralStatistics(0.0, 0.0, family.bins.sums(ramp * family.ramp))
-        return cls(family, factor, fold, size, constant, levels)._given(c, like)
+        found = cls(family, factor, fold, size, constant, levels, like)
+        return dataclasses.replace(found, levels=found._statistics(c))
 
     def of_similar(self, c: Float[np.ndarray, " n-1"]) -> ModelEvidence:
         """Evidence of few subsets, given the coefficients of a similar record."""
-        return dataclasses.replace(self._given(c, self.like or self), near=_FEW)
+        levels, like = self._statistics(c), self.like or self
+        return dataclasses.replace(self, levels=levels, like=like, near=_FEW, known={})
 
     def of_rest(self, c: Float[np.ndarray, " n-1"], lowest: Float[np.ndarray, " slow"]) -> ModelEvidence:
         """Evidence of few subsets, given the coefficients of this record less these lowest ones."""
@@ -247,9 +234,6 @@ class ModelEvidence:
         levels = SpectralStatistics(squares, cross, old.gram)
         return dataclasses.replace(self, levels=levels, like=self.like or self, near=_FEW, known={})
 
-    def _given(self, c: Float[np.ndarray, " n-1"], like: ModelEvidence | None) -> ModelEvidence:
-        return dataclasses.replace(self, levels=self._statistics(c), like=like, known={})
-
     def _statistics(self, c: Float[np.ndarray, " some"], count: int | None = None) -> SpectralStatistics:
         """Statistics of the coefficients in the first `count` bins, or in all."""
         own, first = slice(len(c)), self.family.bins.edges[:-1][:count] - 1
@@ -258,11 +242,7 @@ class ModelEvidence:
         squares, cross = (np.add.reduceat(weighted * x, first) for x in (c, self.family.ramp[own]))
         return SpectralStatistics(squares, cross, self.levels.gram)
 
-    def best(
-        self,
-        allowed: Collection[str] = (*FIXED, MARKOV, RAMP),
-        required: Sequence[str] = (),
-    ) -> Noise:
+    def best(self, allowed: Collection[str], required: Sequence[str] = ()) -> Noise:
         """Most probable subset of the `allowed` terms with the `required` ones."""
         return self.likely(allowed, required, 1)[0]
 

@@ -39,7 +39,7 @@ _ROUNDING = 1e-3
 _PER_OCTAVE = 4
 
 
-class Law(NamedTuple):
+class Law:
     """Weighted sums of the squared coefficients of a record, and their distribution in simulations.
 
     Attributes:
@@ -50,13 +50,7 @@ class Law(NamedTuple):
             were fitted to the same record.
     """
 
-    measured: Float[np.ndarray, " m"]
-    mean: Float[np.ndarray, " m"]
-    covariance: Float[np.ndarray, "m m"]
-    fitted: Float[np.ndarray, "m m"]
-
-    @classmethod
-    def of(cls, stage: Stage, weights: Float[np.ndarray, "m bins"]) -> Law:
+    def __init__(self, stage: Stage, weights: Float[np.ndarray, "m bins"]) -> None:
         """Law of the sums with these weights, each for a narrow bin of coefficients."""
         v, square, measured, _ = stage.sums
         edges = narrow_bins(stage.n)
@@ -66,18 +60,14 @@ class Law(NamedTuple):
         # No power is more uncertain than 100 %, hence the 1 beside the Fisher information ½ Σ_j q_k q_l.
         information = 0.5 * (q * size) @ q.T
         errors = np.linalg.inv(information + np.eye(len(q)))
-        mean = weights @ v
-        known = 2.0 * (weights * square) @ weights.T / np.outer(mean, mean)
-        slope = weights @ (q * v).T / mean[:, None]
+        self.measured, self.mean = weights @ measured, weights @ v
+        known = 2.0 * (weights * square) @ weights.T / np.outer(self.mean, self.mean)
+        slope = weights @ (q * v).T / self.mean[:, None]
         # The errors of the levels, L·score, are correlated with the record: their covariance with it is
         # slope·L, and that of the score is its Fisher information.
         followed = 2.0 * errors - errors @ information @ errors
-        return cls(
-            weights @ measured,
-            mean,
-            known + slope @ errors @ slope.T,
-            known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known)),
-        )
+        self.covariance = known + slope @ errors @ slope.T
+        self.fitted = known - slope @ followed @ slope.T + _ROUNDING * np.diag(np.diag(known))
 
     def quantile(self, probability: float) -> Float[np.ndarray, " m"]:
         """Quantile of the simulations' sums, χ² variates of as many degrees of freedom as fit."""
@@ -124,7 +114,7 @@ def summaries(stage: Stage) -> tuple[Curve, Curve]:
         (sizes / rate, allan_weights(n, tuple(sizes.tolist()))),
         ((edges[:-1] + edges[1:] - 1) * rate / (4.0 * n), inside * (2.0 / rate / np.diff(edges))[:, None]),
     ):
-        law = Law.of(stage, weights)
+        law = Law(stage, weights)
         curves.append(Curve(place, law.measured, *(law.quantile(p) for p in (0.025, 0.5, 0.975))))
     allan, density = curves
     return Curve(allan.place, *map(np.sqrt, allan[1:])), density
@@ -244,7 +234,7 @@ def drift_sizes(n: int, rate: float) -> Int[np.ndarray, " m"]:
 
 def _of_law(statistic: str, stage: Stage, sizes: Int[np.ndarray, " m"], factor: Places, unit: str) -> Profile:
     """Profile of a statistic that is the Allan deviation for clusters of these sizes, times a factor."""
-    law = Law.of(stage, allan_weights(stage.n, tuple(sizes.tolist())))
+    law = Law(stage, allan_weights(stage.n, tuple(sizes.tolist())))
     variance = np.diag(law.fitted)
     z = _chi2_score(2.0 / variance * law.measured / law.mean, 2.0 / variance)
     values, vectors = np.linalg.eigh(law.fitted / np.sqrt(np.outer(variance, variance)))
@@ -312,10 +302,7 @@ def autocorrelation(stage: Stage) -> Profile:
 
 
 def shape(stage: Stage) -> list[Profile]:
-    """Profiles of skewness and excess kurtosis of the whitened residuals, which have no mean.
-
-    Scores are those of D'Agostino (1970) and of Anscombe & Glynn (1983).
-    """
+    """Skewness and excess kurtosis of residuals; scores of D'Agostino (1970), Anscombe & Glynn (1983)."""
     e, n = stage.whitened, stage.n
     second, squares = float(e @ e) / n, e * e
     found = []
@@ -333,10 +320,7 @@ def largest_residual(stage: Stage) -> Profile:
     n, e = stage.n, stage.whitened
     typical = float(norm.isf(-0.5 * np.expm1(np.log(0.5) / n)))
 
-    def numbers(place: int) -> tuple[float, float, float]:
-        return place / stage.rate, abs(float(e[place])), typical
-
-    return Profile("largest_residual", "s", "σ", e, numbers)
+    return Profile("largest_residual", "s", "σ", e, lambda k: (k / stage.rate, abs(float(e[k])), typical))
 
 
 # --- Time ---------------------------------------------------------------------------------------------------

@@ -15,8 +15,7 @@ from jaxtyping import Float, PRNGKeyArray
 from allanjax.base.equality import ByValue
 from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
-from allanjax.critic.finding import Detail, Discrepancy, Finding, written
-from allanjax.critic.merging import merged
+from allanjax.critic.finding import Detail, Discrepancy, Finding, merged, written
 from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit, Misfit
 from allanjax.inspection import inspect
@@ -225,9 +224,8 @@ class Critique(ByValue, PerAxis[AxisCritique]):
     ) -> tuple[Figure, ...]:
         """Draw a figure per finding, or for selected ones, and per axis without; saved in folder `path`.
 
-        A finding in several axes is drawn in the most affected one, `Finding.shown`.
-
-        See `presentation.critique_figure`.
+        A finding in several axes is drawn in the most affected one, `Finding.shown`; see
+        `presentation.critique_figure`.
         """
         raise NotImplementedError
 

@@ -33,22 +33,17 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.base.wording import plain
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.effects.spectral_shape import SpectralShape, finished
-from allanjax.critic.finding import Detail, Rival, cause_title
-from allanjax.critic.merging import OUTLIERS, order_of
+from allanjax.critic.finding import OUTLIERS, Detail, Rival, cause_title, order_of
 from allanjax.critic.policy import EQUAL, FALSE_ALARMS, OWN, PRIORS, SHARED, judged
 from allanjax.critic.step import Step, refitted, replay
-from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 
 
 class AcceptanceRule(NamedTuple):
-    """Rule by which candidates of these effects in one axis are accepted.
-
-    `false_alarms` is the probability of a false finding in the axis.
-    """
+    """Rule by which effects in an axis are accepted, with the probability of a false finding in it."""
 
     false_alarms: float
     effects: Sequence[Effect] = ()
@@ -210,11 +205,11 @@ def prune(state: Search, effects: Sequence[Effect], last: bool = False) -> Searc
 def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     """Finished search: everything is refitted, and the filter and the resonances are described."""
     state = prune(state, _sought(state.end, effects), last=True)
-    steps, view, anew, shape = list(state.steps), state.end, state.is_anew, None
+    steps, view, anew, model = list(state.steps), state.end, state.is_anew, None
     if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
-        shape, anew, place = finished(view, mine[0]), True, steps.index(mine[0])
-        steps[place:] = [*(shape.steps if shape else ()), *(s for s in steps[place:] if s not in mine)]
-        view = view if shape else view.with_structure(None)
+        (own, model), anew, place = finished(view, mine[0]), True, steps.index(mine[0])
+        steps[place:] = [*own, *(s for s in steps[place:] if s not in mine)]
+        view = view if own else view.with_structure(None)
     if anew:
         steps = replay(state.start, steps)
         view = steps[-1].candidate.after if steps else state.start
@@ -223,7 +218,7 @@ def concluded(state: Search, effects: Sequence[Effect]) -> Search:
         start=state.start.without_caches(),
         steps=tuple(grouped(steps)),
         end=view.without_caches(),
-        noise_model=shape and shape.model,
+        noise_model=model,
     )
 
 

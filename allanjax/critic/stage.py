@@ -31,8 +31,7 @@ class Stage(ByValue):
         x: samples less the earlier findings [SI].
         rate: sample rate [Hz].
         powers: squared coefficients of the basic terms in the noise, by name (a ramp has none).
-        shape, index: correlation time [s] or exponent of the term that has one, else nan; its place in the
-            grid of shapes.
+        index: place of the correlation time or exponent of the term that has one in the grid of shapes.
         ramp: slope of a drift ramp [rate/s].
         factor: ratio of the spectrum to that of these terms; None for 1.
         drawn: whether each sample was filled in: drawn given the others.
@@ -42,7 +41,6 @@ class Stage(ByValue):
     x: Float[np.ndarray, " n"]
     rate: float
     powers: Mapping[str, float]
-    shape: float
     index: int
     ramp: float
     factor: Float[np.ndarray, " n-1"] | None

@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import FINEST, SLOW
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.finding import CoefficientChange, Rival
 from allanjax.critic.noise import FIXED, MARKOV, WHITE, centred
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.structure.structure import Structure
 from allanjax.noise.terms import Markov, basic_terms
@@ -71,10 +70,7 @@ class Step:
 
 
 def replay(start: View, steps: Iterable[Step]) -> list[Step]:
-    """Steps repeated one after the other, each in the view that the one before leaves.
-
-    The structure of the spectrum is that of the last step that changed it.
-    """
+    """Steps repeated one after the other; the spectrum's structure is that of the last that changed it."""
     view, found = start, []
     for step in steps:
         after = step.made(view)

@@ -20,8 +20,7 @@ from scipy.stats import norm
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import wrapped
 from allanjax.base.wording import plain
-from allanjax.critic.finding import UNEXPLAINED, Finding, numbers_in
-from allanjax.critic.merging import EVENT, OUTLIERS
+from allanjax.critic.finding import EVENT, OUTLIERS, UNEXPLAINED, Finding, numbers_in
 from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import Critique
 from allanjax.critic.stage import Stage, octave_bins

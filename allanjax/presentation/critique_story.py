@@ -17,6 +17,7 @@ from allanjax.base.wording import (
     plain,
     without_error,
 )
+from allanjax.critic.comparison import DOMAINS
 from allanjax.critic.finding import (
     UNEXPLAINED,
     CoefficientChange,
@@ -30,7 +31,6 @@ from allanjax.critic.finding import (
     values_of,
 )
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.critic.unknown import DOMAINS
 from allanjax.estimate.result import LIMIT
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis

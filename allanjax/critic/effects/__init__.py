@@ -1,6 +1,6 @@
 """The effects that the critic knows, one class per file."""
 
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import EVERYTHING, Effect
 from allanjax.critic.effects.basic_term import BasicTerm
 from allanjax.critic.effects.bias_step import BiasStep
 from allanjax.critic.effects.disturbance import Disturbance
@@ -16,23 +16,10 @@ from allanjax.critic.effects.telegraph import Telegraph
 from allanjax.critic.effects.temperature import Temperature
 from allanjax.critic.effects.variance_change import VarianceChange
 from allanjax.critic.effects.warm_up import WarmUp
-from allanjax.critic.view import EVERYTHING
 
 #: The effects that a critique looks for by default.
 EFFECTS: tuple[Effect, ...] = (
     *(BasicTerm(term) for term in EVERYTHING),
-    BiasStep(),
-    Disturbance(),
-    Outliers(),
-    PowerLaw(),
-    RepeatedSamples(),
-    Rounding(),
-    Saturation(),
-    Sinusoid(),
-    SlowChange(),
-    SpectralShape(),
-    Telegraph(),
-    Temperature(),
-    VarianceChange(),
-    WarmUp(),
+    *(BiasStep(), Disturbance(), Outliers(), PowerLaw(), RepeatedSamples(), Rounding(), Saturation()),
+    *(Sinusoid(), SlowChange(), SpectralShape(), Telegraph(), Temperature(), VarianceChange(), WarmUp()),
 )

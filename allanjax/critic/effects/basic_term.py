@@ -14,10 +14,9 @@ from scipy.stats import chi2
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank
-from allanjax.critic.effect import TIMES, Effect
+from allanjax.critic.effect import TIMES, Candidate, Effect, View
 from allanjax.critic.finding import limited
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, RAMP, SETS, Noise, NoiseFamily, odds, term_of
-from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.noise.estimate import Estimate
@@ -45,10 +44,7 @@ def _unit(family: NoiseFamily, name: str, shape: float = 0.0) -> Float[np.ndarra
 
 
 def likely_shape(view: View, name: str, bounds: tuple[float, float]) -> tuple[float, float]:
-    """Most likely shape of a term beside all allowed terms, and its standard deviation by the curvature.
-
-    All powers are fitted for each shape. `limited` says whether it is at a bound.
-    """
+    """Most likely shape of a term beside all allowed terms of any power, and its std from the curvature."""
     bins, squares = _bins(view.family), view.coefficients**2
     size, total = bins.size, bins.sums(squares if view.factor is None else squares / view.factor)
     level, rough = total / size, smoothed(total, size)
@@ -161,10 +157,7 @@ def _coefficient(view: View, noise: Noise, term: str) -> tuple[float, float]:
 
 
 def _p_value(view: View, term: str) -> float:
-    """p-value of the likelihood ratio of the noise with the term to the noise without, by Wilks's law.
-
-    Without the term its amplitude is at the boundary of its range.
-    """
+    """p-value of a term's likelihood ratio, by Wilks's law; without it its amplitude is at the boundary."""
     present = view.noise.terms
     noise = view.model_evidence.best([*present, term], required=[*present, term])
     ratio = 2.0 * max(view.log_likelihood(noise) - view.log_likelihood(view.noise), 0.0)

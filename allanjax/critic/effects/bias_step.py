@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -20,11 +19,10 @@ from allanjax.critic.bank import (
     step_bank,
     step_coefficients,
 )
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.effects.slow_change import is_slow
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import PRIORS
-from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -75,12 +73,25 @@ class BiasStep(Effect):
         coarse: Candidate | None = None,
     ) -> Candidate | None:
         """Best single step of a bank."""
+        spacing = places[1] - places[0]
+
+        def parameters(k: int, a: float, std: float, likelihood: np.ndarray) -> list[Estimate]:
+            place, spread, limit = shape_parameter(places, likelihood)
+            # Only at the record's ends may a step lie beyond the end of a bank.
+            if limit and (places[0] if limit == "below" else view.n - places[-1]) > 2.0 * spacing:
+                (place, spread), limit = mean_and_std(places, likelihood), ""
+            spread = float(np.hypot(spread, spacing / np.sqrt(12.0)))
+            return [
+                view.estimate("time", place / view.rate, spread / view.rate, "s", limit),
+                view.amplitude_estimate("amplitude", a, std),
+            ]
+
         return additive(
             view,
             self.name,
             bank,
             lambda k: (np.arange(view.n) >= places[k]).astype(float),
-            lambda k, a, std, likelihood: _parameters(view, places, a, std, likelihood),
+            parameters,
             lambda k: (places[k] / view.rate, view.duration),
             log_trials,
             lambda k, a: terms.BiasStep(abs(a), float(places[k] / view.rate), sign=int(np.copysign(1.0, a))),
@@ -90,12 +101,13 @@ class BiasStep(Effect):
     def _two(self, view: View, least: float) -> Candidate | None:
         """Two steps, if they gain more than the `least`, and each has a gain given the other."""
         bank, places = step_bank(view.n, _COARSER)
-        found = [_pair(view, bank, noise) for noise in view.noises]
-        both = max(found, key=lambda pair: pair.gain)
-        if both.gain < least + HOPELESS:
+        gain, k, amplitude = max(
+            (_pair(view, bank, noise) for noise in view.noises), key=lambda pair: pair[0]
+        )
+        if gain < least + HOPELESS:
             return None
-        later = (np.arange(view.n) >= places[both.members[1]]).astype(float)
-        alone = view.with_samples(view.samples - both.amplitude[1] * later)
+        later = (np.arange(view.n) >= places[k]).astype(float)
+        alone = view.with_samples(view.samples - amplitude * later)
         if (first := self.again(alone)) is None:
             return None
         rest = view.with_samples(view.samples - (alone.samples - first.after.samples))
@@ -117,16 +129,11 @@ class BiasStep(Effect):
         )
 
 
-class _Pair(NamedTuple):
-    """Two steps of a bank, their amplitudes, and their approximate log evidence [nats]."""
+def _pair(view: View, bank: Bank, noise: Noise) -> tuple[float, int, float]:
+    """Approximate log evidence of the best two steps of a bank [nats]; number and amplitude of the later one.
 
-    members: tuple[int, int]
-    amplitude: Float[np.ndarray, " 2"]
-    gain: float
-
-
-def _pair(view: View, bank: Bank, noise: Noise) -> _Pair:
-    """Best two steps of a bank; they and the noise without them are estimated in turn."""
+    They and the noise without them are estimated in turn.
+    """
     i, j = np.triu_indices(len(bank.shapes), 1)
     best = -1
     for _ in range(_ROUNDS):
@@ -144,25 +151,5 @@ def _pair(view: View, bank: Bank, noise: Noise) -> _Pair:
         if best == before:
             break
     price = log_trials_factor(gains) + np.sum(log_occam_factor(amplitude / np.sqrt(np.diag(covariance))))
-    return _Pair(
-        (int(i[best]), int(j[best])), amplitude, noise.log_evidence - view.noise.log_evidence - float(price)
-    )
-
-
-def _parameters(
-    view: View,
-    places: Float[np.ndarray, " places"],
-    amplitude: float,
-    std: float,
-    likelihood: Float[np.ndarray, " places"],
-) -> list[Estimate]:
-    spacing = places[1] - places[0]
-    place, spread, limit = shape_parameter(places, likelihood)
-    # Only at the record's ends may a step lie beyond the end of a bank.
-    if limit and (places[0] if limit == "below" else view.n - places[-1]) > 2.0 * spacing:
-        (place, spread), limit = mean_and_std(places, likelihood), ""
-    spread = np.hypot(spread, spacing / np.sqrt(12.0))
-    return [
-        view.estimate("time", place / view.rate, spread / view.rate, "s", limit),
-        view.amplitude_estimate("amplitude", amplitude, std),
-    ]
+    gain = noise.log_evidence - view.noise.log_evidence - float(price)
+    return gain, int(j[best]), float(amplitude[1])

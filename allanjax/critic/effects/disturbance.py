@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -12,10 +11,9 @@ from scipy.special import gammaincc
 
 from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import folds
-from allanjax.critic.effect import Effect, Place
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import in_time
 
 _SHORTEST, _LONGEST, _SMOOTH, _LOUD, _QUIET = (
@@ -27,9 +25,6 @@ _WORTH = 12.0
 _BANDS, _PER_BAND = 6, 2.5
 # Blocks in which a fading beginning or end is sought; share of a disturbance hidden by noise at each.
 _FADING, _UNSEEN = 10, 0.1
-
-#: Whitened samples, or their squares.
-Samples: TypeAlias = Float[np.ndarray, " n"]
 
 
 class _Stretch(NamedTuple):
@@ -45,15 +40,9 @@ class Disturbance(Effect):
 
     name = "disturbance"
 
-    def __init__(self, places: Sequence[Place] = ()) -> None:
-        self._places = tuple(places)
-
-    def at(self, places: Sequence[Place]) -> Disturbance:
-        return Disturbance(places)
-
     def detect(self, view: View) -> Candidate | None:
         block = max(int(np.rint(_SHORTEST * view.rate)), 4)
-        ends = ((round(place.start * view.rate), round(place.end * view.rate)) for place in self._places)
+        ends = ((round(place.start * view.rate), round(place.end * view.rate)) for place in self.places)
         known = [_Stretch(start, end, 1.0) for start, end in ends]
         found = [self._within(view, block, stretch) for stretch in known or (None,)]
         return max((c for c in found if c is not None), key=lambda c: c.gain, default=None)
@@ -111,16 +100,20 @@ class Disturbance(Effect):
         )
 
 
-def _searched(e: Samples, squares: Samples, block: int) -> _Stretch | None:
+def _searched(e: Float[np.ndarray, " n"], squares: Float[np.ndarray, " n"], block: int) -> _Stretch | None:
     """Stretch that is most likely louder, with its ends where it fades into the noise."""
     loudest = _loudest(squares, block)
     if loudest is None:
         return None
     start, end = _grown(squares, loudest.start, loudest.end, block)
-    return _Stretch(*_faded(e, start, end, block), loudest.windows)
+    # As far as it is loud at low frequencies, since motion is slow and fades out.
+    count = len(e) // block
+    means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
+    first, last = _grown(means**2, start // block, -(-end // block), _FADING)
+    return _Stretch(min(first * block, start), max(min(last * block, len(e)), end), loudest.windows)
 
 
-def _loudest(squares: Samples, block: int) -> _Stretch | None:
+def _loudest(squares: Float[np.ndarray, " n"], block: int) -> _Stretch | None:
     """Window most likely to be louder."""
     total = np.concatenate([[0.0], np.cumsum(squares)])
     best, windows, width = (0.0, 0, 0), 0.0, block
@@ -154,14 +147,6 @@ def _grown(squares: Float[np.ndarray, " n"], start: int, end: int, block: int) -
     return start, end
 
 
-def _faded(e: Float[np.ndarray, " n"], start: int, end: int, block: int) -> tuple[int, int]:
-    """Stretch extended as far as it is loud at low frequencies, since motion is slow and fades out."""
-    count = len(e) // block
-    means = e[: count * block].reshape(count, block).mean(axis=1) * np.sqrt(block)
-    first, last = _grown(means**2, start // block, -(-end // block), _FADING)
-    return min(first * block, start), max(min(last * block, len(e)), end)
-
-
 def _bands(e: Float[np.ndarray, " m"]) -> Float[np.ndarray, "bands 2"]:
     """Number of coefficients and mean square in bands, each twice as wide as the one below."""
     c = dct(e, norm="ortho")
@@ -177,7 +162,7 @@ def _merged(bands: Float[np.ndarray, "bands 2"]) -> Float[np.ndarray, " 2"]:
     return np.array([size, bands[:, 0] @ bands[:, 1] / size])
 
 
-def _held_out(e: Samples, bands: Float[np.ndarray, "bands 2"]) -> float:
+def _held_out(e: Float[np.ndarray, " m"], bands: Float[np.ndarray, "bands 2"]) -> float:
     """Gain in log-likelihood [nats] on parts of the coefficients with the levels of bands from the others."""
     squares = dct(e, norm="ortho") ** 2
     band = np.repeat(np.arange(len(bands)), bands[:, 0].astype(int))

@@ -13,12 +13,11 @@ from scipy.stats import binom, norm
 
 from allanjax.base.normal import bulk_std
 from allanjax.critic.bank import PARTS, any_of, owners, shape_parameter
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.finding import Limit, values_of
 from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.record.completion import GAPS_AT_ONCE, in_time, inverses, lags_of
 
 # Scales of outliers, in standard deviations of the noise, and shares of samples that are compared.
@@ -63,7 +62,7 @@ class Outliers(Effect):
         if mixture.gain < _WORTH:
             return None
         found = _found(view, z, bulk, mixture.threshold)
-        if found is None or not found[0].any():
+        if found is None:
             return None
         scores, after = found
         times = np.flatnonzero(scores)
@@ -106,7 +105,7 @@ def _found(
     """Scores above a threshold, zero for all other samples, and a view in which these samples are imputed.
 
     A large outlier hides others next to it, which are seen once its excess over its prediction from all other
-    samples is subtracted, in the noise without it. None if a train of scores is too long for outliers.
+    samples is subtracted, in the noise without it. None without any, or if a train of them is too long.
     """
     v, scores = view.variance(), np.zeros(view.n)
     lags, pulls = lags_of(1.0 / v), view.loo_residuals[0] * float(np.mean(1.0 / v))
@@ -129,7 +128,7 @@ def _found(
         left = in_time((view.residual - c) / v) / (float(np.mean(1.0 / v)) * bulk)
         z = _scores(view, left, noise)
         z[times] = 0.0
-    return scores, impute_gaussian(view, scores != 0.0) if scores.any() else view
+    return (scores, impute_gaussian(view, scores != 0.0)) if scores.any() else None
 
 
 def _p_value(z: Float[np.ndarray, " n"]) -> float:
@@ -246,10 +245,7 @@ def _log_scale(found: Float[np.ndarray, " k"], threshold: float) -> tuple[float,
 
 
 def _scores(view: View, left: Float[np.ndarray, " n"], noise: Noise | None = None) -> Float[np.ndarray, " n"]:
-    """Leave-one-out residuals over their scale, zero where samples were imputed.
-
-    Those that stand out at the ends are compared with the scatter there.
-    """
+    """Leave-one-out residuals over their scale, near the ends over that there; 0 for imputed samples."""
     z = np.where(view.imputed, 0.0, left)
     for k in (*range(_END), *range(view.n - _END, view.n)):
         if abs(z[k]) > _NOTICED:

@@ -8,12 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from allanjax.critic.effect import Effect, Range
+from allanjax.critic.effect import Candidate, Effect, Range, View
 from allanjax.critic.effects.basic_term import likely_shape, noise_with, relative_errors
 from allanjax.critic.finding import limited
 from allanjax.critic.noise import MARKOV, POWER_LAW, Noise
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 
 # Distance from the best exponent of the grid within which the maximum is sought.
@@ -37,12 +36,16 @@ class PowerLaw(Effect):
         allowed = [t for t in view.allowed if t != MARKOV] + [POWER_LAW]
         # A basic term is preferred if it explains as much.
         found = noise_with(view, POWER_LAW, allowed, view.log_evidence_all_terms, _parameters)
-        return found and dataclasses.replace(
+        if found is None:
+            return None
+        exponent, distinct = found.parameters["exponent"].value, judged("power_law", "distinct")
+        near = [name for name, own in _BASIC.items() if abs(exponent - own) < distinct]
+        return dataclasses.replace(
             found,
             support=(view.rate / (2.0 * view.n), view.rate / 2.0),
             domain="frequency",
             bound=float(np.exp(-found.gain)),
-            doubt=_doubt(found.parameters["exponent"].value),
+            doubt=f"its exponent is nearly that of {near[0]}" if near else "",
         )
 
 
@@ -56,9 +59,3 @@ def _parameters(view: View, allowed: Sequence[str], noise: Noise) -> list[Estima
         view.estimate("exponent", exponent, std, "1", limit),
         view.amplitude_estimate("amplitude", amplitude, 0.5 * relative * amplitude, "/√Hz"),
     ]
-
-
-def _doubt(exponent: float) -> str:
-    """Why a power law of this exponent is hardly one of its own."""
-    near = [name for name, own in _BASIC.items() if abs(exponent - own) < judged("power_law", "distinct")]
-    return f"its exponent is nearly that of {near[0]}" if near else ""

@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import norm
 
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.imputation import impute_gaussian
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import lattice
 
 _LEAST, _DOUBTLESS, _PREDICTED, _APART = (
@@ -24,8 +23,10 @@ class RepeatedSamples(Effect):
     is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
-        recorded = view.recorded(view.raw)
-        same = repeats(view.raw, recorded)
+        raw, recorded = view.raw, view.recorded(view.raw)
+        same = np.concatenate([[False], raw[1:] == raw[:-1]])
+        # The limits of a clipped output repeat; missing samples have been drawn and repeat none.
+        same &= (raw < recorded.max()) & (raw > recorded.min())
         count, n = int(same.sum()), len(recorded)
         if count < _LEAST:
             return None
@@ -49,15 +50,6 @@ class RepeatedSamples(Effect):
             lambda: _held_out(same, chance) if known else float("nan"),
             bound=1.0 if known else 0.0,
         )
-
-
-def repeats(raw: Float[np.ndarray, " n"], recorded: Float[np.ndarray, " recorded"]) -> Bool[np.ndarray, " n"]:
-    """Whether a sample equals the one before, except at the limits of a clipped output.
-
-    Missing samples are left out: they have been drawn and repeat none.
-    """
-    same = np.concatenate([[False], raw[1:] == raw[:-1]])
-    return same & (raw < recorded.max()) & (raw > recorded.min())
 
 
 def _by_chance(raw: Float[np.ndarray, " n"]) -> float:

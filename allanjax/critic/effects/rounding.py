@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.imputation import draw_between
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import TOLERANCE, lattice
 
 #: Resolution, relative to the noise's standard deviation, below which rounding is harmless.
@@ -28,7 +27,7 @@ class Rounding(Effect):
         if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
             return None
         # Missing samples were drawn without rounding and need none.
-        half = q / 2.0 if view.drawn is None else np.where(view.drawn, 0.0, q / 2.0)
+        half = np.where(view.drawn, 0.0, q / 2.0)
         x, sigma = draw_between(view.samples, view.samples - half, view.samples + half, view.n)
         if q < HARMLESS * sigma:
             return None

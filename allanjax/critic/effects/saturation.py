@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.imputation import draw_between
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.inspection.plausible import Ends, lattice
 from allanjax.noise.estimate import Estimate
 

@@ -12,9 +12,8 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import PARTS, owners
-from allanjax.critic.effect import FREQUENCIES, Effect, Place
+from allanjax.critic.effect import FREQUENCIES, Candidate, Effect, Place, View
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.estimate.deterministic import LINE_REACH, line_columns
 from allanjax.estimate.evidence import LOG_PRIOR_RANGE
 from allanjax.noise import terms
@@ -54,22 +53,18 @@ class Sinusoid(Effect):
     name = "sinusoid"
     sensible: ClassVar = {"frequency": FREQUENCIES._replace(may_be_a_limit=True)}
 
-    def __init__(self, places: Sequence[Place] = ()) -> None:
-        self._places = tuple(places)
-
-    def at(self, places: Sequence[Place]) -> Sinusoid:
-        return Sinusoid(places)
-
     def p_value(self, view: View) -> float:
-        line = view.once(_strongest, self._places)
-        return 1.0 if line is None else _line_p_value(line.gain, view, self._places)
+        line = view.once(_strongest, self.places)
+        return 1.0 if line is None else _line_p_value(line.gain, view, self.places)
 
     def detect(self, view: View) -> Candidate | None:
-        line = view.once(_strongest, self._places)
-        band = sum(place.end - place.start for place in self._places) or 0.5 * view.rate
+        line = view.once(_strongest, self.places)
+        band = sum(place.end - place.start for place in self.places) or 0.5 * view.rate
         if line is None or line.gain - line.log_price(band) < _HOPELESS:
             return None
-        after = view.with_samples(view.samples - wave(line.frequency, line.beta, view.n, view.rate))
+        angle = 2.0 * np.pi * line.frequency * (np.arange(view.n) + 0.5) / view.rate
+        cosine, sine = line.beta
+        after = view.with_samples(view.samples - (cosine * np.cos(angle) + sine * np.sin(angle)))
         v = after.variance()
         line = refined(view.coefficients, v, line.frequency, view.rate)
         f, f_std, beta, std, z = line
@@ -92,7 +87,7 @@ class Sinusoid(Effect):
 
         def held_out() -> float:
             root = np.sqrt(v)
-            kept = _held_out(in_time(view.coefficients / root), view, self._places)
+            kept = _held_out(in_time(view.coefficients / root), view, self.places)
             return view.held_out_gain(after, z, kept)
 
         width = 40.0 / view.duration
@@ -100,13 +95,13 @@ class Sinusoid(Effect):
             self.name,
             parameters,
             gain,
-            _line_p_value(z, view, self._places),
+            _line_p_value(z, view, self.places),
             after,
             held_out,
             (f - width, f + width),
             "frequency",
             lambda model: model + terms.Sinusoid(amplitude, f, phase=phase),
-            is_shared=bool(self._places),
+            is_shared=bool(self.places),
         )
 
 
@@ -144,12 +139,6 @@ def _line_p_value(z: float, view: View, places: Sequence[Place]) -> float:
     band = sum(p.end - p.start for p in places) or view.rate / 2.0 - _PERIODS / view.duration
     expected = band * view.duration * np.sqrt(np.pi / 3.0) * np.exp(-z) * np.sqrt(z)
     return float(-np.expm1(max(len(places), 1) * np.log1p(-np.exp(-z)) - expected))
-
-
-def wave(frequency: float, beta: Float[np.ndarray, " 2"], n: int, rate: float) -> Float[np.ndarray, " n"]:
-    """Samples of a line: β₀ cos + β₁ sin of 2πf·(k + ½)/rate."""
-    phase = 2.0 * np.pi * frequency * (np.arange(n) + 0.5) / rate
-    return beta[0] * np.cos(phase) + beta[1] * np.sin(phase)
 
 
 def refined(c: Float[np.ndarray, " n-1"], v: Float[np.ndarray, " n-1"], start: float, rate: float) -> Line:

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.bank import Bank, additive, sampled_bank
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.noise import Noise
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 
 # Lengths as shares of the record, and places per length.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,14 +16,13 @@ from scipy.optimize import approx_fprime
 from scipy.special import gammaincc
 
 from allanjax.critic.bank import any_of
-from allanjax.critic.effect import FREQUENCIES, Effect, Place
+from allanjax.critic.effect import FREQUENCIES, Candidate, Effect, Place, View
 from allanjax.critic.finding import Detail, Limit, limited
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of_noise
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
-from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
-from allanjax.estimate.spectral.model import Component, response_of
+from allanjax.estimate.spectral.model import response_of
 from allanjax.estimate.structure import structure as structures
 from allanjax.estimate.structure.search import Record, at_all, at_some, completed, narrow, refitted, searched
 from allanjax.estimate.structure.structure import FIXED, Fitted, Spectrum, Structure, model_of
@@ -103,7 +102,8 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     if view.structure is not None and not _left(view):
         return None
     record, start = _problem(view)
-    spectrum, found = _searched(record, start)
+    spectrum, found = searched(record, start)
+    found = _of_resonances(spectrum, found, record.n)
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
@@ -114,10 +114,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
 
 
 def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
-    """View with narrow resonances at some of these places, and their log odds [nats].
-
-    The frequency of each is known within its place, which costs less than an unknown frequency.
-    """
+    """View with narrow resonances at some places, each known to the place's width; their log odds [nats]."""
     record, start = _problem(view)
     spectrum, now = refitted(record, start)
     total = 0.0
@@ -144,12 +141,6 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
         if gain > 0.0:
             spectrum, now, total = finer, found, total + gain
     return (view.with_structure(now.structure), total) if total > 0.0 else None
-
-
-def _searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
-    """Structure of a spectrum, of resonances only."""
-    spectrum, found = searched(record, start)
-    return spectrum, _of_resonances(spectrum, found, record.n)
 
 
 def _of_resonances(spectrum: Spectrum, found: Fitted, n: int) -> Fitted:
@@ -187,17 +178,15 @@ def _left(view: View) -> bool:
     return chance_of_peak(view.squared_whitened) < _LEFT
 
 
-class Shape(NamedTuple):
-    """Final structure of a view's spectrum: filter and resonances as findings, by gain; and the model."""
+def finished(view: View, first: Step) -> tuple[list[Step], Model | None]:
+    """Final structure first found in a step: filter and resonances as findings, by gain; and the model.
 
-    steps: list[Step]
-    model: Model
-
-
-def finished(view: View, first: Step) -> Shape | None:
-    """Final fit of the structure first found in a step; None if there are only basic terms."""
+    There are no findings and there is no model if there are only basic terms.
+    """
     record, start = _problem(view)
-    spectrum, found = _searched(record, start) if _left(view) else refitted(record, start)
+    left = _left(view)
+    spectrum, found = searched(record, start) if left else refitted(record, start)
+    found = _of_resonances(spectrum, found, record.n) if left else found
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
     found = _of_resonances(spectrum, found, record.n)
     while groups := _groups(found.structure):
@@ -208,7 +197,7 @@ def finished(view: View, first: Step) -> Shape | None:
         # What predicts nothing is not reported.
         found = spectrum.fit(less[losses.index(min(losses))])
     else:
-        return None
+        return [], None
     without = [spectrum.fit(each) for each in less]
     order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
     for place, k in enumerate(order):
@@ -221,20 +210,14 @@ def finished(view: View, first: Step) -> Shape | None:
             own, after = _resonance(view, found, groups[k]), first.before
         later = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(found.structure, later)) if later else found
-        candidate = Candidate(
-            own.cause,
-            own.estimates,
-            found.evidence - without[k].evidence,
-            chance,
-            after.with_structure(partial.structure),
-            lambda: np.nan,
-            own.support,
-            "frequency",
-            details=own.details,
-            doubt=own.doubt,
+        candidate = dataclasses.replace(
+            own,
+            gain=found.evidence - without[k].evidence,
+            p_value=chance,
+            after=after.with_structure(partial.structure),
         )
         steps.append(Step(candidate, losses[k] - best, (), first.before))
-    return Shape(steps, model_of(found.structure, view.rate))
+    return steps, model_of(found.structure, view.rate)
 
 
 #: Represents the response among the components of a group.
@@ -253,16 +236,13 @@ def _groups(structure: Structure) -> list[list[int]]:
     sharp = [g for g in groups if all(own[k].quality > _LINES for k in g)]
     if sharp:
         first = max(sharp, key=lambda g: max(own[k].power for k in g))
-        family = [g for g in sharp if g is first or _related(own[first[0]], own[g[0]])]
+        # It, and those at a multiple of its frequency, or beside one.
+        ratios = np.array([own[g[0]].frequency / own[first[0]].frequency for g in sharp])
+        near = (ratios > 0.5) & (abs(ratios - np.rint(ratios)) < _BESIDE)
+        family = [g for g, is_near in zip(sharp, near, strict=True) if is_near]
         groups = [g for g in groups if g not in family] + [[k for g in family for k in g]]
     places = [sorted(g, key=lambda k: -own[k].power) for g in groups]
     return ([[_RESPONSE]] if structure.kind != NONE else []) + places
-
-
-def _related(first: Component, other: Component) -> bool:
-    """Whether a narrow resonance is at a multiple of another one's frequency, or beside such a multiple."""
-    ratio = other.frequency / first.frequency
-    return ratio > 0.5 and abs(ratio - np.rint(ratio)) < _BESIDE
 
 
 def _without(structure: Structure, group: Sequence[int]) -> Structure:
@@ -272,10 +252,7 @@ def _without(structure: Structure, group: Sequence[int]) -> Structure:
 
 
 def held_out_gain(view: View, structure: Structure) -> float:
-    """Gain in log-likelihood by a structure on each half of the coefficients, by fits to the other [nats].
-
-    The noise without it has all terms that it may have.
-    """
+    """Gain in log-likelihood [nats] by a structure over all terms, on each half by fits to the other."""
     record, start = _problem(view, whole=True)
     before, after = _held_out_losses(record, record.binned(structure), [start, structure])
     return before - after
@@ -295,17 +272,14 @@ def _held_out_losses(record: Record, spectrum: Spectrum, structures: Sequence[St
     return losses.tolist()
 
 
-class _Description(NamedTuple):
-    """Filter or resonance, with the frequencies between which it matters [Hz], and why it may be none."""
-
-    cause: str
-    estimates: list[Estimate]
-    support: tuple[float, float]
-    doubt: str
-    details: dict[str, Detail]
+def _described(
+    view: View, cause: str, estimates: Sequence[Estimate], support: tuple[float, float], doubt: str
+) -> Candidate:
+    """Filter or resonance without its gain, with the frequencies between which it matters [Hz]."""
+    return Candidate(cause, estimates, np.nan, None, view, lambda: np.nan, support, "frequency", doubt=doubt)
 
 
-def _filter(view: View, found: Fitted) -> _Description:
+def _filter(view: View, found: Fitted) -> Candidate:
     """Half-power frequency of the response, and its order."""
     structure, rate = found.structure, view.rate
 
@@ -325,14 +299,11 @@ def _filter(view: View, found: Fitted) -> _Description:
     ]
     corner = float(np.exp(log))
     doubt = _doubt_of_filter(structure, rate, corner)
-    return _Description(LOW_PASS, estimates, (corner, rate / 2.0), doubt, {})
+    return _described(view, LOW_PASS, estimates, (corner, rate / 2.0), doubt)
 
 
 def _half_power(response: Response, rate: float) -> float:
-    """Frequency at which the samples' power has fallen by half [Hz].
-
-    If aliases keep it above that, it is the frequency of the analog filter with these poles.
-    """
+    """Frequency at which the power of samples, or the analog filter's if aliases keep it up, is half [Hz]."""
     f = np.linspace(0.0, _REACHED * rate / 2.0, _POINTS)
     power = np.asarray(response.power(f, rate))
     k = int(np.argmax(power < 0.5))
@@ -350,7 +321,7 @@ def _doubt_of_filter(structure: Structure, rate: float, corner: float) -> str:
     return "" if falls else "the spectrum does not fall above its corner"
 
 
-def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
+def _resonance(view: View, found: Fitted, group: Sequence[int]) -> Candidate:
     """Resonances of one source: the strongest one with those close to it, and the others as details."""
     own = found.structure.components
     near = [k for k in group if own[k].is_close_to(own[group[0]])]
@@ -362,16 +333,13 @@ def _resonance(view: View, found: Fitted, group: Sequence[int]) -> _Description:
         details = {"further_frequencies": frequencies, "further_amplitudes": amplitudes}
     broad = estimates[1].value < judged(RESONANCE, "quality")
     doubt = "it is too broad for a resonance" if broad else ""
-    return _Description(RESONANCE, estimates, support, doubt, details)
+    return dataclasses.replace(_described(view, RESONANCE, estimates, support, doubt), details=details)
 
 
 def _parameters(
     view: View, found: Fitted, group: Sequence[int]
 ) -> tuple[list[Estimate], tuple[float, float]]:
-    """Frequency, quality factor and amplitude of one resonance, or of several for one that drifts.
-
-    Also the frequencies between which it matters [Hz].
-    """
+    """Frequency, quality and amplitude of a resonance, or of several of one that drifts; its band [Hz]."""
     structure, rate = found.structure, view.rate
     own, shape = [structure.components[k] for k in group], np.array([structure.first[k] for k in group])
     frequency = np.array([c.frequency for c in own]) * rate / (2.0 * np.pi)
@@ -410,17 +378,11 @@ class SpectralShape(Effect):
     name = "spectral_shape"
     sensible: ClassVar = {"bandwidth": FREQUENCIES}
 
-    def __init__(self, places: Sequence[Place] = ()) -> None:
-        self._places = tuple(places)
-
-    def at(self, places: Sequence[Place]) -> SpectralShape:
-        return SpectralShape(places)
-
     def p_value(self, view: View) -> float:
         return chance_of_peak(view.squared_whitened)
 
     def detect(self, view: View) -> Candidate | None:
-        found = structure_at(view, self._places) if self._places else candidate_structure(view)
+        found = structure_at(view, self.places) if self.places else candidate_structure(view)
         if found is None:
             return None
         after, gain = found
@@ -429,7 +391,7 @@ class SpectralShape(Effect):
         response = response_of(structure, view.rate)
         corner = [] if response is None else [view.estimate("bandwidth", response.half_power, np.nan, "Hz")]
         # For a filter, and at a known place, the odds are the only statistic.
-        p_value = None if self._places or response is not None else self.p_value(view)
+        p_value = None if self.places or response is not None else self.p_value(view)
         return Candidate(
             self.name,
             corner,
@@ -439,5 +401,5 @@ class SpectralShape(Effect):
             lambda: held_out_gain(view, structure),
             domain="frequency",
             bound=float(np.exp(-gain)),
-            is_shared=bool(self._places),
+            is_shared=bool(self.places),
         )

@@ -15,11 +15,10 @@ from scipy.special import expit, logit
 from scipy.stats import chi2
 
 from allanjax.critic.bank import Bank, additive, folds, sampled_bank, shape_parameter
-from allanjax.critic.effect import TIMES, Effect
+from allanjax.critic.effect import TIMES, Candidate, Effect, View
 from allanjax.critic.finding import Limit
 from allanjax.critic.noise import Noise, centred
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
@@ -50,7 +49,9 @@ class Telegraph(Effect):
         edges = np.rint(np.linspace(0.0, view.n, min(_BLOCKS, view.n // 8) + 1)).astype(int)
         size = np.diff(edges)
         means = np.add.reduceat(view.samples, edges[:-1]) / size
-        sigma = _noise(means)
+        # The deviation from white noise, between telegraph's and quantization's frequencies.
+        first, last = (max(len(means) // part, 1) for part in _WHITE)
+        sigma = float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
         if sigma == 0.0:
             return None
         found = _two_levels(means, sigma)
@@ -140,19 +141,10 @@ class _TwoLevels(NamedTuple):
     log_likelihood: float
 
 
-def _noise(means: Float[np.ndarray, " blocks"]) -> float:
-    """Standard deviation of blocks from white noise, between telegraph's and quantization's frequencies."""
-    first, last = (max(len(means) // part, 1) for part in _WHITE)
-    return float(np.sqrt(np.median(centred(means)[first:last] ** 2) / chi2.median(1)))
-
-
 def _two_levels(
     means: Float[np.ndarray, " blocks"], sigma: float, known: Bool[np.ndarray, " blocks"] | None = None
 ) -> _TwoLevels:
-    """Most likely levels of blocks, adjusted iteratively to the probable path (Baum & Welch).
-
-    Blocks that are not `known` are bridged.
-    """
+    """Most likely levels, by the probable path (Baum & Welch); blocks that are not `known` are bridged."""
     weight = np.ones(len(means)) if known is None else known.astype(float)
     y = means[weight > 0.0]
     dwells = np.geomspace(_SHORTEST, 2.0 * len(means), _DWELLS)

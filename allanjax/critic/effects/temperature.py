@@ -7,10 +7,9 @@ from jaxtyping import Float, Int
 from scipy.fft import dct, idct
 
 from allanjax.critic.bank import SLOW, Bank, additive, any_of, spaced_parameter
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.noise import centred
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 

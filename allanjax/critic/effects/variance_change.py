@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,10 +12,9 @@ from scipy.stats import multivariate_normal, norm
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import PARTS, any_of, extrapolated, owners
-from allanjax.critic.effect import Effect
+from allanjax.critic.effect import Candidate, Effect, View
 from allanjax.critic.noise import NEARLY_ALL, WHITE
 from allanjax.critic.policy import judged
-from allanjax.critic.view import Candidate, View
 from allanjax.noise.estimate import Estimate
 from allanjax.record.completion import in_time
 
@@ -82,9 +80,8 @@ def _gain(
     return np.where((np.minimum(count, rest) > shortest * n) & np.isfinite(gain), 0.5 * gain, 0.0)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
 class _Kind:
-    """Part of the noise that may change: "all" of it, or the "white" noise only.
+    """Part of a view's noise that may change: "all" of it, or the "white" noise only.
 
     Attributes:
         share: share of this part in the expected squares of the coefficients.
@@ -93,31 +90,20 @@ class _Kind:
         edges: edges of the blocks that form the intervals [samples].
     """
 
-    name: str
-    share: Float[np.ndarray, " n-1"] | float
-    squares: Float[np.ndarray, " n"]
-    worth: float
-    edges: Int[np.ndarray, " k"]
-
-    @classmethod
-    def of(
-        cls,
-        view: View,
-        name: str,
-        share: Float[np.ndarray, " n-1"] | float,
-        filtered: Float[np.ndarray, " n"],
-    ) -> _Kind:
-        """Part of a view's noise with this share, given the `filtered` record."""
+    def __init__(
+        self, view: View, name: str, share: Float[np.ndarray, " n-1"] | float, filtered: np.ndarray
+    ) -> None:
+        self.name, self.share = name, share
         squares = filtered**2
         # Imputed samples have the right variance, but the ends of a filtered record do not, and quantization
         # noise at the ends differs from that of the mirrored record.
         known = np.flatnonzero(~view.imputed)
         first, last = max(known[0], _ENDS), min(known[-1], view.n - 1 - _ENDS)
         squares[:first] = squares[last + 1 :] = np.mean(squares[first : last + 1])
-        worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
+        self.squares = squares / squares.mean()
+        self.worth = float(np.mean(share) ** 2 / np.mean(np.square(share)))
         blocks = min(_BLOCKS, view.n // 16)
-        edges = np.rint(np.arange(blocks + 1) * view.n / blocks).astype(int)
-        return cls(name, share, squares / squares.mean(), worth, edges)
+        self.edges = np.rint(np.arange(blocks + 1) * view.n / blocks).astype(int)
 
     @functools.cached_property
     def total(self) -> Float[np.ndarray, " n+1"]:
@@ -142,21 +128,18 @@ class _Kind:
 
 def _kinds(view: View) -> list[_Kind]:
     """Parts of a view's noise that may change."""
-    kinds = [_Kind.of(view, "all", 1.0, view.whitened)]
+    kinds = [_Kind(view, "all", 1.0, view.whitened)]
     power = view.noise.power.get(WHITE)
     if power is not None:
         share = power * view.family.unit(WHITE, 0) / view.noise.variance
         if np.mean(share) < NEARLY_ALL:
             filtered = in_time(view.residual * np.sqrt(share / view.variance()))
-            kinds.append(_Kind.of(view, "white", share, filtered))
+            kinds.append(_Kind(view, "white", share, filtered))
     return kinds
 
 
 class VarianceChange(Effect):
-    """A time span in which the noise, or its white part, has another variance.
-
-    A priori it is as likely to reach an end of the record as to begin and end within it.
-    """
+    """A time span, as likely to an end of the record as within, of another variance of (white) noise."""
 
     name = "variance_change"
 

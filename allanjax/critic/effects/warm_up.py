@@ -10,10 +10,9 @@ from jaxtyping import Float
 
 from allanjax.base.normal import ONE_SIDED_95
 from allanjax.critic.bank import SLOW, Bank, additive, spaced_parameter
-from allanjax.critic.effect import TIMES, Effect
+from allanjax.critic.effect import TIMES, Candidate, Effect, View
 from allanjax.critic.effects.slow_change import is_broken
 from allanjax.critic.finding import Limit
-from allanjax.critic.view import Candidate, View
 from allanjax.noise import terms
 from allanjax.noise.estimate import Estimate
 
@@ -62,12 +61,9 @@ class WarmUp(Effect):
 def _bank(n: int, rate: float) -> tuple[Float[np.ndarray, " times"], Bank]:
     """Time constants [s], and a bank of exponentials with these."""
     times = np.geomspace(n / 500.0, n / 2.0, _TIMES)
-    return times / rate, Bank(_coefficients(times, n))
-
-
-def _coefficients(times: Float[np.ndarray, " times"], n: int) -> Float[np.ndarray, "times slow"]:
-    """Coefficients of e^{−k/T}, T in samples, from the real part of a geometric series."""
+    # Coefficients of e^{−k/T}, T in samples, from the real part of a geometric series.
     a = np.pi * np.arange(1, min(SLOW, n - 1) + 1) / n
     ratio = np.exp(1j * a - 1.0 / times[:, None])
     last = np.exp(1j * np.pi * np.arange(1, len(a) + 1) - n / times[:, None])
-    return np.sqrt(2.0 / n) * np.real(np.exp(0.5j * a) * (1.0 - last) / (1.0 - ratio))
+    shapes = np.sqrt(2.0 / n) * np.real(np.exp(0.5j * a) * (1.0 - last) / (1.0 - ratio))
+    return times / rate, Bank(shapes)
