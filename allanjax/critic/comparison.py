@@ -46,11 +46,6 @@ class Free(NamedTuple):
     gain: Float[np.ndarray, " windows"]
     width: float
 
-    @property
-    def total(self) -> float:
-        """Gain of all windows."""
-        return float(self.gain.sum())
-
     def place(self) -> tuple[float, float]:
         """Part of the record or of the spectrum with most of the gain."""
         share = np.cumsum(np.maximum(self.gain, 0.0))
@@ -131,8 +126,6 @@ _ORDER = (
     *("largest_residual", "lattice", "repeated_values", "window_mean", "window_variance"),
     *("cross_correlation", "auxiliary_correlation"),
 )
-# What other axes need of the first stage and of the last.
-_SHARED = ("whitened_coefficients",)
 # The drift that a finding changes is over this share of the record at most: longer ones scatter too much.
 _SHARE = 1.0 / 8.0
 
@@ -192,12 +185,13 @@ def compared(
         if k:
             pairs.append(_improved(former, profiles))
             drifts.append(_drift_change(stages[k - 1], stage))
-            stages[k - 1].forget(*(_SHARED if k == 1 else ()))
+            # Other axes need the transforms of the first stage and of the last.
+            stages[k - 1].forget(keep_transform=k == 1)
         if k in (0, len(stages) - 1):
             free.append(descriptions(stage, steps[min(k, 1)]))
             worst = (p.worst() for p in (*profiles, autocorrelation(stage)))
             ends.append([*worst, *of_samples(stage, raw[min(k, 1)], steps[min(k, 1)])])
-    stages[-1].forget(*_SHARED)
+    stages[-1].forget(keep_transform=True)
     before, after = (
         sorted(
             [*found, cross_correlation(stage, axes).worst()] if axes else found,
@@ -367,8 +361,8 @@ def _beside(f: Finding, before: Mapping[str, Free], after: Mapping[str, Free]) -
 
 def _level_left(before: Mapping[str, Free], after: Mapping[str, Free]) -> float:
     """Gain of a free level after the last finding [nats]; 0 unless beyond doubt and much of that before."""
-    gain = after["level"].total
-    return gain if gain > max(_SURE, _LEFT * before["level"].total) else 0.0
+    first, gain = (float(free["level"].gain.sum()) for free in (before, after))
+    return gain if gain > max(_SURE, _LEFT * first) else 0.0
 
 
 def _of_several(f: Finding, findings: Sequence[Finding]) -> str:

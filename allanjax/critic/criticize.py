@@ -254,7 +254,7 @@ def _stages(s: Search) -> tuple[Stage, ...]:
 def _whitened(stage: Stage) -> None:
     """Compute the whitened coefficients, for other axes, and keep nothing else."""
     _ = stage.whitened_coefficients
-    stage.forget("whitened_coefficients")
+    stage.forget(keep_transform=True)
 
 
 def _findings(s: Search, made: Comparison) -> list[Finding]:

@@ -112,9 +112,9 @@ class Stage(ByValue):
         if self.same_record(other) and "whitened_coefficients" not in vars(self):
             vars(self)["whitened_coefficients"] = other.residual / self.deviation
 
-    def forget(self, *kept: str) -> None:
-        """Drop the arrays that are as long as the record and can be recomputed, but for those `kept`."""
-        for name in {"variance", "deviation", "whitened_coefficients", "whitened"} - {*kept}:
+    def forget(self, keep_transform: bool = False) -> None:
+        """Drop the arrays that are as long as the record and can be recomputed, perhaps but its transform."""
+        for name in ("variance", "deviation", "whitened", *["whitened_coefficients"] * (not keep_transform)):
             vars(self).pop(name, None)
 
     def __repr__(self) -> str:

@@ -73,14 +73,10 @@ def replay(start: View, steps: Iterable[Step]) -> list[Step]:
     """Steps repeated one after the other; the spectrum's structure is that of the last that changed it."""
     view, found = start, []
     for step in steps:
-        after = step.made(view)
-        if (
-            step.candidate.domain == "frequency"
-            and step.candidate.after.structure is not step.before.structure
-        ):
-            after = after.with_structure(step.candidate.after.structure).with_findings(*after.found)
-        candidate = dataclasses.replace(step.candidate, after=after)
-        found.append(Step.of(candidate, step.gain, step.rivals, view))
+        after, own = step.made(view), step.candidate
+        if own.domain == "frequency" and own.after.structure is not step.before.structure:
+            after = after.with_structure(own.after.structure)
+        found.append(Step.of(dataclasses.replace(own, after=after), step.gain, step.rivals, view))
         view = after
     return found
 

@@ -80,8 +80,7 @@ def relative_errors(view: View, noise: Noise) -> dict[str, float]:
 class BasicTerm(Effect):
     """A basic noise term that the given model lacks: quantization, random walks, instability, ramp, Markov.
 
-    The evidence decides between subsets of basic terms. The p-value, by Wilks's theorem, ignores other
-    subsets.
+    The evidence decides between subsets of basic terms, which the p-value, by Wilks's theorem, ignores.
     """
 
     refit = "at once"

@@ -158,12 +158,12 @@ class VarianceChange(Effect):
         if gain <= 0.0:
             return None
         start, end = _ends(kind)
-        a, b = start.place, end.place
+        a, b = start[0], end[0]
         inside, outside = kind.levels(a, b)
         # If a record begins or ends with another level, the louder part is taken to be the change.
         if inside < outside and (a == 0 or b == view.n):
-            start, end = (end, _End(view.n)) if a == 0 else (_End(0), start)
-            a, b = start.place, end.place
+            start, end = (end, (view.n, 0.0)) if a == 0 else ((0, 0.0), start)
+            a, b = start[0], end[0]
             inside, outside = outside, inside
         ratio = inside / outside
         found = kind.excess(ratio)
@@ -239,15 +239,8 @@ def _p_value(kinds: Sequence[_Kind]) -> float:
     return any_of(p, times)
 
 
-class _End(NamedTuple):
-    """End of an interval and its standard deviation [samples]."""
-
-    place: int
-    std: float = 0.0
-
-
-def _ends(kind: _Kind) -> tuple[_End, _End]:
-    """Ends of the interval with the largest score, relocated by up to one block."""
+def _ends(kind: _Kind) -> tuple[tuple[int, float], tuple[int, float]]:
+    """Ends of the best interval, relocated by up to one block, with their standard deviations [samples]."""
     n, total, best = len(kind.squares), kind.total, int(np.argmax(kind.scores))
     places = np.unique(np.rint(np.linspace(0.0, n, _PLACES + 1)).astype(int))
 
@@ -268,7 +261,7 @@ def _ends(kind: _Kind) -> tuple[_End, _End]:
     gains = _gain(total[last] - total[first][:, None], last - first[:, None], total[-1], n)
     i, j = np.unravel_index(int(np.argmax(gains)), gains.shape)
     a, b = int(first[i]), int(last[j])
-    return _End(a, spread(a, b)), _End(b, spread(b, a))
+    return (a, spread(a, b)), (b, spread(b, a))
 
 
 @functools.lru_cache(maxsize=4)
