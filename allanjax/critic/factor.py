@@ -12,8 +12,7 @@ from scipy.ndimage import uniform_filter1d
 
 from allanjax.critic.noise import NoiseFamily
 from allanjax.estimate.spectral.components import COLUMN, MARKOV, NONE, Levels, passed
-from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure.structure import OUTSIDE, Structure, term_of
+from allanjax.estimate.spectral.model import OUTSIDE, Structure, response_of, term_of
 
 # Response below which the record's ends are modelled, and number of coefficients in a local mean.
 _DEEP, _LOCAL = 0.01, 401

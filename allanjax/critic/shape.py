@@ -20,15 +20,14 @@ from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.critic.view import Candidate, View
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
-from allanjax.estimate.spectral.model import Component, response_of
-from allanjax.estimate.structure.search import Record, at_all, at_some, completed, narrow, refitted, searched
-from allanjax.estimate.structure.structure import (
+from allanjax.estimate.spectral.model import (
     FIXED,
     FREQUENCIES,
     FURTHER,
     LEAST_QUALITY,
     LINE,
     LOWEST_BANDWIDTH,
+    Component,
     Fitted,
     Spectrum,
     Structure,
@@ -36,7 +35,9 @@ from allanjax.estimate.structure.structure import (
     model_of,
     order_of,
     resonance,
+    response_of,
 )
+from allanjax.estimate.spectral.search import Record, at_all, at_some, completed, narrow, refitted, searched
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response

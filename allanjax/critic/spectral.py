@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from allanjax.critic.noise import FIXED, MARKOV, Noise, NoiseFamily, term_of
 from allanjax.critic.view import View
+from allanjax.estimate.evidence import information, power_fits
 from allanjax.estimate.spectral.components import columns_of
-from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.spectrum.cosine import Bins, smoothed
 
 #: Name of the free shape in the result of `relative_errors`.

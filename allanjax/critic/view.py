@@ -17,7 +17,7 @@ from allanjax.critic.factor import spectrum_factor
 from allanjax.critic.model_evidence import ModelEvidence
 from allanjax.critic.noise import FIXED, MARKOV, RAMP, Noise, NoiseFamily, centred, coefficient_folds
 from allanjax.critic.parameters import Detail, Limit, parameter_estimate
-from allanjax.estimate.structure.structure import Structure
+from allanjax.estimate.spectral.model import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.completion import in_time, widening

@@ -1,41 +1,89 @@
-"""Fits of single axes to Allan or wavelet variances, their verdict by the spectrum, and the fitted curve."""
+"""Fits of single axes: by Whittle's likelihood, the exact likelihood, and Allan or wavelet variances.
+
+The levels of the cosine spectrum are χ² around their expectations (see `cosine`); the joint spectral model
+computes these for all terms and the response at once (`spectral`). The inference is as for Allan variances,
+with the levels in their place. Lines, ramps and regressors are estimated alongside (`deterministic`).
+
+For the exact Gaussian likelihood, computed by a Kalman filter, the mean of the record is unknown: the
+likelihood is that of the differences of successive samples. From the maximum of Whittle's likelihood, Fisher
+scoring climbs the exact one. With the innovations e, their variances s, and their derivatives by central
+differences, score and information are
+
+    −Σ e ∂_i e/s − ½ Σ ∂_i s/s·(1 − e²/s)    and    Σ ∂_i e ∂_j e/s + ½ Σ ∂_i s ∂_j s/s²
+
+(Harvey 1989, Forecasting, Structural Time Series Models and the Kalman Filter, 3.4.5): a step is least
+squares. Intervals of amplitudes come from the likelihood ratio, with the other parameters moving along their
+regression on the amplitude; intervals of shapes come from the information matrix.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
 from allanjax.estimate.design import (
+    INSIDE,
     AllanDesign,
+    Solution,
     find_starts,
     free_powers,
+    free_shapes,
     geometry_of,
     shape_candidates,
+    solve,
 )
-from allanjax.estimate.deterministic import AxisSpectrum, InUse, Line, Peaks, needs_record
-from allanjax.estimate.gls import Solution, solve
+from allanjax.estimate.deterministic import (
+    AxisSpectrum,
+    InUse,
+    Line,
+    Peaks,
+    Projection,
+    Regressors,
+    needs_record,
+)
 from allanjax.estimate.inference import (
+    Coefficients,
     Estimates,
     coefficients_of,
     count_estimated,
     deterministic_coefficients,
+    ends_of,
+    estimates_of,
     infer,
 )
-from allanjax.estimate.result import AxisFit, Misfit, misfit_of, widened
-from allanjax.estimate.spectral.components import columns_of
-from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.whittle import axis_fit, fit_spectrum
+from allanjax.estimate.result import (
+    AxisFit,
+    Misfit,
+    extended_model,
+    fitted_model,
+    misfit_of,
+    spectral_misfit,
+    widened,
+)
+from allanjax.estimate.spectral.components import BROAD, QUICK, columns_of
+from allanjax.estimate.spectral.fit import (
+    Arrangement,
+    LevelFit,
+    best_of,
+    chi_squared,
+    fit_levels,
+    share_with_error,
+)
+from allanjax.kalman.recursion import innovations_under, log_likelihoods
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
+from allanjax.noise.terms import Markov, PowerLaw, Resonance
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis, Recording
+from allanjax.spectrum.cosine import smoothed
 from allanjax.wavelets.variance import WaveletFilter, mean_squares
 from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 
@@ -213,3 +261,351 @@ def with_curve(
                     result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
         found.append(result)
     return tuple(found), dataclasses.replace(curve, edf=edf)
+
+
+# Rounds of projecting out deterministic parts and fitting the noise, after which both have settled.
+_ROUNDS = 3
+# Levels with fewer degrees of freedom are smoothed for the start values.
+_FEW = 8.0
+# Share of their weight that levels keep beside the ends of a record, above which these do not matter.
+_NEARLY_ALL = 0.9
+# Candidates of start values that are evaluated together.
+_BLOCK = 32
+# Relative error of the power around a resonance, up to this factor from its frequency, beyond which it is not
+# the oscillator's shape, a judgement; and how certain that has to be, in standard deviations.
+_SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 5.0
+# Powers and shapes.
+_Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
+
+
+def fit_whittle(
+    recording: Recording, k: int, template: Model, active: InUse, regressors: Regressors | None = None
+) -> AxisFit:
+    """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
+    spectrum = AxisSpectrum.of(template, recording.values[:, k], recording.rate, regressors)
+    return fit_spectrum(template, recording.axes[k], spectrum, active)
+
+
+def fit_spectra(
+    template: Model, axes: Sequence[Axis], spectra: Sequence[AxisSpectrum], active: InUse
+) -> tuple[AxisFit, ...]:
+    """Fit every axis to its spectral statistics; see `fit_spectrum`."""
+    each = zip(axes, spectra, active, strict=True)
+    return tuple(fit_spectrum(template, *of_axis) for of_axis in each)
+
+
+def fit_spectrum(
+    template: Model, axis: Axis, spectrum: AxisSpectrum, active: InUse, at_low: bool = False
+) -> AxisFit:
+    """Fit a model to the spectral statistics of one axis by maximum likelihood.
+
+    Terms that are not active have an upper limit. `at_low`: N is the density at low frequencies, which
+    includes that of wide resonances and of short processes; the fitted model has them apart.
+
+    Raises:
+        FitError: there is no random term in the model.
+    """
+    random = np.array([not term.deterministic for term in template.terms])
+    if not (random & active).any():
+        raise FitError(
+            "Whittle's likelihood needs a random term besides lines and ramps; add AngleRandomWalk()"
+        )
+    noise, here, used = template.without(absent(template, random)), active[random], spectrum.used(active)
+    arrangement, projection, fit = _fit_noise(noise, spectrum, used, here)
+    bins, level, mean, misfit = spectrum.bins, projection.level, fit.maximum.mean, None
+    if fit.solution.converged and fit.solution.power_error > 0.0:
+        misfit = spectral_misfit(bins.frequency, level, mean, projection.dof)
+    white = noise.term_labels.index("angle_random_walk") if at_low else 0
+    plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
+    tangent, found = arrangement.tangent(fit, plateaus, white)
+    solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit])
+    estimates = infer(noise, tangent, level[None], here[None], solution)
+    others: dict[str, Estimate] = {}
+    for k in np.flatnonzero(~random).tolist():
+        own = np.array([owner == k for owner in spectrum.owners])
+        joint = spectrum.project(mean, own | used)
+        estimate = joint.amplitude[own], joint.covariance[np.ix_(own, own)]
+        line = spectrum.lines.get(k)
+        others |= deterministic_coefficients(template, k, axis, *estimate, line, bins.n, bool(active[k]))
+    coefficients = coefficients_of(template, axis, noise, estimates, others, bins.n, bins.rate)
+    degrees = projection.estimates - count_estimated(template, active & random)
+    result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
+    std = np.sqrt(np.diag(projection.covariance)).tolist()
+    amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
+    regression = {owner: (x, error) for owner, x, error in amplitudes if isinstance(owner, str)}
+    result = dataclasses.replace(result, regression=regression, spectrum=spectrum)
+    if plateaus:
+        alone = template.with_values(angle_random_walk=float(np.sqrt(fit.solution.power[white])))
+        model = extended_model(alone, coefficients.values, absent(template, active))
+        result = dataclasses.replace(result, _model=model)
+    return result
+
+
+def _fit_noise(
+    noise: Model, spectrum: AxisSpectrum, used: InUse, active: InUse
+) -> tuple[Arrangement, Projection, LevelFit]:
+    """Fit the active random terms, alternating with the projection of the deterministic columns in use.
+
+    What the ends of the record contribute to the levels follows from the fit, too.
+    """
+    empty, starts = Arrangement.of(noise, spectrum.bins), list[_Start]()
+    share = np.ones(len(spectrum.squares))
+    variance = smooth = smoothed(spectrum.squares, spectrum.bins.size)
+    for _ in range(_ROUNDS if used.any() else 2):
+        projection = spectrum.project(variance, used)
+        projection = projection._replace(dof=projection.dof * share)
+        arrangement = empty.with_data(projection.level, projection.dof)
+        # Single coefficients scatter too much for start values.
+        rough = np.where(projection.dof < _FEW, smooth, projection.level)
+        starts = starts or _starts(arrangement, rough, active, spectrum)
+        # The likelihood may have several maxima in a correlation time: all starts are tried.
+        fit = best_of([fit_levels(arrangement, active, *start, smooth) for start in starts])
+        starts, variance = [fit.solution[:2]], fit.maximum.mean
+        share = share_with_error(spectrum.bins.size, arrangement.error_of_ends(*fit.solution[1::-1]))
+        if not used.any() and np.all(share > _NEARLY_ALL):
+            break
+    return arrangement, projection, fit
+
+
+def _starts(
+    arrangement: Arrangement, level: np.ndarray, active: InUse, spectrum: AxisSpectrum
+) -> list[_Start]:
+    """Powers and shapes to start from, found in these levels."""
+    noise, bins, dof = arrangement.model, spectrum.bins, 2.0 * arrangement.levels.shape
+    candidates = shape_candidates(noise, bins.n / bins.rate, bins.rate, spectrum.peaks)
+    blocks = np.array_split(candidates, -(-len(candidates) // _BLOCK))
+    each = (len(noise), len(level))
+    unit = np.concatenate([np.broadcast_to(arrangement.expected(x), (len(x), *each)) for x in blocks])
+    power, shape = find_starts(noise, candidates, unit, level[None], dof, active[None])
+    return list(zip(power[0], shape[0], strict=True))
+
+
+def _plateaus(
+    arrangement: Arrangement, projection: Projection, fit: LevelFit
+) -> dict[int, Mapping[str, float]]:
+    """Terms that are white at low frequencies, where nothing distinguishes them from white noise.
+
+    These include resonances of which the data show another shape than the oscillator's. See
+    `Arrangement.tangent`.
+    """
+    bins, ratio = arrangement.bins, projection.level / fit.maximum.mean
+    found: dict[int, Mapping[str, float]] = {}
+    for place, term in enumerate(arrangement.fitted_model(fit).terms):
+        if isinstance(term, PowerLaw):
+            found[place] = {"": 1.0}
+        elif isinstance(term, Markov):
+            T = float(term.correlation_time or 0.0)
+            if T * bins.rate < QUICK:
+                found[place] = {"": T**2, "correlation_time": 2.0}
+        elif isinstance(term, Resonance):
+            f, Q = float(term.frequency or 0.0), float(term.quality_factor or 0.0)
+            near = (abs(np.log(bins.frequency / f)) < np.log(_AROUND)) & (projection.dof > 0.5)
+            w, k = 0.5 * fit.degrees[near], 0.5 * projection.dof[near]
+            # Squared relative deviations of gamma laws have means 1/k and variances (2 + 6/k)/k².
+            chance = np.sum(w / k) + _CERTAIN * np.sqrt(np.sum((w / k) ** 2 * (2.0 + 6.0 / k)))
+            if Q < BROAD or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
+                slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
+                found[place] = {"": 1.0 / (np.pi * f * Q), **slopes}
+    return found
+
+
+def absent(template: Model, active: InUse) -> list[str]:
+    """Labels of the terms that are not among the active ones."""
+    return list(itertools.compress(template.term_labels, ~active))
+
+
+def axis_fit(
+    axis: Axis,
+    template: Model,
+    active: InUse,
+    coefficients: Coefficients,
+    solution: Solution,
+    dof: int,
+    misfit: Misfit | None,
+) -> AxisFit:
+    """Result of one axis from its solution [1]; without intervals and limits if the misfit is excessive."""
+    converged = bool(solution.converged[0])
+    result = AxisFit(
+        axis=axis,
+        converged=converged,
+        reason="" if converged else "the fit did not converge; try fewer terms or other start values",
+        chi2=float(solution.chi2[0]),
+        dof=dof,
+        p_value=float(upper_tail(solution.chi2[0], dof)),
+        discrepancy=float(solution.discrepancy[0]),
+        _coefficients=coefficients.values,
+        _covariance=coefficients.covariance,
+        _model=fitted_model(template, coefficients.values, absent(template, active)),
+        misfit=misfit if converged else None,
+    )
+    return result.unmeasured() if result.is_far_off else result
+
+
+_Vector: TypeAlias = Float[np.ndarray, " p"]
+
+#: Most samples of a record.
+MOST = 100_000
+# Difference for the derivatives, and least power, in units of a power and in ln of shapes.
+_DIFFERENCE, _LEAST = 1e-3, 1e-12
+# Most steps; gain of a step [nats] below which the maximum is reached; and in ln of a shape the longest step,
+# and bounds about its start.
+_MOST_STEPS, _REACHED, _LONGEST, _REACH = 30, 1e-5, 1.0, 4.0
+# Hypothetical powers: number and lowest of those below the estimate, and those above, in standard deviations.
+_BELOW, _LOWEST = 12, -7.0
+_ABOVE = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0])
+
+
+def check_exact(model: Model | None, recording: Recording) -> None:
+    """Raise FitError if the exact likelihood cannot be used, with an alternative."""
+    whittle = 'use objective="whittle" (--objective whittle)'
+    if model is None:
+        raise FitError(
+            'objective="exact" needs a model, e.g. "N + K" (--terms); select_terms ranks the terms'
+        )
+    if recording.n > MOST:
+        raise FitError(
+            f"{recording.name or 'the recording'}: the exact likelihood takes at most {MOST:,} samples, not "
+            f"{recording.n:,}; {whittle}, which is as precise for long records, or average the samples"
+        )
+    for label, term in zip(model.term_labels, model.terms, strict=True):
+        if term.deterministic:
+            raise FitError(
+                f"{label} is deterministic, but the exact likelihood is of random terms; {whittle}"
+            )
+        if isinstance(term, PowerLaw) and any(term.is_free(p) for p in term.parameters()[1:]):
+            raise FitError(f"{label} has no state space with a free exponent; hold it, or {whittle}")
+
+
+def fit_exact(
+    recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"]
+) -> tuple[AxisFit, bool]:
+    """Fit one axis by its exact likelihood, starting from Whittle's, and whether that was possible.
+
+    Where the model does not fit the spectrum, the result is that of Whittle's likelihood.
+    """
+    start = fit_whittle(recording, k, template, active, {})
+    if not start.converged or start.discrepancy > 0.0:
+        return start, False
+    problem = _Problem(template, start, recording, k)
+    at = problem.maximum()
+    if at is None:
+        reason = "the maximum of the exact likelihood was not reached; try fewer terms"
+        return dataclasses.replace(start, converged=False, reason=reason), True
+    estimates = estimates_of(template, active[None], *(x[None] for x in problem.inferred(at)))
+    others = {label: c for label, c in start.coefficients.items() if c.term in problem.left_out}
+    place = recording.n, recording.rate
+    values, covariance = coefficients_of(template, start.axis, template, estimates, others, *place)
+    model = fitted_model(template, values, absent(template, active))
+    return dataclasses.replace(start, _coefficients=values, _covariance=covariance, _model=model), True
+
+
+class _Place(NamedTuple):
+    """Parameters, their likelihood, its score and information, the next step, and its expected gain."""
+
+    theta: _Vector
+    log_likelihood: float
+    score: _Vector
+    information: Float[np.ndarray, "p p"]
+    step: _Vector
+    gain: float
+
+    def covariance(self, of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
+        """Covariance of these parameters if the others are known."""
+        return np.linalg.pinv(self.information * np.outer(of, of), rcond=1e-14, hermitian=True)
+
+
+class _Problem:
+    """Samples and parameters: powers of all terms, each in its `unit`, and ln(shape − lower bound) if free.
+
+    `moves` tells which are fitted; `left_out` are labels of absent terms with shapes, which are not.
+    """
+
+    def __init__(self, template: Model, found: AxisFit, recording: Recording, k: int) -> None:
+        missing = None if recording.missing is None else recording.missing[:, k]
+        self.template, self.data = template, (recording.values[:, k], recording.rate, missing)
+        shapes, every = free_shapes(template), found.coefficients
+        parameters = (*(p for p in template.parameters if p.parameter.is_amplitude), *shapes)
+        value, terms = np.array([every[p.label].value for p in parameters]), len(template)
+        limit = np.array([every[p.label].upper_limit or 0.0 for p in parameters])
+        self.labels, self.is_power = [p.label for p in parameters], np.arange(len(value)) < terms
+        self.left_out = {p.term_label for p in shapes if p.term < terms and not value[p.term] > 0.0}
+        self.moves = np.array([p.free and p.term_label not in self.left_out for p in parameters])
+        amplitude = np.where(value > 0.0, value, np.maximum(limit / 2.0, 1e-150))
+        self.unit = np.where(self.is_power, amplitude**2, 1.0)
+        self.origin, end = np.array([(p.parameter.lower, p.parameter.upper) for p in parameters]).T
+        # The shape of an absent term does not matter.
+        distance = np.where(np.isfinite(value) & ~self.is_power, value - self.origin, 1.0)
+        self.start = np.where(self.is_power, value**2 / self.unit, np.log(distance))
+        self.lower = np.where(self.is_power, 0.0, self.start - _REACH)
+        highest = np.maximum(np.log(end - self.origin) - INSIDE, self.start)
+        self.upper = np.where(self.is_power, np.inf, np.minimum(highest, self.start + _REACH))
+
+    def innovations(self, thetas: Float[np.ndarray, "points p"]) -> tuple[np.ndarray, np.ndarray]:
+        """Innovations [points, n − 1] under models with these parameters, and their variances."""
+        shape = self.origin + np.exp(np.where(self.is_power, 0.0, thetas))
+        rows = np.where(self.is_power, np.sqrt(np.maximum(thetas, _LEAST) * self.unit), shape).tolist()
+        models = [self.template.with_values(**dict(zip(self.labels, row, strict=True))) for row in rows]
+        return innovations_under(models, *self.data)
+
+    def place(self, theta: _Vector) -> _Place:
+        """Likelihood and its derivatives at these parameters."""
+        from scipy.optimize import lsq_linear
+
+        move = np.diag(_DIFFERENCE * np.where(self.is_power, np.maximum(theta, 1e-2), 1.0))[self.moves]
+        # At zero power the difference is one-sided.
+        up, down = theta + move, np.where(self.is_power, np.maximum(theta - move, 0.0), theta - move)
+        e, s = self.innovations(np.concatenate([theta[None], up, down]))
+        width = np.sum(up - down, axis=1)[:, None]
+        of_e, of_s = ((x[1 : len(up) + 1] - x[len(up) + 1 :]) / width for x in (e, s))
+        columns = np.concatenate([of_e / np.sqrt(s[0]), of_s / s[0] / np.sqrt(2.0)], axis=1).T
+        target = np.concatenate([-e[0] / np.sqrt(s[0]), (e[0] ** 2 / s[0] - 1.0) / np.sqrt(2.0)])
+        R = np.nan_to_num(np.linalg.qr(np.column_stack([columns, target]), mode="r"))
+        m, b, A, step = self.moves, R[:, -1], np.zeros((len(R), len(theta))), np.zeros(len(theta))
+        A[:, m] = R[:, :-1]
+        longest = np.where(self.is_power, np.inf, _LONGEST)
+        low, high = np.maximum(self.lower - theta, -longest), np.minimum(self.upper - theta, longest)
+        # Fisher scoring within the bounds.
+        step[m] = lsq_linear(A[:, m], b, (low[m], high[m] + 1e-12), "bvls").x
+        gain = float(b @ A @ step - 0.5 * np.sum((A @ step) ** 2))
+        log_likelihood = log_likelihoods(e[:1], s[:1])
+        return _Place(theta, float(log_likelihood[0]), A.T @ b, A.T @ A, step, gain)
+
+    def maximum(self) -> _Place | None:
+        """Maximum of the likelihood, if it was reached."""
+        at, share = self.place(self.start), 1.0
+        for _ in range(_MOST_STEPS):
+            if at.gain < _REACHED:
+                return at if np.isfinite(at.log_likelihood) else None
+            new = self.place(np.clip(at.theta + share * at.step, self.lower, self.upper))
+            higher = new.log_likelihood >= at.log_likelihood - 1e-9
+            at, share = (new, 1.0) if higher else (at, share / 3.0)
+        return None
+
+    def inferred(self, at: _Place) -> tuple[_Vector, _Vector, np.ndarray, np.ndarray]:
+        """Powers, shapes, their covariance and the ends of the powers' intervals, as `estimates_of` wants."""
+        terms, value = len(self.template), at.theta * self.unit
+        inside = self.moves & (at.theta > self.lower) & (at.theta < self.upper)
+        ends = np.full((terms, 5), np.nan)
+        for k in np.flatnonzero(self.moves[:terms]).tolist():
+            ends[k] = self._ends(at, k, inside)
+        return value[:terms], value[terms:], at.covariance(inside) * np.outer(self.unit, self.unit), ends
+
+    def _ends(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " 5"]:
+        """Ends of the intervals of a power, where the signed roots of the likelihood ratio have their levels.
+
+        For an absent term the likelihood is modified to have its maximum at zero: its negative slope there is
+        removed, so that the term's limit does not shrink.
+        """
+        covariance = at.covariance(inside | (np.arange(len(inside)) == k))
+        sd, here = float(np.sqrt(covariance[k, k])), float(at.theta[k])
+        below = np.linspace(max(here + _LOWEST * sd, 0.0), here, _BELOW)
+        v = np.unique([*below, *(here + _ABOVE * sd)])
+        least = np.where(self.is_power, 0.05 * at.theta, at.theta - _LONGEST)
+        most = np.minimum(np.where(self.is_power, np.inf, at.theta + _LONGEST), self.upper)
+        thetas = np.clip(at.theta + (v - here)[:, None] * covariance[k] / sd**2, least, most)
+        thetas[:, k] = v
+        ratio = np.maximum(2.0 * (at.log_likelihood - log_likelihoods(*self.innovations(thetas))), 0.0)
+        slope = 0.0 if inside[k] else max(-float(at.score[k]), 0.0) * sd
+        root = np.where(v == here, 0.0, np.sqrt(ratio + slope**2) - slope)
+        both = np.stack([v * self.unit[k], root])[:, None]
+        return ends_of((*both[..., v <= here][..., ::-1],), (*both[..., v >= here],), np.full(1, np.inf))[0]

@@ -31,10 +31,10 @@ from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
+from allanjax.estimate.evidence import Ramps, bound, bounds, information, power_fits
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.spectral.powers import Ramps, bound, bounds, information, power_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of

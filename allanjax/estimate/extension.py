@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from allanjax.allan.deviation import AllanDeviation
+from allanjax.estimate.axis_fits import fit_spectrum
 from allanjax.estimate.deterministic import (
     AxisSpectrum,
     Cosines,
@@ -28,21 +29,21 @@ from allanjax.estimate.deterministic import (
 )
 from allanjax.estimate.result import AxisFit, misfit_of
 from allanjax.estimate.selection import AxisSelection, candidates_in_record, rank_terms
+from allanjax.estimate.spectral import search
 from allanjax.estimate.spectral.components import MARKOV, NONE
-from allanjax.estimate.spectral.model import Component, response_of
-from allanjax.estimate.structure import search
-from allanjax.estimate.structure.search import Record
-from allanjax.estimate.structure.structure import (
+from allanjax.estimate.spectral.model import (
     FIXED,
     LINE,
     OUTSIDE,
     QUANTIZATION,
+    Component,
     Spectrum,
     Structure,
     resonance,
+    response_of,
     term_of,
 )
-from allanjax.estimate.whittle import fit_spectrum
+from allanjax.estimate.spectral.search import Record
 from allanjax.noise.model import Model
 from allanjax.noise.terms import NoiseTerm, PowerLaw, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis

@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.estimate.design import Tangent, free_powers, of_owners
+from allanjax.estimate.design import Solution, Tangent, free_powers, of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantiles
-from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.record.recording import Axis

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.estimate.evidence import information, power_fits
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.notation import term_classes
 from allanjax.noise.terms import Markov

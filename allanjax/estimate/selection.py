@@ -22,15 +22,13 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
 from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
-from allanjax.estimate.evidence import TermSets, evidence, term_sets
+from allanjax.estimate.evidence import Ramps, TermSets, evidence, information, term_sets
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
-from allanjax.estimate.spectral.powers import Ramps, information
-from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
-from allanjax.noise.estimate import Estimate, title_of
+from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import DriftRamp, Markov, basic_terms

@@ -1,6 +1,6 @@
 """A filter of all noise, and resonances: the structure of the spectrum besides the basic noise terms.
 
-They are searched for together and fitted jointly with the noise (`estimate.structure`); the findings are
+They are searched for together and fitted jointly with the noise (`estimate.spectral`); the findings are
 described after the search, from the final model.
 """
 

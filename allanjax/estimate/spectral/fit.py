@@ -16,20 +16,20 @@ import numpy as np
 from jaxtyping import ArrayLike, Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_shapes, of_owners
-from allanjax.estimate.gls import Solution
+from allanjax.estimate.design import INSIDE, REACH, Solution, Tangent, free_powers, free_shapes, of_owners
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of, passed
+from allanjax.estimate.spectral.components import Levels, Others, bandwidths, columns_of, kind_of
 from allanjax.estimate.spectral.model import (
     TOLERANCE,
     Component,
     Composition,
     Joint,
     Maximum,
+    error_of_ends,
     maximize,
-    response_of,
+    model_error,
+    share_with_error,
 )
-from allanjax.estimate.spectral.others import Others
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
@@ -50,9 +50,6 @@ _LARGEST, _STEPS = 1e3, 60
 # Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
 # log-likelihood below which two solutions are the same; and tolerance [nats] of fits before the last one.
 _FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
-# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
-# fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
-_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 
 
 class Arrangement(NamedTuple):
@@ -222,49 +219,6 @@ class Arrangement(NamedTuple):
         return tangent, fit.solution._replace(power=power)
 
 
-def model_error(
-    of: Composition, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
-
-    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
-    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
-    fallen by more than so many factors of e.
-    """
-    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
-    of = of.with_parameters(maximum.theta)
-    if (response := response_of(of, bins.rate)) is not None:
-        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
-        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
-    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
-    for k, own in zip(of.oscillators, resonances, strict=True):
-        share = own.power * maximum.unit[k] / maximum.mean
-        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
-        beside = abs(angle - own.frequency) > _BESIDE * own.width
-        common += (skirt * np.where(beside, share, 0.0)) ** 2
-    return unsteady**2 + common * bins.per_octave()
-
-
-def error_of_ends(
-    of: Composition, theta: Float[np.ndarray, " parameters"], levels: Levels, bins: Bins
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from the two ends of a record.
-
-    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there.
-    """
-    if of.kind == kinds.NONE:
-        return np.zeros(len(bins.size))
-    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
-    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
-    whole, without = (x.mean(axis=0) for x in both)
-    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
-    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
-    # More than the model has is not from the ends either.
-    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * share**2
-
-
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class LevelTangent(Tangent):
     """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
@@ -346,14 +300,6 @@ def degrees_left(dof: Float[np.ndarray, " m"], estimated: int) -> float:
 
 def _squares(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> Float[np.ndarray, " m"]:
     return np.where(np.asarray(dof) > _FEW, normal_score(ratio, dof) ** 2, 0.0)
-
-
-def share_with_error(dof: Any, variance: Any) -> Any:
-    """Share of their weight that levels keep if the model's error has this relative variance.
-
-    The relative variance 2/dof of each becomes 2/dof + variance.
-    """
-    return 1.0 / (1.0 + 0.5 * dof * variance)
 
 
 def error_of_powers(
