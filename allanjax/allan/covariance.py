@@ -274,7 +274,6 @@ def equivalent_degrees_of_freedom(
     n: int,
     sizes: Int[np.ndarray, " m"],
     kind: str = "allan",
-    overlapping: bool = True,
     strides: Int[np.ndarray, " m"] | None = None,
 ) -> Float[np.ndarray, " m"]:
     """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variances V of white rate noise.
@@ -283,9 +282,8 @@ def equivalent_degrees_of_freedom(
         n: number of rate samples.
         sizes: cluster sizes in samples.
         kind: "allan", "modified" or "hadamard".
-        overlapping: False for clusters that do not overlap.
         strides: samples from one start of a cluster to the next, each a divisor of its cluster size; by
-            default 1, or the size if clusters do not overlap.
+            default 1.
 
     The lag sum is that of this module's covariance. For a modified variance with more than 64 samples per
     cluster, the record is thinned to 64 (exact for self-similar noise, close for others).
@@ -293,7 +291,7 @@ def equivalent_degrees_of_freedom(
     if kind == "modified":
         return np.array([_modified_edf(n, m) for m in sizes.tolist()])
     if strides is None:
-        strides = np.ones_like(sizes) if overlapping else sizes
+        strides = np.ones_like(sizes)
     reach = len(_FILTERS[kind])
     M = (n - (reach - 1) * sizes) // strides + 1
     kinks = np.array([*range(reach), *(multiple * reach for multiple in _TAIL)])

@@ -18,9 +18,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from allanjax.allan.covariance import equivalent_degrees_of_freedom
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.allan.estimators import cluster_sizes, difference_count
+from allanjax.allan.estimators import cluster_sizes
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.wording import duration as in_words
 from allanjax.base.wording import percent, plain
@@ -267,20 +266,8 @@ def _curve(
     keep = _kept(sizes, rate)
     if len(keep) < len(sizes):
         notes.append(f"{len(keep)} of {len(sizes)} cluster times are used, at most {_PER_OCTAVE} per octave")
-    sizes, deviation = sizes[keep], deviation[keep]
-    edf = equivalent_degrees_of_freedom(n, sizes)
-    return AllanDeviation(
-        cluster_time=sizes / rate,
-        cluster_size=sizes,
-        deviation=deviation,
-        count=difference_count(n, sizes),
-        edf=np.broadcast_to(edf[:, None], deviation.shape),
-        n=n,
-        rate=rate,
-        axes=axes,
-        notes=tuple(notes),
-        determined=not assumed,
-    )
+    of = deviation[keep], sizes[keep], n, rate
+    return AllanDeviation.under_white_noise(*of, axes=axes, notes=tuple(notes), determined=not assumed)
 
 
 def _kept(sizes: Int[np.ndarray, " m"], rate: float) -> Int[np.ndarray, " kept"]:

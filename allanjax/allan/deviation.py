@@ -105,19 +105,32 @@ class AllanDeviation(ByValue, OfAxes):
         """
         if pyramid.n < 2:
             raise AllanjaxError(too_few(pyramid.n, "allan"))
-        sizes, variance = pyramid.cluster_size, pyramid.variance()
-        edf = equivalent_degrees_of_freedom(pyramid.n, sizes, strides=pyramid_strides(sizes))
-        return cls(
-            cluster_time=sizes / rate,
-            cluster_size=sizes,
-            deviation=np.sqrt(variance),
-            count=pyramid.count,
-            edf=np.broadcast_to(edf[:, None], variance.shape),
-            n=pyramid.n,
-            rate=float(rate),
-            axes=axes,
-            estimator="pyramid",
+        of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
+        return replace(cls.under_white_noise(*of, axes=axes, estimator="pyramid"), count=pyramid.count)
+
+    @classmethod
+    def under_white_noise(
+        cls,
+        deviation: Float[np.ndarray, "m axes"],
+        cluster_size: Int[np.ndarray, " m"],
+        n: int,
+        rate: float,
+        **more: Any,
+    ) -> AllanDeviation:
+        """Curve of n samples at `rate` [Hz] with the degrees of freedom that it has under white noise."""
+        bare = cls(
+            cluster_size / rate, cluster_size, deviation, cluster_size, deviation, n, float(rate), **more
         )
+        count, edf = bare._differences(n)
+        return replace(bare, count=count, edf=np.broadcast_to(edf[:, None], deviation.shape))
+
+    def _differences(self, n: int) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
+        """Differences in n samples and their degrees of freedom, at the cluster sizes where there are any."""
+        count = difference_count(n, self.cluster_size, self.kind, self.overlapping)
+        if self.estimator == "pyramid":
+            count = (n - 2 * self.cluster_size) // self.strides + 1
+        sizes, strides = self.cluster_size[count > 0], self.strides[count > 0]
+        return count[count > 0], equivalent_degrees_of_freedom(n, sizes, self.kind, strides)
 
     @property
     def strides(self) -> Int[np.ndarray, " m"]:
@@ -140,14 +153,9 @@ class AllanDeviation(ByValue, OfAxes):
             return np.ones(len(self.cluster_size))
         total, scatter = np.zeros((2, len(self.cluster_size)))
         for n in (*self.others, self.n):
-            count = difference_count(n, self.cluster_size, self.kind, self.overlapping)
-            if self.estimator == "pyramid":
-                count = (n - 2 * self.cluster_size) // self.strides + 1
-            there = count > 0
-            count, sizes, strides = count[there], self.cluster_size[there], self.strides[there]
-            edf = equivalent_degrees_of_freedom(n, sizes, self.kind, self.overlapping, strides)
-            total[there] += count
-            scatter[there] += count**2 / edf
+            count, edf = self._differences(n)
+            total[: len(count)] += count
+            scatter[: len(count)] += count**2 / edf
         # The last one has all cluster times.
         return total**2 / scatter / edf
 
@@ -270,40 +278,30 @@ def allan_deviation(
                 "the pyramid supports only overlapping Allan variances of rates at octaves: leave out kind, "
                 'data_type, overlapping and cluster_times, or use estimator="exact"'
             )
-        found = AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes)
-        return _of_all_segments(replace(found, edf=found.edf / _lost(data)), data)
+        return _of_recording(AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes), data)
     n = values.shape[0] - (data_type == "phase")
     sizes = cluster_sizes(n, rate, cluster_times, kind)
-    options: dict[str, Any] = {"kind": kind, "overlapping": overlapping, "data_type": data_type}
-    variance = allan_variance_estimates(values, sizes, rate, **options)
+    options: dict[str, Any] = {"kind": kind, "overlapping": overlapping}
+    variance = allan_variance_estimates(values, sizes, rate, data_type=data_type, **options)
     # A sample that is not finite makes variances of its axis NaN: checking the samples first would take
     # longer.
     if not np.isfinite(variance).all():
         check_finite(values)
-    edf = equivalent_degrees_of_freedom(n, sizes, kind, overlapping)
-    found = AllanDeviation(
-        cluster_time=sizes / rate,
-        cluster_size=sizes,
-        deviation=np.sqrt(variance),
-        count=difference_count(n, sizes, kind, overlapping),
-        edf=np.broadcast_to(edf[:, None] / _lost(data), variance.shape),
-        n=n,
-        rate=float(rate),
-        kind=kind,
-        overlapping=overlapping,
-        axes=axes,
-    )
-    return _of_all_segments(found, data)
+    curve = AllanDeviation.under_white_noise(np.sqrt(variance), sizes, n, rate, axes=axes, **options)
+    return _of_recording(curve, data)
 
 
-def _of_all_segments(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
-    """Curve of a recording's longest segment with the differences of its other segments."""
-    if not isinstance(data, Recording) or not data.others:
+def _of_recording(curve: AllanDeviation, data: RecordingLike) -> AllanDeviation:
+    """Curve of a recording's longest segment, allowing for missing samples, with its other segments."""
+    if not isinstance(data, Recording):
+        return curve
+    if data.missing is not None:
+        curve = replace(curve, edf=curve.edf / widening(data.missing) ** 2)
+    if not data.others:
         return curve
     squares, total = curve.variance * curve.count[:, None], curve.count.copy()
     for values in data.others:
-        count = difference_count(len(values), curve.cluster_size, curve.kind, curve.overlapping)
-        times: Spacing = curve.cluster_time[count > 0]
+        times: Spacing = curve.cluster_time[: len(curve._differences(len(values))[0])]
         found = allan_deviation(
             Recording(values, data.rate, data.axes),
             kind=curve.kind,
@@ -317,13 +315,6 @@ def _of_all_segments(curve: AllanDeviation, data: RecordingLike) -> AllanDeviati
     others = tuple(map(len, data.others))
     whole = replace(curve, deviation=np.sqrt(squares / total[:, None]), count=total, others=others)
     return replace(whole, edf=curve.edf * whole.gain[:, None])
-
-
-def _lost(data: RecordingLike) -> Float[np.ndarray, " axes"] | float:
-    """Factor by which the degrees of freedom of each axis are fewer for samples that were missing."""
-    if not isinstance(data, Recording) or data.missing is None:
-        return 1.0
-    return widening(data.missing) ** 2
 
 
 # Windows of a record by default, fewest samples of one, and least degrees of freedom that are kept.

@@ -39,13 +39,9 @@ Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.
 
 _Sizes = TypeVar("_Sizes", np.ndarray, Array)
 
+#: Weights of the phases one cluster time apart in the difference whose mean square is the variance. The
+#: modified one averages sums of second differences; its weights are those of their increments.
 WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
-"""Weights of the phases one cluster time apart in the difference whose mean square is the variance.
-
-The modified variance averages sums of second differences; its weights are those of the third differences by
-which these sums are updated.
-"""
-
 # Largest distance of a cluster time from a whole number of samples, in samples, to allow for rounding.
 _CLUSTER_SIZE_TOLERANCE = 1e-3
 
@@ -143,43 +139,12 @@ _ALIGNMENT = 64
 _SPARE = _ALIGNMENT // 8
 
 
-def aligned(*shape: int) -> Float[np.ndarray, ...]:
+def _aligned(*shape: int) -> Float[np.ndarray, ...]:
     """Array of this shape, with values not yet set, that JAX uses in place."""
     size = int(np.prod(shape))
     memory = np.empty(size + _SPARE)
     first = -memory.ctypes.data % _ALIGNMENT // 8
     return memory[first : first + size].reshape(shape)
-
-
-def flat_rows(
-    table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"], read: int | None = None
-) -> tuple[Float[np.ndarray, " values"], int]:
-    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
-
-    Args:
-        table: the samples; copied if they are not float64 in C order, or if the rows are at its ends.
-        begin: index of the first row, which may be negative.
-        rows: number of rows, which may go beyond the table.
-        fill: value of rows that the table does not have.
-        read: how many of the rows are used, if not all.
-
-    Returns:
-        The rows with up to eight values more, and the index of the first row's first value among them.
-    """
-    axes = table.shape[1]
-    size = rows * axes + _SPARE
-    if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
-        values = table.reshape(-1)
-        spare = (values.ctypes.data // 8 + begin * axes) % _SPARE
-        first = begin * axes - spare
-        if 0 <= first <= len(values) - size:
-            return values[first : first + size], spare
-    copied = aligned(size)
-    filled = copied[: rows * axes].reshape(rows, axes)
-    start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
-    filled[: start - begin] = filled[end - begin : read] = fill
-    filled[start - begin : end - begin] = table[start:end]
-    return copied, 0
 
 
 #: Quantities that samples may be of: rates, or phases (angles or velocities).
@@ -237,7 +202,7 @@ def allan_variance_estimates(
     shares = range(min(cores, 1 + n // (_BLOCK * _CHUNK)))
     capacity = _LEAST[0] if n < _LEAST[0] else max(1 << n.bit_length(), _LEAST[1])
     # Memory that is never written costs nothing.
-    phases, parts = aligned(min(axes, _TOGETHER), capacity + _CHUNK), list[np.ndarray]()
+    phases, parts = _aligned(min(axes, _TOGETHER), capacity + _CHUNK), list[np.ndarray]()
 
     def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
         arguments = phases[task[0]], every, len(sizes), n, task[1], len(shares)
@@ -398,21 +363,19 @@ def _running_sums(x: Float[Array, "axes chunk"]) -> Float[Array, "axes chunk"]:
 # chunks do not depend on each other. Missing blocks are NaN, and differences with them do not count: one
 # program, of one shape, serves sequences of any length and alignment.
 
-LEVELS = 4
-"""Levels of the pyramid that one pass computes."""
-WINDOWS = (1, 2, 4, 8)
-"""Blocks in a window at the lowest level; every other level has windows of the largest size only."""
-
-_WINDOW = WINDOWS[-1]
+# Levels of the pyramid that one pass computes, and blocks in a window at the lowest level; every other level
+# has windows of the largest size only.
+_LEVELS, _WINDOWS = 4, (1, 2, 4, 8)
+_WINDOW = _WINDOWS[-1]
 # Blocks of the lowest level that the differences starting in a chunk reach beyond it.
-_REACH = 2 * _WINDOW << (LEVELS - 1)
+_REACH = 2 * _WINDOW << (_LEVELS - 1)
 # Partial sums: reductions to a scalar are not vectorised on a CPU.
 _LANES = 1 << 11
 # Values of all axes in a piece.
 _PIECE = 1 << 18
 
 
-def climb(
+def _climb(
     table: Float[np.ndarray, "n axes"] | Float[Array, "n axes"], first: int, pool: ThreadPoolExecutor
 ) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "above axes"] | Float[Array, "above axes"]]:
     """Sums of squared differences of window means at four levels, and the blocks of the level above them.
@@ -424,12 +387,11 @@ def climb(
 
     Returns:
         Sums for windows of 1, 2, 4 and 8 blocks of the lowest level and of 8 of each of the others, and the
-        complete blocks of the fifth level, from index ⌈first / 16⌉ on; on a device other than a CPU they stay
-        there.
+        complete blocks of the fifth level, from index ⌈first / 16⌉ on, on the device if it is no CPU.
     """
     n, axes = table.shape
     chunk, piece = _shape(axes)
-    base = first >> LEVELS << LEVELS
+    base = first >> _LEVELS << _LEVELS
     begins = range(base - first, n, piece)
 
     def run(begin: int) -> tuple[Any, Any]:
@@ -442,7 +404,7 @@ def climb(
     found = pool.map(run, begins) if len(begins) > 1 else map(run, begins)
     sums, above = zip(*found, strict=True)
     joined: Any = (np if _on_cpu() else jnp).concatenate(above)
-    start, end = (-(-first >> LEVELS)) - (base >> LEVELS), ((first + n) >> LEVELS) - (base >> LEVELS)
+    start, end = (-(-first >> _LEVELS)) - (base >> _LEVELS), ((first + n) >> _LEVELS) - (base >> _LEVELS)
     return np.sum(sums, axis=0), joined[start : max(start, end)]
 
 
@@ -456,13 +418,33 @@ def _shape(axes: int) -> tuple[int, int]:
 
 
 def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
-    """Rows of a table as `flat_rows` returns them, also on a device; NaN where there are none."""
+    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
+
+    The first may be negative and the last beyond the table; such rows are NaN, as far as they are read. The
+    table is copied if it is not float64 in C order, or if the rows are at its ends.
+
+    Returns:
+        The rows with up to eight values more, and the index of the first row's first value among them.
+    """
     if isinstance(table, jax.Array) and not _on_cpu():
         values = table[max(begin, 0) : begin + rows].astype(float)
         before = max(-begin, 0)
         outside = ((before, rows - before - len(values)), (0, 0))
         return jnp.pad(values, outside, constant_values=np.nan).reshape(-1), 0
-    return flat_rows(np.asarray(table), begin, rows, np.nan, read)
+    table, axes = np.asarray(table), table.shape[1]
+    size = rows * axes + _SPARE
+    if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
+        values = table.reshape(-1)
+        spare = (values.ctypes.data // 8 + begin * axes) % _SPARE
+        first = begin * axes - spare
+        if 0 <= first <= len(values) - size:
+            return values[first : first + size], spare
+    copied = _aligned(size)
+    filled = copied[: rows * axes].reshape(rows, axes)
+    start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
+    filled[: start - begin] = filled[end - begin : read] = np.nan
+    filled[start - begin : end - begin] = table[start:end]
+    return copied, 0
 
 
 @partial(jax.jit, static_argnames=("axes", "chunk"))
@@ -504,38 +486,34 @@ def _climb_piece(
                 halves = (window(width // 2, start + k, starts) for k in (0, width // 2))
                 return sum(halves, jnp.zeros(()))
 
-            found = [square_sum(window(w, 0, chunk), window(w, w, chunk)) for w in WINDOWS[:-2]]
+            found = [square_sum(window(w, 0, chunk), window(w, w, chunk)) for w in _WINDOWS[:-2]]
             half = stored(lambda: window(_WINDOW // 2, 0, chunk + _REACH - _WINDOW // 2 + 1))
             found.append(square_sum(half[:chunk], half[_WINDOW // 2 :][:chunk]))
             sums = stored(lambda: half[: -_WINDOW // 2] + half[_WINDOW // 2 :])
-            for k in range(LEVELS):
+            for k in range(_LEVELS):
                 starts = chunk >> k
                 found.append(square_sum(sums[:starts], sums[_WINDOW:][:starts]))
-                sums = stored(partial(next_windows, sums))
-                if _WINDOW << (k + 1) == 1 << LEVELS:
-                    above = sums[: starts // 2 : _WINDOW] / (1 << LEVELS)
+                # Sums over 16 blocks from every other start: over windows of 8 blocks of the next level.
+                sums = stored(partial(lambda sums: sums[:-_WINDOW:2] + sums[_WINDOW::2], sums))
+                if _WINDOW << (k + 1) == 1 << _LEVELS:
+                    above = sums[: starts // 2 : _WINDOW] / (1 << _LEVELS)
             totals, joined = state
             joined = lax.dynamic_update_slice(joined, above, (c * len(above),))
             return [t + f for t, f in zip(totals, found, strict=True)], joined
 
         nothing = [jnp.zeros(min(s, _LANES)) for s in starts]
-        sums, above = lax.fori_loop(0, chunks, add, (nothing, jnp.full(rows >> LEVELS, jnp.nan)))
+        sums, above = lax.fori_loop(0, chunks, add, (nothing, jnp.full(rows >> _LEVELS, jnp.nan)))
         return jnp.stack([s.sum() for s in sums]) / sizes**2, above
 
-    rows = (len(flat) // axes - _REACH) >> LEVELS << LEVELS
-    starts = [chunk] * len(WINDOWS) + [chunk >> k for k in range(1, LEVELS)]
-    sizes = np.array([*WINDOWS, *(_WINDOW << k for k in range(1, LEVELS))])
+    rows = (len(flat) // axes - _REACH) >> _LEVELS << _LEVELS
+    starts = [chunk] * len(_WINDOWS) + [chunk >> k for k in range(1, _LEVELS)]
+    sizes = np.array([*_WINDOWS, *(_WINDOW << k for k in range(1, _LEVELS))])
     sums, above = lax.map(of_axis, jnp.arange(axes))
     return sums.T, above.T
 
 
-def next_windows(sums: Any) -> Any:
-    """Sums over 16 blocks from every other start: over windows of 8 blocks of the next level."""
-    return sums[:-_WINDOW:2] + sums[_WINDOW::2]
-
-
 # Number of cluster sizes below that of the lowest level's largest window.
-_SMALL = len(WINDOWS) - 1
+_SMALL = len(_WINDOWS) - 1
 # Blocks kept at either end of a level: one fewer than two adjacent windows have.
 _HELD = 2 * _WINDOW - 1
 # Samples of each axis that are processed at once, which bounds the memory that their upper levels take.
@@ -617,7 +595,7 @@ class Pyramid:
             junction = np.concatenate([left_tail, across, right_head], axis=1)
             first = block - left_tail.shape[1]
             if k == 0:
-                for i, window in enumerate(WINDOWS[:-1]):
+                for i, window in enumerate(_WINDOWS[:-1]):
                     near = [left_tail[:, 1 - 2 * window :], right_head[:, : 2 * window - 1]]
                     merged.sums[i] += _square_sum(np.concatenate(near, axis=1), window)
             merged.sums[_SMALL + k] += _square_sum(junction, _WINDOW)
@@ -640,7 +618,7 @@ class Pyramid:
     @property
     def count(self) -> Int[np.ndarray, " m"]:
         """Differences averaged at each cluster size."""
-        small = [self.n + 1 - 2 * window for window in WINDOWS[:-1]]
+        small = [self.n + 1 - 2 * window for window in _WINDOWS[:-1]]
         blocks = [_block_count(self.start, self.n, k) for k in range(len(self.head))]
         counts = np.array([*small, *(b - _HELD for b in blocks)])
         return counts[counts > 0]
@@ -693,29 +671,29 @@ def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecu
     n, axes = values.shape
     pyramid = _empty(start, n, axes)
     table, first = values, start
-    for k in range(0, len(pyramid.head), LEVELS):
+    for k in range(0, len(pyramid.head), _LEVELS):
         if len(table) == 0:
             break
         _hold_ends(pyramid, k, table, first)
-        sums, above = climb(table, first, pool)
+        sums, above = _climb(table, first, pool)
         if k == 0:
             pyramid.sums[:_SMALL] = sums[:_SMALL]
             # Every sample is in a block that the first pass returns, or among the samples beside these
             # blocks.
             if not all(np.isfinite(x).all() for x in (above, values[:_HELD], values[-_HELD:])):
                 check_finite(values, origin)
-        levels = pyramid.sums[_SMALL + k :][:LEVELS]
+        levels = pyramid.sums[_SMALL + k :][:_LEVELS]
         levels[:] = sums[_SMALL:][: len(levels)]
-        table, first = above, -(-first >> LEVELS)
+        table, first = above, -(-first >> _LEVELS)
     return pyramid
 
 
 def _hold_ends(pyramid: Pyramid, k: int, table: Any, first: int) -> None:
     """Store the outermost blocks of the levels that a pass from level k computes, given all of level k."""
-    enough = (_HELD + 1) << (LEVELS - 1)
+    enough = (_HELD + 1) << (_LEVELS - 1)
     head, tail = np.asarray(table[:enough], float).T, np.asarray(table[-enough:], float).T
     head_first, tail_first = first, first + len(table) - tail.shape[1]
-    for level in range(k, min(k + LEVELS, len(pyramid.head))):
+    for level in range(k, min(k + _LEVELS, len(pyramid.head))):
         pyramid._hold(level, head, tail)
         head, head_first = _next_level(head, head_first)
         tail, tail_first = _next_level(tail, tail_first)

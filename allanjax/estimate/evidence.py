@@ -32,6 +32,14 @@ _DAMPING, _DAMPINGS, _LESS, _MORE, _LONGEST = 0.1, (0.01, 1e6), 0.25, 10.0, 2.0
 _GAINS = 10.0
 # Fewest degrees of freedom of a level from which a ramp was removed.
 _FEWEST = 1e-3
+_Levels: TypeAlias = Float[np.ndarray, " m"]
+_OfModels: TypeAlias = Float[np.ndarray, " models"]
+_ModelLevels: TypeAlias = Float[np.ndarray, "models m"]
+_Powers: TypeAlias = Float[np.ndarray, "models p"]
+_Square: TypeAlias = Float[np.ndarray, "models p p"]
+_Flags: TypeAlias = Bool[np.ndarray, "models p"]
+_Column: TypeAlias = Float[np.ndarray, "k 1"]
+_Points: TypeAlias = Float[np.ndarray, "k points"]
 
 
 class Ramps(NamedTuple):
@@ -43,16 +51,13 @@ class Ramps(NamedTuple):
         present: which models have a ramp; the first axes of the methods' results.
     """
 
-    cross: Float[np.ndarray, " m"]
-    gram: Float[np.ndarray, " m"]
+    cross: _Levels
+    gram: _Levels
     present: Bool[np.ndarray, " models"]
 
     def removed(
-        self,
-        level: Float[np.ndarray, " m"],
-        shape: Float[np.ndarray, " m"],
-        mean: Float[np.ndarray, "models m"],
-    ) -> tuple[Float[np.ndarray, "models m"], Float[np.ndarray, "models m"], Float[np.ndarray, " models"]]:
+        self, level: _Levels, shape: _Levels, mean: _ModelLevels
+    ) -> tuple[_ModelLevels, _ModelLevels, _OfModels]:
         """Levels less the ramps, half of their degrees of freedom, and the information about each slope."""
         slope, precision = self.slope(mean)
         beta, share = slope[:, None], (self.present / precision)[:, None]
@@ -60,9 +65,7 @@ class Ramps(NamedTuple):
         dof = np.maximum(2.0 * shape - share * self.gram / mean, _FEWEST)
         return np.maximum(squares, 0.0) / dof, 0.5 * dof, precision
 
-    def slope(
-        self, mean: Float[np.ndarray, "models m"]
-    ) -> tuple[Float[np.ndarray, " models"], Float[np.ndarray, " models"]]:
+    def slope(self, mean: _ModelLevels) -> tuple[_OfModels, _OfModels]:
         """Slopes under noise of these levels, 0 without a ramp, and their information, 1 without."""
         inverse = 1.0 / mean
         precision = np.where(self.present, inverse @ self.gram, 1.0)
@@ -72,16 +75,16 @@ class Ramps(NamedTuple):
 @np.errstate(all="ignore")
 def power_fits(
     level: Float[np.ndarray, "*models m"],
-    shape: Float[np.ndarray, " m"],
+    shape: _Levels,
     rough: Float[np.ndarray, "*models m"],
     unit: Float[np.ndarray, "models p m"],
-    start: Float[np.ndarray, "models p"] | None = None,
-    used: Bool[np.ndarray, "models p"] | None = None,
+    start: _Powers | None = None,
+    used: _Flags | None = None,
     steps: int = 30,
     ramps: Ramps | None = None,
     far: float = np.inf,
     tolerance: float = 1e-6,
-) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
+) -> tuple[_Powers, _OfModels]:
     """Most likely powers ≥ 0 of the terms of each model, and minus the log-likelihood [nats].
 
     Scoring with the mean of the expected and the observed curvature, damped (Levenberg–Marquardt), in
@@ -131,11 +134,11 @@ def power_fits(
 
 def _likelihood(
     level: Float[np.ndarray, "*models m"],
-    shape: Float[np.ndarray, " m"],
-    power: Float[np.ndarray, "models p"],
+    shape: _Levels,
+    power: _Powers,
     unit: Float[np.ndarray, "models p m"],
     ramps: Ramps | None,
-) -> tuple[Float[np.ndarray, " models"], Float[np.ndarray, "models p"], Float[np.ndarray, "models p p"]]:
+) -> tuple[_OfModels, _Powers, _Square]:
     """Minus the log-likelihood of each model, its gradient by the powers, uphill, and its curvature."""
     mean = np.maximum((power[:, None] @ unit)[:, 0], 1e-300)
     value = np.log(mean) @ shape
@@ -152,11 +155,7 @@ def _likelihood(
     return value, gradient, (relative * weight[:, None]) @ relative.swapaxes(1, 2)
 
 
-def _move(
-    gradient: Float[np.ndarray, "models p"],
-    curvature: Float[np.ndarray, "models p p"],
-    damping: Float[np.ndarray, " models"],
-) -> tuple[Float[np.ndarray, "models p"], Float[np.ndarray, " models"]]:
+def _move(gradient: _Powers, curvature: _Square, damping: _OfModels) -> tuple[_Powers, _OfModels]:
     """Damped Newton step of each model, and what it should gain [nats]."""
     size = 1.0 / np.sqrt(np.maximum(np.einsum("cpp->cp", curvature), 1e-12))
     scaled = curvature * size[:, :, None] * size[:, None]
@@ -168,16 +167,11 @@ def _move(
 
 
 def information(
-    unit: Float[np.ndarray, "... p m"], mean: Float[np.ndarray, "... m"], shape: Float[np.ndarray, " m"]
+    unit: Float[np.ndarray, "... p m"], mean: Float[np.ndarray, "... m"], shape: _Levels
 ) -> Float[np.ndarray, "... p p"]:
     """Fisher information of levels with these means about the powers of terms."""
     relative = unit / mean[..., None, :]
     return (relative * shape) @ relative.swapaxes(-1, -2)
-
-
-def bounds(information: Float[np.ndarray, "p p"], present: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
-    """Cramér–Rao bound of the standard deviation of each power, if only it and those present are unknown."""
-    return np.array([bound(information, gradient, present) for gradient in np.eye(len(present))])
 
 
 def bound(
@@ -206,13 +200,6 @@ _QUADRATURE = 48
 # what a step gains at the end of the others [nats].
 _BLOCK, _FAR, _TOLERANCE = 512, 200.0, 1e-5
 
-_PerSet: TypeAlias = Float[np.ndarray, " sets"]
-_Places: TypeAlias = Float[np.ndarray, "sets places"]
-_Flags: TypeAlias = Bool[np.ndarray, "sets places"]
-_Square: TypeAlias = Float[np.ndarray, "sets places places"]
-_Column: TypeAlias = Float[np.ndarray, "k 1"]
-_Points: TypeAlias = Float[np.ndarray, "k points"]
-
 
 class TermSets(NamedTuple):
     """Sets of terms: the `columns` of expected levels that each may have, which are `used`, and ramps.
@@ -222,7 +209,7 @@ class TermSets(NamedTuple):
     """
 
     columns: Int[np.ndarray, "sets places"]
-    used: Bool[np.ndarray, "sets places"]
+    used: _Flags
     ramp: Bool[np.ndarray, " sets"]
     log_evidence: Any = None
     power: Any = None
@@ -249,7 +236,7 @@ def evidence(
     sets: TermSets,
     columns: Float[np.ndarray, "columns m"],
     statistics: SpectralStatistics,
-    size: Float[np.ndarray, " m"],
+    size: _Levels,
     far: float = _FAR,
 ) -> TermSets:
     """Sets of terms with their evidence for an axis, starting from their powers, if they have any.
@@ -280,7 +267,7 @@ def evidence(
     return sets._replace(log_evidence=values, power=powers)
 
 
-def _around(power: _Places, used: _Flags, information: _Square, slope: _Places, scale: _Places) -> _PerSet:
+def _around(power: _Powers, used: _Flags, information: _Square, slope: _Powers, scale: _Powers) -> _OfModels:
     """ln ∫ prior · exp(ln L − max ln L) over the amplitudes of each set, by Laplace's approximation."""
     present, own = used & (power > 0.0), np.einsum("spp->sp", information)
     scaled = information / np.sqrt(own[:, :, None] * own[:, None])
@@ -297,7 +284,7 @@ def _around(power: _Places, used: _Flags, information: _Square, slope: _Places, 
     return value + factors.sum(axis=1)
 
 
-def _of_ramps(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+def _of_ramps(slope: _OfModels, precision: _OfModels) -> _OfModels:
     """ln ∫ prior(R) cosh(R·slope·precision) exp(−½ precision R²) dR for ramps of either sign."""
     R0, u = abs(slope)[:, None], precision[:, None]
     std, p = 1.0 / np.sqrt(u), R0 * u
@@ -307,7 +294,7 @@ def _of_ramps(slope: Float[np.ndarray, " k"], precision: Float[np.ndarray, " k"]
 
 def over_prior(
     exponent: Callable[[_Points], _Points], low: _Column, high: _Column, scale: _Column
-) -> Float[np.ndarray, " k"]:
+) -> _OfModels:
     """ln ∫ prior(c) exp(exponent(c)) dc between two ends, beyond which there is nothing."""
     # Uniform in y = ln(1 + c/scale), as the prior is.
     bottom, top = np.log1p(low / scale), np.log1p(high / scale)
