@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,7 +46,6 @@ from allanjax.estimate.deterministic import (
     Line,
     Peaks,
     Projection,
-    Regressors,
     needs_record,
 )
 from allanjax.estimate.inference import (
@@ -182,11 +181,7 @@ def _with_lines(template: Model, lines: Mapping[int, Line]) -> Model:
 
 
 def solve_and_infer(
-    model: Model,
-    design: AllanDesign,
-    variance: Float[np.ndarray, "axes m"],
-    active: InUse,
-    peaks: Peaks = (),
+    model: Model, design: AllanDesign, variance: Float[np.ndarray, "axes m"], active: InUse, peaks: Peaks = ()
 ) -> tuple[Solution, Estimates, list[Misfit | None]]:
     """Best solution of each axis over its starts, its coefficients, and its misfit.
 
@@ -278,14 +273,6 @@ _SHAPED, _AROUND, _CERTAIN = 0.05, 1.5, 5.0
 _Start: TypeAlias = tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " shapes"]]
 
 
-def fit_whittle(
-    recording: Recording, k: int, template: Model, active: InUse, regressors: Regressors | None = None
-) -> AxisFit:
-    """Fit one axis of a recording by maximum likelihood of its cosine spectrum; see `fit_spectrum`."""
-    spectrum = AxisSpectrum.of(template, recording.values[:, k], recording.rate, regressors)
-    return fit_spectrum(template, recording.axes[k], spectrum, active)
-
-
 def fit_spectra(
     template: Model, axes: Sequence[Axis], spectra: Sequence[AxisSpectrum], active: InUse
 ) -> tuple[AxisFit, ...]:
@@ -333,12 +320,11 @@ def fit_spectrum(
     std = np.sqrt(np.diag(projection.covariance)).tolist()
     amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
     regression = {owner: (x, error) for owner, x, error in amplitudes if isinstance(owner, str)}
-    result = dataclasses.replace(result, regression=regression, spectrum=spectrum)
+    more: dict[str, Any] = {"regression": regression, "spectrum": spectrum}
     if plateaus:
         alone = template.with_values(angle_random_walk=float(np.sqrt(fit.solution.power[white])))
-        model = extended_model(alone, coefficients.values, absent(template, active))
-        result = dataclasses.replace(result, _model=model)
-    return result
+        more["_model"] = extended_model(alone, coefficients.values, absent(template, active))
+    return dataclasses.replace(result, **more)
 
 
 def _fit_noise(
@@ -410,7 +396,7 @@ def _plateaus(
 
 
 def absent(template: Model, active: InUse) -> list[str]:
-    """Labels of the terms that are not among the active ones."""
+    """Labels of the terms that are not active."""
     return list(itertools.compress(template.term_labels, ~active))
 
 
@@ -442,6 +428,8 @@ def axis_fit(
 
 
 _Vector: TypeAlias = Float[np.ndarray, " p"]
+_Square: TypeAlias = Float[np.ndarray, "p p"]
+_Flags: TypeAlias = Bool[np.ndarray, " p"]
 
 #: Most samples of a record.
 MOST = 100_000
@@ -476,14 +464,13 @@ def check_exact(model: Model | None, recording: Recording) -> None:
             raise FitError(f"{label} has no state space with a free exponent; hold it, or {whittle}")
 
 
-def fit_exact(
-    recording: Recording, k: int, template: Model, active: Bool[np.ndarray, " terms"]
-) -> tuple[AxisFit, bool]:
+def fit_exact(recording: Recording, k: int, template: Model, active: InUse) -> tuple[AxisFit, bool]:
     """Fit one axis by its exact likelihood, starting from Whittle's, and whether that was possible.
 
     Where the model does not fit the spectrum, the result is that of Whittle's likelihood.
     """
-    start = fit_whittle(recording, k, template, active, {})
+    spectrum = AxisSpectrum.of(template, recording.values[:, k], recording.rate)
+    start = fit_spectrum(template, recording.axes[k], spectrum, active)
     if not start.converged or start.discrepancy > 0.0:
         return start, False
     problem = _Problem(template, start, recording, k)
@@ -505,11 +492,11 @@ class _Place(NamedTuple):
     theta: _Vector
     log_likelihood: float
     score: _Vector
-    information: Float[np.ndarray, "p p"]
+    information: _Square
     step: _Vector
     gain: float
 
-    def covariance(self, of: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
+    def covariance(self, of: _Flags) -> _Square:
         """Covariance of these parameters if the others are known."""
         return np.linalg.pinv(self.information * np.outer(of, of), rcond=1e-14, hermitian=True)
 
@@ -590,7 +577,7 @@ class _Problem:
             ends[k] = self._ends(at, k, inside)
         return value[:terms], value[terms:], at.covariance(inside) * np.outer(self.unit, self.unit), ends
 
-    def _ends(self, at: _Place, k: int, inside: Bool[np.ndarray, " p"]) -> Float[np.ndarray, " 5"]:
+    def _ends(self, at: _Place, k: int, inside: _Flags) -> Float[np.ndarray, " 5"]:
         """Ends of the intervals of a power, where the signed roots of the likelihood ratio have their levels.
 
         For an absent term the likelihood is modified to have its maximum at zero: its negative slope there is

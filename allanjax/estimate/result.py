@@ -590,10 +590,40 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return details(self._heading(), self.results, notes)
 
     def _tables(self) -> list[list[Column]]:
-        return overview(self)
+        """Tables, one per sensor, with one row per axis."""
+        rows = [(r.axis, r if r.converged else None) for r in self.results]
+        if self.dead:
+            rows = sorted(rows + [(dead.axis, None) for dead in self.dead], key=lambda row: row[0].name)
+        tables: list[list[Column]] = []
+        for sensor in SENSORS:
+            if own := [row for row in rows if row[0].sensor == sensor]:
+                axes, results = zip(*own, strict=True)
+                unit, scale = rate_unit_of(axes[0].unit, sensor)
+                means = [math.nan if r is None else float(r.mean / scale) for r in results]
+                tables += tables_of(
+                    [Column("axis", [axis.name for axis in axes])],
+                    *_coefficient_columns(results),
+                    [column("mean", unit, means, 4), Column("verdict", list(map(_verdict, results)))],
+                )
+        return tables
 
     def _notes(self) -> Iterator[str]:
-        return remarks(self)
+        """Lines below the tables: corrections, misfits, axes without a result, and notes."""
+        known = [result for result in self.results if result.converged]
+        yield from (f"{r.axis.name} {r.correction}" for r in known if r.correction)
+        yield from (f"{r.axis.name} does not fit: {r.misfits}" for r in known if r.misfits)
+        for name, reason in self.without_result.items():
+            if not any(reason in warning for warning in self.warnings):
+                yield f"{name}: no result, {reason}"
+        undecided = {} if self.selection is None else self.selection.undecided()
+        longer = () if self.selection is None else self.selection.ambiguities()
+        yield from (f"note: {note}" for note in self.notes if note not in longer)
+        questions = []
+        for (question, _), of in undecided.items():
+            names = [name for name, *_ in of]
+            questions.append(f"{question} ({', '.join(names) if len(names) < 3 else f'{len(names)} axes'})")
+        if questions:
+            yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
 
     def _title(self) -> str:
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
@@ -601,25 +631,6 @@ class Fit(ByValue, PerAxis[AxisFit]):
 
 #: Terms whose column a table of coefficients has even where they are not detected: N, B and K.
 MAIN = tuple(SYMBOLS)[:3]
-
-
-def overview(fit: Fit) -> list[list[Column]]:
-    """Tables of a fit, one per sensor, with one row per axis."""
-    rows = [(r.axis, r if r.converged else None) for r in fit.results]
-    if fit.dead:
-        rows = sorted(rows + [(dead.axis, None) for dead in fit.dead], key=lambda row: row[0].name)
-    tables: list[list[Column]] = []
-    for sensor in SENSORS:
-        if own := [row for row in rows if row[0].sensor == sensor]:
-            axes, results = zip(*own, strict=True)
-            unit, scale = rate_unit_of(axes[0].unit, sensor)
-            means = [math.nan if r is None else float(r.mean / scale) for r in results]
-            tables += tables_of(
-                [Column("axis", [axis.name for axis in axes])],
-                *_coefficient_columns(results),
-                [column("mean", unit, means, 4), Column("verdict", list(map(_verdict, results)))],
-            )
-    return tables
 
 
 def _coefficient_columns(results: Sequence[AxisFit | None]) -> tuple[list[Column], list[Column]]:
@@ -647,25 +658,6 @@ def _verdict(result: AxisFit | None) -> str:
         return "does not fit" if result.measured else "not a measurement"
     word = "doubtful" if result.doubtful else "fits"
     return f"{word}, p = {significant(result.p_value, 2)}" if math.isfinite(result.p_value) else word
-
-
-def remarks(fit: Fit) -> Iterator[str]:
-    """Lines below the tables of a fit: corrections, misfits, axes without a result, and notes."""
-    known = [result for result in fit.results if result.converged]
-    yield from (f"{r.axis.name} {r.correction}" for r in known if r.correction)
-    yield from (f"{r.axis.name} does not fit: {r.misfits}" for r in known if r.misfits)
-    for name, reason in fit.without_result.items():
-        if not any(reason in warning for warning in fit.warnings):
-            yield f"{name}: no result, {reason}"
-    undecided = {} if fit.selection is None else fit.selection.undecided()
-    longer = () if fit.selection is None else fit.selection.ambiguities()
-    yield from (f"note: {note}" for note in fit.notes if note not in longer)
-    questions = []
-    for (question, _), of in undecided.items():
-        names = [name for name, *_ in of]
-        questions.append(f"{question} ({', '.join(names) if len(names) < 3 else f'{len(names)} axes'})")
-    if questions:
-        yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
 
 
 def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:

@@ -18,7 +18,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -59,6 +59,37 @@ CLOSE = 1.5
 # Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
 # fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
 _FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
+#: Terms without a free shape, in the first columns; the white noise that is added after a response.
+FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
+QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
+#: Column of a further term, whose shape is given.
+FURTHER = OUTSIDE + 1
+#: Least quality factor of a resonance: a wider one is an edge, as of a filter.
+LEAST_QUALITY = 1.5
+#: A resonance narrower than so many coefficients is a line.
+LINE = 4.0
+# Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
+_SHORTEST = 8.0
+#: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
+LOWEST_BANDWIDTH = 0.005
+# Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
+_ERROR = 0.005
+# Number of factors of e beyond which the errors of a response count in a search: a judgement.
+_DEEP = 3.0
+#: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
+ROUGH, FINE = 1e-2, 1e-7
+#: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
+FREQUENCIES = 32.0
+# Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
+_QUALITY = (math.log(10.0), 1.0 / 9.0)
+# Largest distance of a frequency from its start, in ln.
+_REACH = 0.7
+#: Log prior odds against a component [nats]: a judgement, twenty to one.
+PRICE = 3.0
+# Unit of the widths of the priors of powers, quality factors and bandwidth, in ln.
+_DECADES = math.log(10.0)
+_Theta: TypeAlias = Float[np.ndarray, " parameters"]
+_Square: TypeAlias = Float[np.ndarray, "parameters parameters"]
 
 
 class Component(NamedTuple):
@@ -100,19 +131,36 @@ class Component(NamedTuple):
         return abs(self.frequency - other.frequency) < CLOSE * 0.5 * (self.width + other.width)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Composition:
-    """Components of a spectrum, and a response that some pass through, with values.
+def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
+    """Resonance at a frequency [radians per sample]."""
+    return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
 
-    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½.
+
+def markov(time: float, power: float) -> Component:
+    """Markov process of a correlation time [samples], inside the response."""
+    return Component(kinds.MARKOV, power, (math.log(time),), True)
+
+
+def _column(which: int) -> Component:
+    # The output is rounded; and a term of its own kind may have no closed form behind a response.
+    return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Structure:
+    """Components of a spectrum, and a response that some pass through, with values or start values.
+
+    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½. The
+    `further` term, with unit amplitude, is that of column `FURTHER`.
     """
 
     components: tuple[Component, ...]
     kind: int = kinds.NONE
     response: tuple[float, float] = (0.0, math.log(5.0))
     others: Others | None = None
+    further: NoiseTerm | None = None
 
-    def with_parameters(self, theta: Float[np.ndarray, " parameters"]) -> Self:
+    def with_parameters(self, theta: _Theta) -> Structure:
         """Copy with other values of all parameters."""
         values, at, new = theta.tolist(), self.first, []
         for k, own in enumerate(self.components):
@@ -134,7 +182,7 @@ class Composition:
         return self.of_kind(kinds.OSCILLATOR)
 
     @property
-    def parameters(self) -> Float[np.ndarray, " parameters"]:
+    def parameters(self) -> _Theta:
         """Values of all parameters."""
         shapes = (x for c in self.components for x in c.shape)
         return np.array([*(c.power for c in self.components), *shapes, *self.response])
@@ -200,294 +248,6 @@ class Composition:
                 own = own * response if response is not None and self.inside[k] else own
                 unit[:, k] = 0.5 * (own[..., 0, :] + own[..., 1, :])
         return unit
-
-
-def response_of(of: Composition, rate: float) -> Response | None:
-    """Response of a composition, for samples at `rate` [Hz]; None without one."""
-    w, quality = of.bandwidth
-    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Joint:
-    """What of a composition is estimated.
-
-    Parameters that are not free keep their value; the others have bounds, powers not in ln, and a normal
-    prior, unless its precision is 0.
-    """
-
-    composition: Composition
-    free: Bool[np.ndarray, " parameters"]
-    lower: Float[np.ndarray, " parameters"]
-    upper: Float[np.ndarray, " parameters"]
-    centre: Float[np.ndarray, " parameters"]
-    precision: Float[np.ndarray, " parameters"]
-
-
-def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
-    """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
-
-    Also the derivatives of the sum of all components by the bandwidth and by the quality factor of the
-    response, and half the jump of the derivative by the bandwidth.
-    """
-    count, m = len(of.components), levels.angle.shape[1]
-    rows = np.empty((count + len(of.owner), 2, m))
-    for places, own, value, slope in of.squares(theta, levels, True):
-        rows[places] = value
-        if slope is not None:
-            rows[own.ravel()] = slope.reshape(-1, 2, m)
-    by_response = np.zeros((3, m))
-    if of.kind != kinds.NONE:
-        passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
-        passing = np.tensordot(theta[:count] * of.inside, rows[:count], 1)
-        by_response = np.mean(moved * passing, axis=1)
-        rows[np.append(of.inside, of.inside[of.owner])] *= passed
-    mean = 0.5 * (rows[:, 0] + rows[:, 1])
-    return mean[:count], mean[count:], by_response
-
-
-class Maximum(NamedTuple):
-    """Maximum of the likelihood, or a place on the way there.
-
-    The loss is Σ k(ln μ + y/μ) over the levels, minus the logarithm of the prior. Powers are in
-    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior
-    included, of what is estimated and not at a bound (`interior`); the others have a unit on the diagonal.
-    """
-
-    theta: Float[np.ndarray, " parameters"]
-    scale: Float[np.ndarray, " components"]
-    loss: float
-    mean: Float[np.ndarray, " m"]
-    unit: Float[np.ndarray, "components m"]
-    by_shape: Float[np.ndarray, "shapes m"]
-    by_response: Float[np.ndarray, "3 m"]
-    owner: Int[np.ndarray, " shapes"]
-    information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
-    interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
-    converged: bool = False
-
-    @property
-    def slope(self) -> Float[np.ndarray, "parameters m"]:
-        """Derivatives of the logarithms of the levels by ln(p + scale) of the powers and by the shapes."""
-        power = self.theta[: len(self.scale)]
-        of_powers = (power + self.scale)[:, None] * self.unit
-        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response[:2]]
-        return np.concatenate(slope) / self.mean
-
-
-def maximize(
-    theta: Float[np.ndarray, " parameters"],
-    joint: Joint,
-    levels: Levels,
-    noise: Float[np.ndarray, " m"],
-    tolerance: float = TOLERANCE,
-) -> Maximum:
-    """Maximum of the likelihood from a start.
-
-    The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
-    ends with a step that gains less than the tolerance [nats] and would do so without damping.
-    """
-    of, count = joint.composition, len(joint.composition.components)
-
-    def place(theta: Any, scale: Any = None) -> Maximum:
-        unit, by_shape, by_response = expected(theta, of, levels)
-        scale = power_scales(unit, levels.shape, noise) if scale is None else scale
-        mean = np.maximum(theta[:count] @ unit, _LEAST * np.max(scale))
-        loss = levels.shape @ (np.log(mean) + levels.level / mean)
-        loss += 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
-        return Maximum(theta, scale, loss, mean, unit, by_shape, by_response, of.owner)
-
-    with np.errstate(all="ignore"):
-        best = place(np.clip(theta, joint.lower, joint.upper))
-        slopes = _slopes(best, joint, levels)
-        damping, predicted, steps, converged = _DAMPING, np.inf, 0, False
-        while not converged and steps < _STEPS and not np.isnan(predicted):
-            steps += 1
-            trial, predicted = _next(best, slopes, joint, levels, damping)
-            converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
-            new = place(trial, best.scale)
-            # Of a small step the gain is lost in rounding.
-            share = 1.0 if 0.0 <= predicted < _SMALL else (best.loss - new.loss) / abs(predicted)
-            damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
-            if share > _BAD:
-                best, slopes = new, _slopes(new, joint, levels)
-        slope, _, interior = slopes
-        slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
-    information = (slope * levels.shape) @ slope.T + np.diag(prior)
-    return best._replace(information=information, interior=interior, converged=bool(converged))
-
-
-def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]:
-    """Slope of the logarithms of the levels, gradient of the loss, and which parameters may move.
-
-    A parameter may not at a bound beyond which the loss still falls.
-    """
-    slope, theta = best.slope, best.theta
-    gradient = slope @ (levels.shape * (1.0 - levels.level / best.mean))
-    gradient += joint.precision * (theta - joint.centre)
-    outward = ((theta <= joint.lower) & (gradient > 0.0)) | ((theta >= joint.upper) & (gradient < 0.0))
-    return slope, gradient, joint.free & ~outward
-
-
-def _next(
-    best: Maximum, slopes: tuple[Any, Any, Any], joint: Joint, levels: Levels, damping: float
-) -> tuple[Float[np.ndarray, " parameters"], float]:
-    """The next place to try, and the gain to expect there.
-
-    The curvature is that of the levels' deviances: far from the maximum steps are as long as in logarithms.
-    Where the slope by the bandwidth jumps, it is that of the side on which the loss falls; if it falls on
-    neither, the bandwidth stays. No step goes beyond the next jump.
-    """
-    (slope, gradient, interior), weight = slopes, levels.shape
-    excess = levels.level / best.mean - 1.0
-    if np.any(best.by_response[2]):
-        slope, gradient, interior = slope.copy(), gradient.copy(), interior.copy()
-        jump = best.by_response[2] / best.mean
-        bend = -float(jump @ (weight * excess))
-        side, interior[-2] = -np.sign(gradient[-2]), interior[-2] and abs(gradient[-2]) > bend
-        slope[-2], gradient[-2] = slope[-2] + side * jump, gradient[-2] + side * bend
-    moving = np.flatnonzero(interior)
-    slope, gradient = slope[moving], gradient[moving]
-    close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
-    deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
-    weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
-    curvature = (slope * weight) @ slope.T + np.diag(joint.precision[moving])
-    size = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-12))
-    damped = curvature * np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
-    move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
-    every, count = np.zeros(len(best.theta)), len(best.scale)
-    every[moving] = move
-    share, piece = 1.0, np.log(piece_of(joint.composition.kind, math.exp(best.theta[-2])))
-    if every[-2] != 0.0:
-        share = min((piece[int(every[-2] > 0.0)] - best.theta[-2]) / every[-2], 1.0)
-    every *= share
-    every[:count] = (best.theta[:count] + best.scale) * np.expm1(every[:count])
-    gain = -0.5 * float(gradient @ move) * share * (2.0 - share)
-    return np.clip(best.theta + every, joint.lower, joint.upper), gain
-
-
-def power_scales(unit: Any, shape: Any, noise: Any) -> Float[np.ndarray, " components"]:
-    """Power of each component that would be one standard deviation in noise of these levels [rate²]."""
-    information = (unit / noise) ** 2 @ shape
-    return np.where(information > 0.0, 1.0 / np.sqrt(np.maximum(information, 1e-300)), 1.0)
-
-
-def covariance(maximum: Maximum) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance of the estimates, powers as `Maximum.scale` says; zero for what is held or at a bound."""
-    known = np.diag(maximum.information)
-    # The data may tell nothing of the shape of a component without power.
-    size = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
-    both = np.outer(size, size)
-    spread = np.linalg.pinv(maximum.information * both, hermitian=True) * both
-    return np.where(np.outer(maximum.interior, maximum.interior), spread, 0.0)
-
-
-def model_error(
-    of: Composition, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
-
-    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
-    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
-    fallen by more than so many factors of e.
-    """
-    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
-    of = of.with_parameters(maximum.theta)
-    if (response := response_of(of, bins.rate)) is not None:
-        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
-        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
-    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
-    for k, own in zip(of.oscillators, resonances, strict=True):
-        share = own.power * maximum.unit[k] / maximum.mean
-        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
-        beside = abs(angle - own.frequency) > _BESIDE * own.width
-        common += (skirt * np.where(beside, share, 0.0)) ** 2
-    return unsteady**2 + common * bins.per_octave()
-
-
-def error_of_ends(
-    of: Composition, theta: Float[np.ndarray, " parameters"], levels: Levels, bins: Bins
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from the two ends of a record.
-
-    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there.
-    """
-    if of.kind == kinds.NONE:
-        return np.zeros(len(bins.size))
-    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
-    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
-    whole, without = (x.mean(axis=0) for x in both)
-    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
-    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
-    # More than the model has is not from the ends either.
-    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * share**2
-
-
-def share_with_error(dof: Any, variance: Any) -> Any:
-    """Share of their weight that levels keep if the model's error has this relative variance.
-
-    The relative variance 2/dof of each becomes 2/dof + variance.
-    """
-    return 1.0 / (1.0 + 0.5 * dof * variance)
-
-
-#: Terms without a free shape, in the first columns; the white noise that is added after a response.
-FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
-QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
-#: Column of a further term, whose shape is given.
-FURTHER = OUTSIDE + 1
-#: Least quality factor of a resonance: a wider one is an edge, as of a filter.
-LEAST_QUALITY = 1.5
-#: A resonance narrower than so many coefficients is a line.
-LINE = 4.0
-# Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
-_SHORTEST = 8.0
-#: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
-LOWEST_BANDWIDTH = 0.005
-# Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
-_ERROR = 0.005
-# Number of factors of e beyond which the errors of a response count in a search: a judgement.
-_DEEP = 3.0
-#: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
-ROUGH, FINE = 1e-2, 1e-7
-#: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
-FREQUENCIES = 32.0
-# Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
-_QUALITY = (math.log(10.0), 1.0 / 9.0)
-# Largest distance of a frequency from its start, in ln.
-_REACH = 0.7
-#: Log prior odds against a component [nats]: a judgement, twenty to one.
-PRICE = 3.0
-# Unit of the widths of the priors of powers, quality factors and bandwidth, in ln.
-_DECADES = math.log(10.0)
-
-
-def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
-    """Resonance at a frequency [radians per sample]."""
-    return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
-
-
-def markov(time: float, power: float) -> Component:
-    """Markov process of a correlation time [samples], inside the response."""
-    return Component(kinds.MARKOV, power, (math.log(time),), True)
-
-
-def _column(which: int) -> Component:
-    # The output is rounded; and a term of its own kind may have no closed form behind a response.
-    return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Structure(Composition):
-    """Composition of a record's spectrum, with values or start values.
-
-    Attributes:
-        further: the term of column `FURTHER`, with unit amplitude.
-    """
-
-    further: NoiseTerm | None = None
 
     @classmethod
     def plain(cls, columns: Iterable[int]) -> Structure:
@@ -567,6 +327,217 @@ class Structure(Composition):
         return dataclasses.replace(self, components=components)
 
 
+def response_of(of: Structure, rate: float) -> Response | None:
+    """Response of a composition, for samples at `rate` [Hz]; None without one."""
+    w, quality = of.bandwidth
+    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Joint:
+    """What of a composition is estimated.
+
+    Parameters that are not free keep their value; the others have bounds, powers not in ln, and a normal
+    prior, unless its precision is 0.
+    """
+
+    composition: Structure
+    free: Bool[np.ndarray, " parameters"]
+    lower: _Theta
+    upper: _Theta
+    centre: _Theta
+    precision: _Theta
+
+
+def expected(theta: _Theta, of: Structure, levels: Levels) -> tuple[Any, ...]:
+    """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
+
+    Also the derivatives of the sum of all components by the bandwidth and by the quality factor of the
+    response, and half the jump of the derivative by the bandwidth.
+    """
+    count, m = len(of.components), levels.angle.shape[1]
+    rows = np.empty((count + len(of.owner), 2, m))
+    for places, own, value, slope in of.squares(theta, levels, True):
+        rows[places] = value
+        if slope is not None:
+            rows[own.ravel()] = slope.reshape(-1, 2, m)
+    by_response = np.zeros((3, m))
+    if of.kind != kinds.NONE:
+        passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
+        passing = np.tensordot(theta[:count] * of.inside, rows[:count], 1)
+        by_response = np.mean(moved * passing, axis=1)
+        rows[np.append(of.inside, of.inside[of.owner])] *= passed
+    mean = 0.5 * (rows[:, 0] + rows[:, 1])
+    return mean[:count], mean[count:], by_response
+
+
+class Maximum(NamedTuple):
+    """Maximum of the likelihood, or a place on the way there.
+
+    The loss is Σ k(ln μ + y/μ) over the levels, minus the logarithm of the prior. Powers are in
+    ln(p + scale), the scale of each being one standard deviation. The information is Fisher's, prior
+    included, of what is estimated and not at a bound (`interior`); the others have a unit on the diagonal.
+    """
+
+    theta: _Theta
+    scale: Float[np.ndarray, " components"]
+    loss: float
+    mean: Float[np.ndarray, " m"]
+    unit: Float[np.ndarray, "components m"]
+    by_shape: Float[np.ndarray, "shapes m"]
+    by_response: Float[np.ndarray, "3 m"]
+    owner: Int[np.ndarray, " shapes"]
+    information: _Square = np.zeros((0, 0))
+    interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
+    converged: bool = False
+
+    @property
+    def slope(self) -> Float[np.ndarray, "parameters m"]:
+        """Derivatives of the logarithms of the levels by ln(p + scale) of the powers and by the shapes."""
+        power = self.theta[: len(self.scale)]
+        of_powers = (power + self.scale)[:, None] * self.unit
+        slope = [of_powers, power[self.owner, None] * self.by_shape, self.by_response[:2]]
+        return np.concatenate(slope) / self.mean
+
+
+def maximize(
+    theta: _Theta, joint: Joint, levels: Levels, noise: Float[np.ndarray, " m"], tolerance: float = TOLERANCE
+) -> Maximum:
+    """Maximum of the likelihood from a start.
+
+    The scales of the powers are one standard deviation in rough levels of the noise [rate²]. The iteration
+    ends with a step that gains less than the tolerance [nats] and would do so without damping.
+    """
+    of, count = joint.composition, len(joint.composition.components)
+
+    def place(theta: Any, scale: Any = None) -> Maximum:
+        unit, by_shape, by_response = expected(theta, of, levels)
+        if scale is None:
+            information = (unit / noise) ** 2 @ levels.shape
+            scale = np.where(information > 0.0, 1.0 / np.sqrt(np.maximum(information, 1e-300)), 1.0)
+        mean = np.maximum(theta[:count] @ unit, _LEAST * np.max(scale))
+        loss = levels.shape @ (np.log(mean) + levels.level / mean)
+        loss += 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
+        return Maximum(theta, scale, loss, mean, unit, by_shape, by_response, of.owner)
+
+    with np.errstate(all="ignore"):
+        best = place(np.clip(theta, joint.lower, joint.upper))
+        slopes = _slopes(best, joint, levels)
+        damping, predicted, steps, converged = _DAMPING, np.inf, 0, False
+        while not converged and steps < _STEPS and not np.isnan(predicted):
+            steps += 1
+            trial, predicted = _next(best, slopes, joint, levels, damping)
+            converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
+            new = place(trial, best.scale)
+            # Of a small step the gain is lost in rounding.
+            share = 1.0 if 0.0 <= predicted < _SMALL else (best.loss - new.loss) / abs(predicted)
+            damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
+            if share > _BAD:
+                best, slopes = new, _slopes(new, joint, levels)
+        slope, _, interior = slopes
+        slope, prior = np.where(interior[:, None], slope, 0.0), np.where(interior, joint.precision, 1.0)
+    information = (slope * levels.shape) @ slope.T + np.diag(prior)
+    return best._replace(information=information, interior=interior, converged=bool(converged))
+
+
+def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]:
+    """Slope of the logarithms of the levels, gradient of the loss, and which parameters may move.
+
+    A parameter may not at a bound beyond which the loss still falls.
+    """
+    slope, theta = best.slope, best.theta
+    gradient = slope @ (levels.shape * (1.0 - levels.level / best.mean))
+    gradient += joint.precision * (theta - joint.centre)
+    outward = ((theta <= joint.lower) & (gradient > 0.0)) | ((theta >= joint.upper) & (gradient < 0.0))
+    return slope, gradient, joint.free & ~outward
+
+
+def _next(
+    best: Maximum, slopes: tuple[Any, Any, Any], joint: Joint, levels: Levels, damping: float
+) -> tuple[_Theta, float]:
+    """The next place to try, and the gain to expect there.
+
+    The curvature is that of the levels' deviances: far from the maximum steps are as long as in logarithms.
+    Where the slope by the bandwidth jumps, it is that of the side on which the loss falls; if it falls on
+    neither, the bandwidth stays. No step goes beyond the next jump.
+    """
+    (slope, gradient, interior), weight = slopes, levels.shape
+    excess = levels.level / best.mean - 1.0
+    if np.any(best.by_response[2]):
+        slope, gradient, interior = slope.copy(), gradient.copy(), interior.copy()
+        jump = best.by_response[2] / best.mean
+        bend = -float(jump @ (weight * excess))
+        side, interior[-2] = -np.sign(gradient[-2]), interior[-2] and abs(gradient[-2]) > bend
+        slope[-2], gradient[-2] = slope[-2] + side * jump, gradient[-2] + side * bend
+    moving = np.flatnonzero(interior)
+    slope, gradient = slope[moving], gradient[moving]
+    close, apart = abs(excess) < _CLOSE, np.maximum(excess, _LOWEST - 1.0)
+    deviance = apart**2 / (2.0 * (apart - np.log1p(apart)))
+    weight = weight * np.where(close, 1.0 + 2.0 * excess / 3.0, deviance)
+    curvature = (slope * weight) @ slope.T + np.diag(joint.precision[moving])
+    size = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-12))
+    damped = curvature * np.outer(size, size) + (damping + 1e-12) * np.eye(len(size))
+    move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
+    every, count = np.zeros(len(best.theta)), len(best.scale)
+    every[moving] = move
+    share, piece = 1.0, np.log(piece_of(joint.composition.kind, math.exp(best.theta[-2])))
+    if every[-2] != 0.0:
+        share = min((piece[int(every[-2] > 0.0)] - best.theta[-2]) / every[-2], 1.0)
+    every *= share
+    every[:count] = (best.theta[:count] + best.scale) * np.expm1(every[:count])
+    gain = -0.5 * float(gradient @ move) * share * (2.0 - share)
+    return np.clip(best.theta + every, joint.lower, joint.upper), gain
+
+
+def model_error(
+    of: Structure, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
+) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
+
+    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
+    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
+    fallen by more than so many factors of e.
+    """
+    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
+    of = of.with_parameters(maximum.theta)
+    if (response := response_of(of, bins.rate)) is not None:
+        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
+        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
+    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
+    for k, own in zip(of.oscillators, resonances, strict=True):
+        share = own.power * maximum.unit[k] / maximum.mean
+        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
+        beside = abs(angle - own.frequency) > _BESIDE * own.width
+        common += (skirt * np.where(beside, share, 0.0)) ** 2
+    return unsteady**2 + common * bins.per_octave()
+
+
+def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from the two ends of a record.
+
+    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
+    coefficients it has, and is the same in all levels there.
+    """
+    if of.kind == kinds.NONE:
+        return np.zeros(len(bins.size))
+    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
+    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
+    whole, without = (x.mean(axis=0) for x in both)
+    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
+    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
+    # More than the model has is not from the ends either.
+    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
+    return bins.per_octave() * share**2
+
+
+def share_with_error(dof: Any, variance: Any) -> Any:
+    """Share of their weight that levels keep if the model's error has this relative variance.
+
+    The relative variance 2/dof of each becomes 2/dof + variance.
+    """
+    return 1.0 / (1.0 + 0.5 * dof * variance)
+
+
 def _is_shape(component: Component) -> bool:
     return component.kind == kinds.OSCILLATOR or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
 
@@ -589,11 +560,17 @@ class Fitted(NamedTuple):
     doubt: float = 0.0
 
     @property
-    def covariance(self) -> Float[np.ndarray, "parameters parameters"]:
+    def covariance(self) -> _Square:
         """Covariance of powers [rate²] and shapes, in ln; zero for what is held or at a bound."""
-        theta, scale = self.maximum.theta, self.maximum.scale
-        moved = np.append(theta[: len(scale)] + scale, np.ones(len(theta) - len(scale)))
-        return covariance(self.maximum) * np.outer(moved, moved)
+        information, interior, scale = self.maximum.information, self.maximum.interior, self.maximum.scale
+        known = np.diag(information)
+        # The data may tell nothing of the shape of a component without power.
+        size = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
+        both = np.outer(size, size)
+        spread = np.linalg.pinv(information * both, hermitian=True) * both
+        moved = np.ones(len(known))
+        moved[: len(scale)] = self.maximum.theta[: len(scale)] + scale
+        return np.where(np.outer(interior, interior), spread, 0.0) * np.outer(moved, moved)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -709,9 +686,7 @@ class Spectrum:
         rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
         return [*rows, (math.log(0.02), math.log(20.0), 0.0, 0.0, math.log(20.0))]
 
-    def _evidence(
-        self, found: Maximum, structure: Structure, width: Float[np.ndarray, " parameters"]
-    ) -> float:
+    def _evidence(self, found: Maximum, structure: Structure, width: _Theta) -> float:
         """Laplace's approximation, in which a parameter that the data do not determine costs nothing."""
         free = found.interior
         D = width[free] / np.sqrt(2.0 * np.pi)
