@@ -127,14 +127,12 @@ class AllanCovariance(eqx.Module):
     sizes up to `capacity`, to which the arrays are padded.
 
     Attributes:
-        sample_interval: t0 [s].
-        duration: length of the record [s].
-        count: number of cluster sizes; the rest of the arrays is padding.
-        sizes: cluster sizes in samples, increasing.
+        sample_interval, duration: t0, and the length of the record [s].
+        count, sizes: number of cluster sizes, and these in samples, increasing; the rest is padding.
         pairs: row and column of each pair with i ≤ j.
         place: index of the pair for each two estimates.
-        lags: distances u of the quadrature nodes, in samples.
-        weights: weights of the nodes, which include w_ij and the factors before the sum.
+        lags, weights: distances u of the quadrature nodes, in samples, and their weights, which include w_ij
+            and the factors before the sum.
     """
 
     sample_interval: Float[np.ndarray, ""]
@@ -158,12 +156,9 @@ class AllanCovariance(eqx.Module):
     ) -> AllanCovariance:
         """Quadrature for estimates at these cluster sizes [samples] of n rate samples at `rate` [Hz].
 
-        Args:
-            order: nodes between two neighbouring kinks.
-            strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
-                of the strides after it, and at least an eighth of the size where these are larger; by default
-                1, for overlapping estimates.
-            capacity: least number of cluster sizes that arrays are padded to.
+        The order is the number of nodes between two neighbouring kinks. Strides are samples from one start of
+        a cluster to the next, each a divisor of its cluster size and of the strides after it, and at least an
+        eighth of the size where these are larger; by default 1, for overlapping estimates.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
@@ -262,13 +257,7 @@ def equivalent_degrees_of_freedom(
 ) -> Float[np.ndarray, " m"]:
     """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variances V of white rate noise.
 
-    Args:
-        n: number of rate samples.
-        sizes: cluster sizes in samples.
-        kind: "allan", "modified" or "hadamard".
-        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; by
-            default 1.
-
+    Strides are samples from one start of a cluster to the next, each a divisor of its size; by default 1.
     The lag sum is that of this module's covariance. For a modified variance with more than 64 samples per
     cluster, the record is thinned to 64 (exact for self-similar noise, close for others).
     """

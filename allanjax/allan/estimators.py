@@ -62,18 +62,11 @@ def difference_count(n: Any, sizes: _Sizes, kind: Kind = "allan", overlapping: b
 def cluster_sizes(
     n: int, rate: float, spacing: Spacing = "octave", kind: Kind = "allan"
 ) -> Int[np.ndarray, " m"]:
-    """Cluster sizes in samples, [m], increasing and distinct, that leave at least one difference.
+    """Cluster sizes in samples, [m], increasing and distinct, for which n samples have a difference.
 
-    Args:
-        n: number of rate samples.
-        rate: sample rate [Hz]; used with cluster times only.
-        spacing: "octave" (1, 2, 4, ...), "decade" (1, 2, 4, 10, 20, 40, ...), "all", a number of sizes per
-            octave, or the cluster times themselves [s], each a multiple of the sample interval to within a
-            thousandth of it.
-        kind: the variance, which sets the largest size.
-
-    Raises:
-        AllanjaxError: `n` too small, an unknown spacing or kind, a cluster time between samples or too long.
+    The spacing is "octave" (1, 2, 4, ...), "decade" (1, 2, 4, 10, 20, 40, ...), "all", a number of sizes per
+    octave, or the cluster times themselves [s], each a multiple of the sample interval to within a thousandth
+    of it; only these need the rate [Hz]. AllanjaxError if it is none of these, or `n` is too small.
     """
     check_member(kind, Kind, "kind")
     largest = {"allan": n // 2, "modified": (n + 1) // 3, "hadamard": n // 3}[kind]
@@ -150,7 +143,8 @@ def _aligned(*shape: int) -> Float[np.ndarray, ...]:
 #: Quantities that samples may be of: rates, or phases (angles or velocities).
 DataType = Literal["rate", "phase"]
 
-# Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.
+# Differences and blocks are taken this many at a time: few enough to stay in cache, enough to hide the loop's
+# overhead. There are as many partial sums, as reductions to a scalar are not vectorised.
 _CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 32
@@ -187,13 +181,9 @@ def allan_variance_estimates(
     - hadamard: (x_{k+3m} - 3x_{k+2m} + 3x_{k+m} - x_k)² / (6 m² t0²), SP 1065 section 5.2.9;
     - modified: (mean over k..k+m-1 of the second difference)² / (2 m² t0²), SP 1065 section 5.2.4.
 
-    Args:
-        values: rates, or phases (one more than the rate samples) in the rate's unit times seconds.
-        sizes: cluster sizes in samples; each must leave a difference (`cluster_sizes`), which is not checked.
-        rate: sample rate [Hz]; used with phases only.
-        kind, overlapping, data_type: as in `allan_deviation`.
-
-    Blocks of the record are shared out among the cores. Besides the samples, their phases take memory.
+    The values are rates, or phases (one more than the rate samples) in the rate's unit times seconds, which
+    need the rate [Hz]. Each cluster size [samples] must leave a difference, which is not checked. Blocks of
+    the record are shared out among the cores. Besides the samples, their phases take memory.
     """
     table = np.asarray(values)
     n, axes = len(table) - (data_type == "phase"), table.shape[1]
@@ -369,68 +359,43 @@ _LEVELS, _WINDOWS = 4, (1, 2, 4, 8)
 _WINDOW = _WINDOWS[-1]
 # Blocks of the lowest level that the differences starting in a chunk reach beyond it.
 _REACH = 2 * _WINDOW << (_LEVELS - 1)
-# Partial sums: reductions to a scalar are not vectorised on a CPU.
-_LANES = 1 << 11
 # Values of all axes in a piece.
 _PIECE = 1 << 18
 
 
 def _climb(
-    table: Float[np.ndarray, "n axes"] | Float[Array, "n axes"], first: int, pool: ThreadPoolExecutor
-) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "above axes"] | Float[Array, "above axes"]]:
+    table: Float[np.ndarray, "n axes"], first: int, pool: ThreadPoolExecutor
+) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "above axes"]]:
     """Sums of squared differences of window means at four levels, and the blocks of the level above them.
 
-    Args:
-        table: consecutive blocks of the lowest level, read in place or copied piece by piece.
-        first: index of the first of them.
-        pool: the threads that compute pieces at the same time.
-
-    Returns:
-        Sums for windows of 1, 2, 4 and 8 blocks of the lowest level and of 8 of each of the others, and the
-        complete blocks of the fifth level, from index ⌈first / 16⌉ on, on the device if it is no CPU.
+    The table has consecutive blocks of the lowest level from number `first` on, read in place or copied piece
+    by piece. The sums are for windows of 1, 2, 4 and 8 of them and of 8 blocks of each of the other levels;
+    the complete blocks of the fifth level begin with number ⌈first / 16⌉.
     """
     n, axes = table.shape
-    chunk, piece = _shape(axes)
-    base = first >> _LEVELS << _LEVELS
+    piece, base = max(_PIECE >> (axes - 1).bit_length(), _CHUNK), first >> _LEVELS << _LEVELS
     begins = range(base - first, n, piece)
 
     def run(begin: int) -> tuple[Any, Any]:
-        chunks = -(-min(n - begin, piece) // chunk)
-        blocks = _flat_rows(table, begin, piece + _REACH, chunks * chunk + _REACH)
-        sums, above = _climb_piece(*blocks, chunks, axes=axes, chunk=chunk)
-        return np.asarray(sums), np.asarray(above) if _on_cpu() else above
+        chunks = -(-min(n - begin, piece) // _CHUNK)
+        blocks = _flat_rows(table, begin, piece + _REACH, chunks * _CHUNK + _REACH)
+        sums, above = _climb_piece(*blocks, chunks, axes=axes)
+        return np.asarray(sums), np.asarray(above)
 
     # A thread of its own for a single piece would take longer than the piece.
     found = pool.map(run, begins) if len(begins) > 1 else map(run, begins)
     sums, above = zip(*found, strict=True)
-    joined: Any = (np if _on_cpu() else jnp).concatenate(above)
     start, end = (-(-first >> _LEVELS)) - (base >> _LEVELS), ((first + n) >> _LEVELS) - (base >> _LEVELS)
-    return np.sum(sums, axis=0), joined[start : max(start, end)]
+    return np.sum(sums, axis=0), np.concatenate(above)[start : max(start, end)]
 
 
-def _on_cpu() -> bool:
-    return jax.default_backend() == "cpu"
-
-
-def _shape(axes: int) -> tuple[int, int]:
-    """Blocks of an axis in a chunk, which a core's cache holds (or a device), and in a compiled piece."""
-    return (_LANES, max(_PIECE >> (axes - 1).bit_length(), _LANES)) if _on_cpu() else (1 << 24, 1 << 24)
-
-
-def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
+def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Float[np.ndarray, " values"], int]:
     """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
 
     The first may be negative and the last beyond the table; such rows are NaN, as far as they are read. The
-    table is copied if it is not float64 in C order, or if the rows are at its ends.
-
-    Returns:
-        The rows with up to eight values more, and the index of the first row's first value among them.
+    table is copied if it is not float64 in C order, or if the rows are at its ends. There are up to eight
+    values more; the second result is the place of the first row's first value among them.
     """
-    if isinstance(table, jax.Array) and not _on_cpu():
-        values = table[max(begin, 0) : begin + rows].astype(float)
-        before = max(-begin, 0)
-        outside = ((before, rows - before - len(values)), (0, 0))
-        return jnp.pad(values, outside, constant_values=np.nan).reshape(-1), 0
     table, axes = np.asarray(table), table.shape[1]
     size = rows * axes + _SPARE
     if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
@@ -447,14 +412,13 @@ def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Any, int]:
     return copied, 0
 
 
-@partial(jax.jit, static_argnames=("axes", "chunk"))
+@partial(jax.jit, static_argnames="axes")
 def _climb_piece(
     flat: Float[Array, " values"],
     offset: int | Int[Array, ""],
     chunks: int | Int[Array, ""],
     *,
     axes: int,
-    chunk: int,
 ) -> tuple[Float[Array, "sizes axes"], Float[Array, "above axes"]]:
     """Sums of squared differences and the blocks of the level above, for every axis of one piece."""
 
@@ -468,13 +432,13 @@ def _climb_piece(
     def square_sum(sums: Array, windows_on: Array) -> Array:
         d = windows_on - sums
         squares = jnp.where(d == d, d**2, 0.0)
-        return squares.reshape(-1, min(len(d), _LANES)).sum(axis=0)
+        return squares.reshape(-1, min(len(d), _CHUNK)).sum(axis=0)
 
     def of_axis(axis: Array) -> tuple[Array, Array]:
         def add(c: Array, state: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
-            blocks, begin = flat, offset + c * chunk
+            blocks, begin = flat, offset + c * _CHUNK
             if axes > 1:
-                length, first = chunk + _REACH, offset + c * chunk * axes + axis
+                length, first = _CHUNK + _REACH, offset + c * _CHUNK * axes + axis
                 span = (length - 1) * axes + 1
                 blocks = stored(lambda: lax.dynamic_slice(flat, (first,), (span,))[::axes])
                 begin = jnp.asarray(0)
@@ -486,12 +450,12 @@ def _climb_piece(
                 halves = (window(width // 2, start + k, starts) for k in (0, width // 2))
                 return sum(halves, jnp.zeros(()))
 
-            found = [square_sum(window(w, 0, chunk), window(w, w, chunk)) for w in _WINDOWS[:-2]]
-            half = stored(lambda: window(_WINDOW // 2, 0, chunk + _REACH - _WINDOW // 2 + 1))
-            found.append(square_sum(half[:chunk], half[_WINDOW // 2 :][:chunk]))
+            found = [square_sum(window(w, 0, _CHUNK), window(w, w, _CHUNK)) for w in _WINDOWS[:-2]]
+            half = stored(lambda: window(_WINDOW // 2, 0, _CHUNK + _REACH - _WINDOW // 2 + 1))
+            found.append(square_sum(half[:_CHUNK], half[_WINDOW // 2 :][:_CHUNK]))
             sums = stored(lambda: half[: -_WINDOW // 2] + half[_WINDOW // 2 :])
             for k in range(_LEVELS):
-                starts = chunk >> k
+                starts = _CHUNK >> k
                 found.append(square_sum(sums[:starts], sums[_WINDOW:][:starts]))
                 # Sums over 16 blocks from every other start: over windows of 8 blocks of the next level.
                 sums = stored(partial(lambda sums: sums[:-_WINDOW:2] + sums[_WINDOW::2], sums))
@@ -501,12 +465,12 @@ def _climb_piece(
             joined = lax.dynamic_update_slice(joined, above, (c * len(above),))
             return [t + f for t, f in zip(totals, found, strict=True)], joined
 
-        nothing = [jnp.zeros(min(s, _LANES)) for s in starts]
+        nothing = [jnp.zeros(min(s, _CHUNK)) for s in starts]
         sums, above = lax.fori_loop(0, chunks, add, (nothing, jnp.full(rows >> _LEVELS, jnp.nan)))
         return jnp.stack([s.sum() for s in sums]) / sizes**2, above
 
     rows = (len(flat) // axes - _REACH) >> _LEVELS << _LEVELS
-    starts = [chunk] * len(_WINDOWS) + [chunk >> k for k in range(1, _LEVELS)]
+    starts = [_CHUNK] * len(_WINDOWS) + [_CHUNK >> k for k in range(1, _LEVELS)]
     sizes = np.array([*_WINDOWS, *(_WINDOW << k for k in range(1, _LEVELS))])
     sums, above = lax.map(of_axis, jnp.arange(axes))
     return sums.T, above.T
@@ -532,8 +496,7 @@ class Pyramid:
     """Sums of squared differences of a piece of a recording, and the block means at its ends for merging.
 
     Attributes:
-        start: index of the piece's first sample in the recording.
-        n: samples in the piece.
+        start, n: index of the piece's first sample in the recording, and number of its samples.
         sums: [3 + levels, axes] sums of squared differences of window means [unit²] at m = 1, 2, 4, 8, 16, …
         head: [levels, axes, 15] first blocks of each level [unit]; NaN after them where there are fewer.
         tail: [levels, axes, 15] last blocks of each level [unit]; NaN before them where there are fewer.
@@ -546,14 +509,11 @@ class Pyramid:
     tail: Float[np.ndarray, "levels axes held"]
 
     @classmethod
-    def of(cls, values: Float[np.ndarray, "n axes"] | Float[Array, "n axes"], start: int = 0) -> Pyramid:
+    def of(cls, values: Float[np.ndarray, "n axes"], start: int = 0) -> Pyramid:
         """Pyramid of n samples of each axis, the first of them number `start` of the recording.
 
         The values are read piece by piece, so they may be a memory map. The compiled program is the same for
-        every n; on a CPU each core runs it on pieces of its own.
-
-        Raises:
-            AllanjaxError: an array that is not [n, axes], a negative start, or a value that is not finite.
+        every n; each core runs it on pieces of its own. AllanjaxError if a value is not finite.
         """
         if values.ndim != 2 or values.shape[1] == 0:
             raise AllanjaxError(f"data must have the shape [samples, axes], not {values.shape}")
@@ -567,11 +527,7 @@ class Pyramid:
             return reduce(cls.merge, parts)
 
     def merge(self, right: Pyramid) -> Pyramid:
-        """Pyramid of this piece and the next one together: that of both in one, to rounding.
-
-        Raises:
-            AllanjaxError: `right` does not start where this piece ends, or has other axes.
-        """
+        """Pyramid of this piece and the next one together: that of both in one, to rounding."""
         border, axes = self.start + self.n, self.sums.shape[1]
         if right.start != border:
             raise AllanjaxError(

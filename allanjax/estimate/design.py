@@ -35,7 +35,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.errors import FitError
 from allanjax.base.linalg import CholeskyWhitened, non_negative_least_squares, whiten
-from allanjax.estimate.deterministic import Peaks
+from allanjax.estimate.deterministic import InUse, Peaks
 from allanjax.estimate.evidence import power_fits
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.notation import ModelLike, as_model
@@ -63,6 +63,7 @@ _Curves: TypeAlias = Float[np.ndarray, "axes m"]
 _Columns: TypeAlias = Float[np.ndarray, "axes m k"]
 _Candidates: TypeAlias = Float[np.ndarray, "candidates shapes"]
 _Shapes: TypeAlias = Float[Array, " shapes"]
+_Starts: TypeAlias = Float[np.ndarray, "axes starts _"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,11 +128,7 @@ def _relative(mean: Any, covariance: Any, error: Any, of: AllanTangent | AllanDe
 
 
 def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_response: bool = False) -> Model:
-    """Model as `as_model` makes it, for a fit to these axes.
-
-    Raises:
-        FitError: the model has a response, which cannot be fitted here.
-    """
+    """Model as `as_model` makes it, for a fit to these axes; FitError if a response cannot be fitted here."""
     found = as_model(model, axes)
     if found.response is not None and not with_response:
         raise FitError(
@@ -141,7 +138,7 @@ def model_to_fit(model: ModelLike, axes: Iterable[Axis | Column] = (), with_resp
     return found
 
 
-def of_owners(model: Model, of_terms: Bool[np.ndarray, "... terms"]) -> Bool[np.ndarray, "... owners"]:
+def of_owners(model: Model, of_terms: InUse) -> Bool[np.ndarray, "*axes owners"]:
     """Flags of these terms, then of the response: whether any of the terms passes through it."""
     if model.response is None:
         return of_terms
@@ -154,7 +151,7 @@ def free_shapes(model: Model) -> tuple[ModelParameter, ...]:
     return tuple(p for p in model.parameters if p.free and not p.parameter.is_amplitude)
 
 
-def free_powers(model: Model) -> Bool[np.ndarray, " terms"]:
+def free_powers(model: Model) -> InUse:
     """Which terms of a model have an amplitude to be estimated."""
     return np.array([term.has_free_amplitude for term in model.terms])
 
@@ -354,8 +351,8 @@ def find_starts(
     unit: Float[np.ndarray, "candidates terms m"],
     level: _Curves,
     degrees: Float[np.ndarray, " m"],
-    active: Bool[np.ndarray, "axes terms"],
-) -> tuple[Float[np.ndarray, "axes starts terms"], Float[np.ndarray, "axes starts shapes"]]:
+    active: InUse,
+) -> tuple[_Starts, _Starts]:
     """Start values for every axis: powers, and the best few candidates of shapes, with which they fit best.
 
     `unit` are expectations for each candidate and term of unit amplitude, `level` smooth estimates, taken to
@@ -596,10 +593,10 @@ class _Problem(NamedTuple):
 def solve(
     design: AllanDesign,
     V: Float[np.ndarray, "axes m"],
-    free: Bool[np.ndarray, " terms"],
-    active: Bool[np.ndarray, "axes terms"],
-    power: Float[np.ndarray, "axes starts terms"],
-    shape: Float[np.ndarray, "axes starts shapes"],
+    free: InUse,
+    active: InUse,
+    power: _Starts,
+    shape: _Starts,
 ) -> Solution:
     """Best fit to the estimates V of power [rate²] of every axis from its starts, in arrays of NumPy.
 

@@ -45,10 +45,8 @@ _Points: TypeAlias = Float[np.ndarray, "k points"]
 class Ramps(NamedTuple):
     """Ramps of unknown slope in a record, which are projected out of its levels under each model's noise.
 
-    Attributes:
-        cross: sums over the bin of each level of the coefficients times those of a ramp.
-        gram: sums of the ramp's squared coefficients.
-        present: which models have a ramp; the first axes of the methods' results.
+    In the bin of each level `cross` is the sum of the coefficients times those of a ramp, `gram` that of the
+    ramp's squared coefficients; `present` tells which models have a ramp.
     """
 
     cross: _Levels
@@ -91,17 +89,10 @@ def power_fits(
     ln(p + s), s being one standard deviation in the smooth levels. The likelihood is integrated over the
     slope of a ramp.
 
-    Args:
-        level: the levels, of all models or of each.
-        shape: half the degrees of freedom of each; 0 for one that is left out.
-        rough: smooth levels, a first guess.
-        unit: levels of each term for unit power.
-        start: powers to start from; by default each is the largest that nowhere exceeds the smooth levels.
-        used: which terms are part of a model; all by default.
-        steps: largest number of steps.
-        ramps: which models have a ramp besides; none by default.
-        far: models that will remain farther behind the best one than this [nats] are not fitted to the end.
-        tolerance: the fit of a model ends if the next step would gain less than this [nats].
+    Half the degrees of freedom of a level is its `shape`, 0 for one that is left out; `rough` are smooth
+    levels, and `unit` those of each term for unit power. By default every term is used, and its start is the
+    largest power that nowhere exceeds the smooth levels. The fit of a model ends if the next step would gain
+    less than the tolerance [nats], or if the model will remain farther behind the best one than `far` [nats].
     """
     rough = rough[..., None, :]
     start = (rough / unit).min(axis=-1) if start is None else start

@@ -42,6 +42,8 @@ _Grid: TypeAlias = Float[np.ndarray, "axes grid"]
 _Ends: TypeAlias = Float[np.ndarray, "axes 5"]
 _Flags: TypeAlias = Bool[np.ndarray, "axes _"]
 _Index: TypeAlias = Int[np.ndarray, " axes"]
+_Columns: TypeAlias = Float[np.ndarray, "axes m k"]
+_PerColumn: TypeAlias = Float[np.ndarray, "axes k"]
 _Square: TypeAlias = Float[np.ndarray, "axes k k"]
 
 
@@ -194,12 +196,7 @@ class Hypotheses(NamedTuple):
         return np.min(highest, axis=2)
 
 
-def skewness_of(
-    X: Float[np.ndarray, "axes m k"],
-    weighed: Float[np.ndarray, "axes m k"],
-    std: Float[np.ndarray, "axes k"],
-    power: Float[np.ndarray, "axes k"],
-) -> Float[np.ndarray, "axes k"]:
+def skewness_of(X: _Columns, weighed: _Columns, std: _PerColumn, power: _PerColumn) -> _PerColumn:
     """Skewness of linear estimates, given X and C⁻¹X times their columns of the covariance, and their powers.
 
     The third cumulant of Σ x_j V_j/μ_j is 8 tr(...)³ of quadratic forms. The triple products are replaced by
@@ -210,7 +207,7 @@ def skewness_of(
     return np.minimum(third / std**3, 2.0 * std / np.maximum(power, 1e-300))
 
 
-def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:
+def _scaled(normal: _Square) -> tuple[_Square, _PerColumn]:
     """Normal equations with a unit diagonal, and the root of their diagonal; 1 where it is zero."""
     size = np.sqrt(np.einsum("aii->ai", normal))
     size = np.where(size > 0.0, size, 1.0)

@@ -25,13 +25,10 @@ _WIDEST, _TIMES = 1.5, 15
 
 
 class Likely(NamedTuple):
-    """A set of terms with unit amplitudes, and draws of their squared amplitudes [SI].
+    """A set of terms with unit amplitudes, and draws of their squared amplitudes, the `power` [SI].
 
-    Attributes:
-        labels: names of the terms.
-        terms: a model of each term by itself, with the response if the term passes it.
-        power: the draws.
-        detected: which terms are; the others are only known to be below a limit.
+    Each term is a model by itself, with the response if the term passes it. Those that are not `detected` are
+    only known to be below a limit.
     """
 
     labels: tuple[str, ...]

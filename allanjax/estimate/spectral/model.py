@@ -24,16 +24,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import (
-    Levels,
-    Others,
-    bandwidths,
-    columns_of,
-    passed,
-    passed_and_slopes,
-    piece_of,
-    response_of_kind,
-)
+from allanjax.estimate.spectral.components import Levels, Others
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
@@ -241,7 +232,7 @@ class Structure:
         unit, response = np.empty((len(theta), len(self.components), levels.angle.shape[1])), None
         if self.kind != kinds.NONE:
             wc, excess = np.exp(theta[:, -2:]).T[:, :, None, None]
-            response = passed(levels, self.kind, wc, 0.5 + excess)
+            response = kinds.passed(levels, self.kind, wc, 0.5 + excess)
         for places, _, value, _ in self.squares(theta, levels):
             for row, k in enumerate(places):
                 own = value[..., row, :, :]
@@ -329,8 +320,10 @@ class Structure:
 
 def response_of(of: Structure, rate: float) -> Response | None:
     """Response of a composition, for samples at `rate` [Hz]; None without one."""
+    if of.kind == kinds.NONE:
+        return None
     w, quality = of.bandwidth
-    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+    return kinds.response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -363,10 +356,10 @@ def expected(theta: _Theta, of: Structure, levels: Levels) -> tuple[Any, ...]:
             rows[own.ravel()] = slope.reshape(-1, 2, m)
     by_response = np.zeros((3, m))
     if of.kind != kinds.NONE:
-        passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
+        through, moved = kinds.passed_and_slopes(levels, theta[-2:], of.kind)
         passing = np.tensordot(theta[:count] * of.inside, rows[:count], 1)
         by_response = np.mean(moved * passing, axis=1)
-        rows[np.append(of.inside, of.inside[of.owner])] *= passed
+        rows[np.append(of.inside, of.inside[of.owner])] *= through
     mean = 0.5 * (rows[:, 0] + rows[:, 1])
     return mean[:count], mean[count:], by_response
 
@@ -480,7 +473,7 @@ def _next(
     move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
     every, count = np.zeros(len(best.theta)), len(best.scale)
     every[moving] = move
-    share, piece = 1.0, np.log(piece_of(joint.composition.kind, math.exp(best.theta[-2])))
+    share, piece = 1.0, np.log(kinds.piece_of(joint.composition.kind, math.exp(best.theta[-2])))
     if every[-2] != 0.0:
         share = min((piece[int(every[-2] > 0.0)] - best.theta[-2]) / every[-2], 1.0)
     every *= share
@@ -521,7 +514,7 @@ def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> F
     if of.kind == kinds.NONE:
         return np.zeros(len(bins.size))
     w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
-    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
+    both = (kinds.passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
     whole, without = (x.mean(axis=0) for x in both)
     power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
     passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
@@ -602,7 +595,7 @@ class Spectrum:
         count = bins.size.astype(float) if weight is None else bins.sums(weight)
         total = bins.sums(squares if weight is None else squares * weight)
         level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
-        levels = Levels.of(bins, columns_of(terms, bins))._replace(level=level)
+        levels = Levels.of(bins, kinds.columns_of(terms, bins))._replace(level=level)
         return cls(bins, levels, smoothed(level * count, count), count).with_error(_ERROR**2)
 
     def with_error(self, error: Any) -> Spectrum:
@@ -640,7 +633,7 @@ class Spectrum:
         for kind in {s.kind for s in new.values()}:
             own = {key: s.bandwidth for key, s in new.items() if s.kind == kind}
             wc, Q = np.array(list(own.values())).T[:, :, None, None]
-            self.known.update(zip(own, passed(self.levels, kind, wc, Q), strict=True))
+            self.known.update(zip(own, kinds.passed(self.levels, kind, wc, Q), strict=True))
 
     def units(self, structure: Structure, components: Sequence[Component]) -> Float[np.ndarray, "some m"]:
         """Levels of components of unit power before or after the response of a structure."""
@@ -681,7 +674,7 @@ class Spectrum:
                 rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
                 highest = math.log(max(c.frequency / (LINE * spacing), 2.0) - 0.5)
                 rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
-        least, most = bandwidths(structure.kind)
+        least, most = kinds.bandwidths(structure.kind)
         least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
         rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
         return [*rows, (math.log(0.02), math.log(20.0), 0.0, 0.0, math.log(20.0))]
