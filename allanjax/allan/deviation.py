@@ -78,8 +78,7 @@ class AllanDeviation(ByValue, OfAxes):
         kind: "allan", "modified" or "hadamard".
         overlapping: whether the clusters overlap.
         estimator: "exact" if every start of a cluster counts, "pyramid" if every m/8-th does; see `Pyramid`.
-        n: rate samples per axis, in the longest segment.
-        rate: sample rate [Hz].
+        n, rate: rate samples per axis, in the longest segment, and sample rate [Hz].
         axes: the recording's axes, or None for an array.
         others: rate samples of each other segment whose differences are averaged, too.
         name, notes: name of the file and what was assumed, if the curve was read from one (`read_curve`).
@@ -338,13 +337,11 @@ class DynamicAllan(ByValue, Tabled):
     """Allan deviations of each axis in windows over time.
 
     Attributes:
-        name: the recording's name.
-        time: [w] middles of the windows [s].
-        window: length of a window [s].
+        name, axes: the recording's name and axes.
+        time, window: [w] middles of the windows, and length of each [s].
         cluster_time: [m] cluster times [s].
         deviation: [w, m, axes] deviations [rad/s or m/s²].
         edf: [m] degrees of freedom of each variance under white noise.
-        axes: the axes.
     """
 
     name: str
@@ -357,7 +354,6 @@ class DynamicAllan(ByValue, Tabled):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the axes."""
         return tuple(axis.name for axis in self.axes)
 
     def confidence_interval(

@@ -16,7 +16,7 @@ Block means keep their digits however long the recording is, which a running sum
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial, reduce
@@ -151,8 +151,6 @@ _BLOCK = 32
 # Numbers of phases that memory is reserved for at least, so that records of many lengths share a program: of
 # short records, of which there may be thousands, and of others.
 _LEAST = 1 << 16, 1 << 20
-# Samples from which one axis is integrated by several cores.
-_LONG = 1 << 18
 # Axes that are worked through at a time, which bounds the memory.
 _TOGETHER = 16
 # Cluster sizes are padded to a multiple of this number.
@@ -202,11 +200,7 @@ def allan_variance_estimates(
     with ThreadPoolExecutor(cores) as pool:
         for first in range(0, axes, _TOGETHER):
             rows = np.ascontiguousarray(table[:, first : first + _TOGETHER].T)
-            if len(rows) < cores and n > _LONG:
-                for x, into in zip(rows, phases, strict=False):
-                    _integrate(x, into, data_type, pool.map, len(shares))
-            else:
-                list(pool.map(lambda x, into: _integrate(x, into, data_type, map, 1), rows, phases))
+            list(pool.map(partial(_integrate, data_type), rows, phases))
             parts += pool.map(sums_of, product(range(len(rows)), shares))
     sums = np.reshape(parts, (axes, len(shares), -1)).sum(axis=1).T[: len(sizes)]
     sums = sums * (rate**2 if data_type == "phase" else 1.0)
@@ -214,42 +208,24 @@ def allan_variance_estimates(
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
+# Samples may be infinite; all phases are NaN then.
+@np.errstate(invalid="ignore")
 def _integrate(
-    x: Float[np.ndarray, " samples"],
-    phases: Float[np.ndarray, " capacity"],
-    data_type: DataType,
-    each: Callable[..., Iterable[Any]],
-    stretches: int,
+    data_type: DataType, x: Float[np.ndarray, " samples"], phases: Float[np.ndarray, " capacity"]
 ) -> None:
-    """Write the phases of an axis, with meaningless values after them; `each` maps over so many stretches.
+    """Write the phases of an axis, with meaningless values after them.
 
     A straight line is subtracted, about the one through the ends: it changes no variance, and the differences
     keep more digits without it.
     """
     n = len(x)
-    edges = np.linspace(0, n, stretches + 1).astype(int).tolist()
-
-    # Samples may be infinite; all phases are NaN then.
-    @np.errstate(invalid="ignore")
-    def total(first: int, stop: int) -> float:
-        return float(np.sum(x[first:stop], dtype=float))
-
-    @np.errstate(invalid="ignore")
-    def add_up(first: int, stop: int, phase: float) -> None:
-        own = phases[first + 1 : stop + 1]
-        np.subtract(x[first:stop], mean, out=own)
-        own[0] += phase
-        np.cumsum(own, out=own)
-
-    with np.errstate(invalid="ignore"):
-        if data_type == "phase":
-            slope = (x[-1] - x[0]) / (n - 1)
-            np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
-            return
-        sums = list(each(total, edges[:-1], edges[1:]))
-        mean, phases[0] = sum(sums) / n, 0.0
-        before = np.cumsum([0.0, *sums[:-1]]) - mean * np.array(edges[:-1])
-        list(each(add_up, edges[:-1], edges[1:], before))
+    if data_type == "phase":
+        slope = (x[-1] - x[0]) / (n - 1)
+        np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
+        return
+    own, phases[0] = phases[1 : n + 1], 0.0
+    np.subtract(x, np.mean(x, dtype=float), out=own)
+    np.cumsum(own, out=own)
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))

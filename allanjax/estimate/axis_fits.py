@@ -50,7 +50,6 @@ from allanjax.estimate.design import (
 )
 from allanjax.estimate.deterministic import AxisSpectrum, InUse, Line, Peaks, Projection, needs_record
 from allanjax.estimate.inference import (
-    Coefficients,
     Estimates,
     coefficients_of,
     count_estimated,
@@ -165,9 +164,9 @@ def _fit_estimates(
         for i, line in lines.items():
             estimate = line.beta, line.amplitude_std**2 * np.eye(2)
             others |= deterministic_coefficients(template, i, axis, *estimate, line, geometry.n)
-        coefficients = coefficients_of(template, axis, model, estimates, others, geometry.n, geometry.rate)
+        found = coefficients_of(template, axis, model, estimates, others, geometry.n, geometry.rate)
         dof = len(variances) - count_estimated(template, active[k])
-        result = axis_fit(axis, template, active[k], coefficients, solution, dof, misfit)
+        result = axis_fit(axis, template, active[k], *found, solution, dof, misfit)
         # With one or two degrees of freedom, as at the longest cluster times, the χ² tail is not valid.
         results.append(dataclasses.replace(result, p_value=np.nan))
     return tuple(results)
@@ -314,16 +313,16 @@ def fit_spectrum(
         estimate = joint.amplitude[own], joint.covariance[np.ix_(own, own)]
         line = spectrum.lines.get(k)
         others |= deterministic_coefficients(template, k, axis, *estimate, line, bins.n, bool(active[k]))
-    coefficients = coefficients_of(template, axis, noise, estimates, others, bins.n, bins.rate)
+    values, covariance = coefficients_of(template, axis, noise, estimates, others, bins.n, bins.rate)
     degrees = projection.estimates - count_estimated(template, active & random)
-    result = axis_fit(axis, template, active, coefficients, solution, degrees, misfit)
+    result = axis_fit(axis, template, active, values, covariance, solution, degrees, misfit)
     std = np.sqrt(np.diag(projection.covariance)).tolist()
     amplitudes = zip(spectrum.owners, projection.amplitude.tolist(), std, strict=True)
     regression = {owner: (x, error) for owner, x, error in amplitudes if isinstance(owner, str)}
     more: dict[str, Any] = {"regression": regression, "spectrum": spectrum}
     if plateaus:
         alone = template.with_values(angle_random_walk=float(np.sqrt(fit.solution.power[white])))
-        more["_model"] = extended_model(alone, coefficients.values, absent(template, active))
+        more["_model"] = extended_model(alone, values, absent(template, active))
     return dataclasses.replace(result, **more)
 
 
@@ -376,7 +375,9 @@ def _plateaus(
     """
     bins, ratio = arrangement.bins, projection.level / fit.maximum.mean
     found: dict[int, Mapping[str, float]] = {}
-    for place, term in enumerate(arrangement.fitted_model(fit).terms):
+    shapes = zip(free_shapes(arrangement.model), np.exp(fit.solution.shape), strict=True)
+    values = {p.label: float(p.parameter.lower + x) for p, x in shapes}
+    for place, term in enumerate(arrangement.model.with_values(**values).terms):
         if isinstance(term, PowerLaw):
             found[place] = {"": 1.0}
         elif isinstance(term, Markov):
@@ -404,7 +405,8 @@ def axis_fit(
     axis: Axis,
     template: Model,
     active: InUse,
-    coefficients: Coefficients,
+    coefficients: dict[str, Estimate],
+    covariance: np.ndarray,
     solution: Solution,
     dof: int,
     misfit: Misfit | None,
@@ -419,9 +421,9 @@ def axis_fit(
         dof=dof,
         p_value=float(upper_tail(solution.chi2[0], dof)),
         discrepancy=float(solution.discrepancy[0]),
-        _coefficients=coefficients.values,
-        _covariance=coefficients.covariance,
-        _model=fitted_model(template, coefficients.values, absent(template, active)),
+        _coefficients=coefficients,
+        _covariance=covariance,
+        _model=fitted_model(template, coefficients, absent(template, active)),
         misfit=misfit if converged else None,
     )
     return result.unmeasured() if result.is_far_off else result

@@ -160,17 +160,12 @@ class AllanDesign(eqx.Module):
     """Model of Allan variances at the cluster sizes of `geometry`, or of wavelet variances at its levels.
 
     All but the terms with free shapes is data, padded, so that a program is compiled once for each set of
-    such terms: lengths, rates, cluster sizes and all other terms.
-
-    Attributes:
-        shapes: free parameters that are not amplitudes, and the place of each one's term among `moving`.
-        octaves, ridge: what two estimates share of a relative error of the model, and relative addition to
-            the variances.
-        fixed, products, kernels: expectations of the `terms` of unit amplitude, covariance as a bilinear form
-            in the powers, and kernels; zero for terms with free shapes.
-        scatters: whether a term's own square scatters: not that of a line or a ramp, which are the same in
-            every record, and that of a narrow-band term by `narrow_band_scatter`.
-        moving, places: terms with free shapes, of unit amplitude, and their places among all.
+    such terms. These are `moving`, of unit amplitude, at their `places` among all; `shapes` are their free
+    parameters, with the place of each one's term among them. For the other terms, of unit amplitude, `fixed`
+    are the expectations, `products` the covariance as a bilinear form in the powers, and `kernels` those of
+    the covariance. `octaves` is what two estimates share of a relative error of the model, and the variances
+    are larger by a `ridge`. A term's own square `scatters` unless it is a line or a ramp, which are the same
+    in every record, or a narrow-band term (see `narrow_band_scatter`).
     """
 
     shapes: tuple[tuple[Parameter, int], ...] = eqx.field(static=True)
@@ -487,12 +482,10 @@ class _Problem(NamedTuple):
 
     @property
     def moves(self) -> Bool[Array, " shapes"]:
-        """Which shapes are fitted."""
         return self.active[jnp.asarray(self.design.owner)]
 
     @property
     def dof(self) -> Float[Array, ""]:
-        """Degrees of freedom of χ²."""
         estimated = jnp.sum(self.active & self.free) + jnp.sum(self.moves)
         return jnp.maximum(self.design.geometry.count - estimated, 1.0)
 

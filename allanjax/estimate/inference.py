@@ -309,13 +309,6 @@ def estimates_of(
     return Estimates(value, std, ends, detected, slopes @ covariance @ slopes.swapaxes(1, 2))
 
 
-class Coefficients(NamedTuple):
-    """The coefficients of one axis by label, and their covariance [SI] in the same order."""
-
-    values: Mapping[str, Estimate]
-    covariance: Float[np.ndarray, "params params"]
-
-
 def coefficients_of(
     template: Model,
     axis: Axis,
@@ -324,10 +317,11 @@ def coefficients_of(
     others: Mapping[str, Estimate],
     n: int,
     rate: float,
-) -> Coefficients:
-    """Coefficients of one axis by their labels: the estimates of its noise, and others, independent of these.
+) -> tuple[dict[str, Estimate], Float[np.ndarray, "params params"]]:
+    """Coefficients of one axis by their labels, with their covariance [SI] in the same order.
 
-    Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
+    They are the estimates of its noise, and others, independent of these. Shapes that may lie beyond the
+    observable range of n samples at `rate` [Hz] have a limit and no error.
     """
     rows = zip(reported(noise), *(x[0].tolist() for x in found[:4]), strict=True)
     own = {p.label: _within(estimate_of(p, axis, *row), n, rate) for p, *row in rows}
@@ -337,7 +331,7 @@ def coefficients_of(
     for k, label in enumerate(order):
         if label in others:
             covariance[k, k] = others[label].std ** 2
-    return Coefficients({label: both[label] for label in order}, np.nan_to_num(covariance))
+    return {label: both[label] for label in order}, np.nan_to_num(covariance)
 
 
 def estimate_of(

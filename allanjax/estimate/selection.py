@@ -89,8 +89,7 @@ class TermSet:
     """Set of noise terms with its evidence.
 
     Attributes:
-        terms: names of the terms.
-        parameters: number of their free parameters.
+        terms, parameters: names of the terms, and number of their free parameters.
         log_evidence: logarithm of the marginal likelihood relative to the best set [nats].
         probability: posterior probability of the set, all sets having equal prior probabilities.
         intervals: 95 % interval [SI] of each amplitude but a ramp's by label, for sets that cannot be
@@ -118,8 +117,7 @@ class AxisSelection(ByValue):
     noise, and a long one like a random walk.
 
     Attributes:
-        axis: the axis.
-        ranking: all sets, the most probable first.
+        axis, ranking: the axis, and all sets, the most probable first.
         discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
         averaged: coefficients and drift averaged over all sets.
         spectrum: what was ranked; None for a selection from a file.
@@ -244,8 +242,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     """Ranking of sets of noise terms, for every axis of a recording.
 
     Attributes:
-        name: name of the recording.
-        results: rankings of the axes.
+        name, results: name of the recording, and rankings of its axes.
         facts: what the inspection of the recording detected, the gravest first.
     """
 

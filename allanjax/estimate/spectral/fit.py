@@ -158,11 +158,6 @@ class Arrangement(NamedTuple):
             joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
         return start, joint
 
-    def fitted_model(self, fit: LevelFit) -> Model:
-        """The model with the shapes of a fit, and unit amplitudes."""
-        values = zip(free_shapes(self.model), np.exp(fit.solution.shape), strict=True)
-        return self.model.with_values(**{p.label: float(p.parameter.lower + x) for p, x in values})
-
     def unit_levels(
         self, maximum: Maximum
     ) -> tuple[Float[np.ndarray, "terms m"], Float[np.ndarray, "terms m shapes"]]:

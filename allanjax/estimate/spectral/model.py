@@ -164,17 +164,14 @@ class Structure:
         return math.exp(self.response[0]), 0.5 + math.exp(self.response[1])
 
     def of_kind(self, kind: int) -> list[int]:
-        """Places of the components of a kind."""
         return [k for k, c in enumerate(self.components) if c.kind == kind]
 
     @property
     def oscillators(self) -> list[int]:
-        """Places of the oscillators among the components."""
         return self.of_kind(kinds.OSCILLATOR)
 
     @property
     def parameters(self) -> _Theta:
-        """Values of all parameters."""
         shapes = (x for c in self.components for x in c.shape)
         return np.array([*(c.power for c in self.components), *shapes, *self.response])
 
@@ -186,7 +183,6 @@ class Structure:
 
     @functools.cached_property
     def inside(self) -> Bool[np.ndarray, " components"]:
-        """Which components pass through the response."""
         return np.array([c.inside for c in self.components], bool)
 
     @functools.cached_property
@@ -261,11 +257,9 @@ class Structure:
         return [k for k, c in enumerate(self.components) if c.power > 0.0]
 
     def plus(self, *components: Component) -> Structure:
-        """Structure with further components."""
         return dataclasses.replace(self, components=(*self.components, *components))
 
     def with_column(self, column: int, power: float) -> Structure:
-        """Structure with a column of this power."""
         k, own = self.place(column), self.column(column)._replace(power=power)
         return self.plus(own) if k is None else self._changed({k: own})
 
@@ -303,13 +297,11 @@ class Structure:
         return self._changed({k: self.components[k]._replace(inside=inside) for k in places if k is not None})
 
     def without(self, *places: int | None) -> Structure:
-        """Structure without these components."""
         return dataclasses.replace(
             self, components=tuple(c for k, c in enumerate(self.components) if k not in places)
         )
 
     def with_powers(self, powers: Iterable[float]) -> Structure:
-        """Structure with these powers."""
         both = zip(self.components, powers, strict=True)
         return dataclasses.replace(self, components=tuple(c._replace(power=p) for c, p in both))
 
@@ -605,7 +597,6 @@ class Spectrum:
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return self.bins.n
 
     def weighing(self, fitted: Fitted, filters: bool = False) -> Spectrum:
@@ -650,7 +641,6 @@ class Spectrum:
         return 0.5 * (squares[:, 0] + squares[:, 1])
 
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
-        """Fit all components jointly."""
         priors = self._priors(structure)
         lower, upper, centre, precision, width = np.array(priors).T
         free = np.ones(len(priors), bool)

@@ -102,7 +102,6 @@ class Record(NamedTuple):
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.squares) + 1
 
     def binned(self, structure: Structure) -> Spectrum:
