@@ -107,7 +107,7 @@ def fit(
     step, a warm-up, a telegraph or regressors the mean may move, which does not count as handling then.
 
     `objective="allan"`: generalized least squares of the overlapping Allan variances at four cluster times
-    per octave, weighted with their full covariance under the fitted model (see `gls`).
+    per octave, weighted with their full covariance under the fitted model (see `design`).
     `objective="whittle"`: maximum likelihood of the cosine spectrum (see `cosine`): more efficient where
     terms have similar Allan curves, and far more for lines. Ramps, lines and regressors are profiled out.
     `objective="wavelet"`: generalized least squares of the wavelet variances of all levels (see
