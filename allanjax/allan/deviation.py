@@ -107,11 +107,7 @@ class AllanDeviation(ByValue, OfAxes):
     def of_pyramid(
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
     ) -> AllanDeviation:
-        """Allan deviations from the sums of a pyramid over samples at `rate` [Hz].
-
-        Raises:
-            AllanjaxError: fewer than two samples.
-        """
+        """Allan deviations from the sums of a pyramid over samples at `rate` [Hz]."""
         if pyramid.n < 2:
             raise AllanjaxError(estimators.too_few(pyramid.n, "allan"))
         of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
