@@ -2,11 +2,11 @@
 # A new term is named in its own room only.
 
 from allanjax import critic as critic
-from allanjax.allan.curve import read_curve as read_curve
 from allanjax.allan.deviation import AllanDeviation as AllanDeviation
+from allanjax.allan.deviation import DynamicAllan as DynamicAllan
 from allanjax.allan.deviation import allan_deviation as allan_deviation
-from allanjax.allan.dynamic import DynamicAllan as DynamicAllan
-from allanjax.allan.dynamic import dynamic_allan as dynamic_allan
+from allanjax.allan.deviation import dynamic_allan as dynamic_allan
+from allanjax.allan.deviation import read_curve as read_curve
 from allanjax.base.cache import enable_compilation_cache as enable_compilation_cache
 from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
@@ -29,8 +29,8 @@ from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.result import Critique as Critique
 from allanjax.estimate.as_json import load as load
 from allanjax.estimate.as_json import to_dict as to_dict
-from allanjax.estimate.bulk import BulkFit as BulkFit
-from allanjax.estimate.bulk import fit_many as fit_many
+from allanjax.estimate.axis_fits import BulkFit as BulkFit
+from allanjax.estimate.axis_fits import fit_many as fit_many
 from allanjax.estimate.check import Check as Check
 from allanjax.estimate.check import check as check
 from allanjax.estimate.fit import fit as fit

@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -93,22 +93,6 @@ def _sum_over_lags(
     return u, np.where(u > 0, 2.0, 1.0) * w
 
 
-def _pairs_at_lag(
-    u: Float[np.ndarray, "pairs lags"],
-    mi: Int[np.ndarray, "pairs 1"],
-    mj: Int[np.ndarray, "pairs 1"],
-    si: Int[np.ndarray, "pairs 1"],
-    sj: Int[np.ndarray, "pairs 1"],
-    Mj: Int[np.ndarray, "pairs 1"],
-    shift: Int[np.ndarray, "pairs 1"],
-) -> Float[np.ndarray, "pairs lags"]:
-    """Number of pairs of differences at distance u from lag m_j − m_i, on the side with this shift d."""
-    beyond = (u - (mj - mi) - shift) / sj
-    # In the tail nodes are far apart and stand for the mean of the steps; equal strides have no steps.
-    steps = np.where((si < sj) & (u <= mi + mj), np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
-    return np.clip(Mj - steps, 0.0, Mj)
-
-
 def padded_quadrature(
     n: int,
     rate: float,
@@ -139,18 +123,16 @@ def padded_quadrature(
 class AllanCovariance(eqx.Module):
     """Quadrature for the covariance of Allan variance estimates: its part that is common to all models.
 
-    All fields are data: a program compiled for one record serves every record with as many cluster sizes, or
-    with any number up to `capacity`, to which the arrays are padded.
+    All fields are data: a program compiled for one record serves every record with any number of cluster
+    sizes up to `capacity`, to which the arrays are padded.
 
     Attributes:
-        sample_interval: t0 [s].
-        duration: length of the record [s].
-        count: number of cluster sizes; the rest of the arrays is padding.
-        sizes: cluster sizes in samples, increasing.
+        sample_interval, duration: t0, and the length of the record [s].
+        count, sizes: number of cluster sizes, and these in samples, increasing; the rest is padding.
         pairs: row and column of each pair with i ≤ j.
         place: index of the pair for each two estimates.
-        lags: distances u of the quadrature nodes, in samples.
-        weights: weights of the nodes, which include w_ij and the factors before the sum.
+        lags, weights: distances u of the quadrature nodes, in samples, and their weights, which include w_ij
+            and the factors before the sum.
     """
 
     sample_interval: Float[np.ndarray, ""]
@@ -172,15 +154,11 @@ class AllanCovariance(eqx.Module):
         strides: Int[np.ndarray, " m"] | None = None,
         capacity: int = 0,
     ) -> AllanCovariance:
-        """Quadrature for estimates at these cluster sizes of n rate samples at `rate` [Hz].
+        """Quadrature for estimates at these cluster sizes [samples] of n rate samples at `rate` [Hz].
 
-        Args:
-            n, rate, sizes: number of samples, sample rate [Hz], cluster sizes in samples.
-            order: nodes between two neighbouring kinks.
-            strides: samples from one start of a cluster to the next, each a divisor of its cluster size and
-                of the strides after it, and at least an eighth of the size where these are larger; by default
-                1, for overlapping estimates.
-            capacity: least number of cluster sizes that arrays are padded to.
+        The order is the number of nodes between two neighbouring kinks. Strides are samples from one start of
+        a cluster to the next, each a divisor of its cluster size and of the strides after it, and at least an
+        eighth of the size where these are larger; by default 1, for overlapping estimates.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
@@ -191,11 +169,14 @@ class AllanCovariance(eqx.Module):
         kinks = np.stack([0 * mi, mi, mj - mi, mj, both, *(reach * both for reach in _TAIL)], axis=1)
         support = mj - mi + shift + (Mj - 1) * sj + si
         u, w = _sum_over_lags(kinks // si[:, None], support // si, order)
-        u = u * si[:, None]
-        sides = [_pairs_at_lag(u, *(x[:, None] for x in (mi, mj, si, sj, Mj, d))) for d in (0 * shift, shift)]
-        factor = 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
-        weights = factor[:, None] * w * sum(sides) / 2.0
-        return cls(**padded_quadrature(n, rate, sizes, capacity, u.T, weights.T))
+        u, factor = (u * si[:, None]).T, 2.0 / (4.0 * (mi / rate) ** 2 * (mj / rate) ** 2 * Mi * Mj)
+        # In the tail nodes are far apart and stand for the mean of the steps; equal strides have no steps.
+        stepped, overlaps = (si < sj) & (u <= both), 0.0
+        for shifted in (0 * shift, shift):
+            beyond = (u - (mj - mi) - shifted) / sj
+            steps = np.where(stepped, np.ceil(beyond), beyond + (1.0 - si / sj) / 2.0)
+            overlaps += np.clip(Mj - steps, 0.0, Mj)
+        return cls(**padded_quadrature(n, rate, sizes, capacity, u, factor * w.T * overlaps / 2.0))
 
     @property
     def rate(self) -> float:
@@ -264,6 +245,7 @@ class AllanCovariance(eqx.Module):
         return mean[i] * mean[j] * (common + (i == j) * (common + 1.5 * clusters))
 
 
+_Lags: TypeAlias = Float[np.ndarray, "*lags"]
 # Autocorrelation of the weights (1, −2, 1) and (1, −3, 3, −1) at 0, 1, … clusters.
 _FILTERS = {"allan": (6.0, -4.0, 1.0), "modified": (6.0, -4.0, 1.0), "hadamard": (20.0, -15.0, 6.0, -1.0)}
 # Samples per cluster beyond which a record is thinned for the degrees of freedom of the modified variance.
@@ -271,29 +253,18 @@ _FINEST_MODIFIED = 64
 
 
 def equivalent_degrees_of_freedom(
-    n: int,
-    sizes: Int[np.ndarray, " m"],
-    kind: str = "allan",
-    overlapping: bool = True,
-    strides: Int[np.ndarray, " m"] | None = None,
+    n: int, sizes: Int[np.ndarray, " m"], kind: str = "allan", strides: Int[np.ndarray, " m"] | None = None
 ) -> Float[np.ndarray, " m"]:
     """Degrees of freedom 2·E[V]²/Var[V] of Allan, modified or Hadamard variances V of white rate noise.
 
-    Args:
-        n: number of rate samples.
-        sizes: cluster sizes in samples.
-        kind: "allan", "modified" or "hadamard".
-        overlapping: False for clusters that do not overlap.
-        strides: samples from one start of a cluster to the next, each a divisor of its cluster size; by
-            default 1, or the size if clusters do not overlap.
-
+    Strides are samples from one start of a cluster to the next, each a divisor of its size; by default 1.
     The lag sum is that of this module's covariance. For a modified variance with more than 64 samples per
     cluster, the record is thinned to 64 (exact for self-similar noise, close for others).
     """
     if kind == "modified":
         return np.array([_modified_edf(n, m) for m in sizes.tolist()])
     if strides is None:
-        strides = np.ones_like(sizes) if overlapping else sizes
+        strides = np.ones_like(sizes)
     reach = len(_FILTERS[kind])
     M = (n - (reach - 1) * sizes) // strides + 1
     kinks = np.array([*range(reach), *(multiple * reach for multiple in _TAIL)])
@@ -302,9 +273,7 @@ def equivalent_degrees_of_freedom(
     return M**2 * total[:, 0] ** 2 / (w * (M[:, None] - u) * total**2).sum(axis=1)
 
 
-def _differenced(
-    lag: Float[np.ndarray, "*lags"], m: Int[np.ndarray, "*lags"] | int, kind: str
-) -> Float[np.ndarray, "*lags"]:
+def _differenced(lag: _Lags, m: Int[np.ndarray, "*lags"] | int, kind: str) -> _Lags:
     """Covariance of two differences at a lag, up to a factor, under white rate noise: G(s) ∝ −|s|."""
     alpha = _FILTERS[kind]
     steps = range(1 - len(alpha), len(alpha))

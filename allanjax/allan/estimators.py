@@ -2,12 +2,24 @@
 
 All are sums of squared differences of the phase. They are taken in chunks that a core's cache holds, for all
 cluster sizes on one block of chunks before the next, so that a record is read from memory only a few times.
+
+The pyramid is one pass over the rates, mergeable, at the memory's speed. Its level k holds the means of
+blocks of 2^k samples; block b is samples b·2^k … (b+1)·2^k − 1 of the recording. Clusters of m = 1, 2 and 4
+samples are windows of so many blocks of level 0, those of m = 8·2^k samples are windows of 8 blocks of level
+k. Every block starts a window: every sample up to m = 8, every m/8-th beyond. The variance is the mean of
+½(difference of two adjacent windows)², eq. (4.5) of Hou (2004), over these starts. Except for strong
+quantization it is less than 1 % less precise than with every start.
+
+Block means keep their digits however long the recording is, which a running sum of its rates would not.
 """
 
+from __future__ import annotations
+
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from dataclasses import dataclass
+from functools import partial, reduce
 from itertools import product
 from typing import Any, Literal, TypeVar, get_args
 
@@ -15,7 +27,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from allanjax.base.cache import compiled_once
 from allanjax.base.errors import AllanjaxError
@@ -27,13 +39,9 @@ Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.
 
 _Sizes = TypeVar("_Sizes", np.ndarray, Array)
 
+#: Weights of the phases one cluster time apart in the difference whose mean square is the variance. The
+#: modified one averages sums of second differences; its weights are those of their increments.
 WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
-"""Weights of the phases one cluster time apart in the difference whose mean square is the variance.
-
-The modified variance averages sums of second differences; its weights are those of the third differences by
-which these sums are updated.
-"""
-
 # Largest distance of a cluster time from a whole number of samples, in samples, to allow for rounding.
 _CLUSTER_SIZE_TOLERANCE = 1e-3
 
@@ -54,18 +62,11 @@ def difference_count(n: Any, sizes: _Sizes, kind: Kind = "allan", overlapping: b
 def cluster_sizes(
     n: int, rate: float, spacing: Spacing = "octave", kind: Kind = "allan"
 ) -> Int[np.ndarray, " m"]:
-    """Cluster sizes in samples, [m], increasing and distinct, that leave at least one difference.
+    """Cluster sizes in samples, [m], increasing and distinct, for which n samples have a difference.
 
-    Args:
-        n: number of rate samples.
-        rate: sample rate [Hz]; used with cluster times only.
-        spacing: "octave" (1, 2, 4, ...), "decade" (1, 2, 4, 10, 20, 40, ...), "all", a number of sizes per
-            octave, or the cluster times themselves [s], each a multiple of the sample interval to within a
-            thousandth of it.
-        kind: the variance, which sets the largest size.
-
-    Raises:
-        AllanjaxError: `n` too small, an unknown spacing or kind, a cluster time between samples or too long.
+    The spacing is "octave" (1, 2, 4, ...), "decade" (1, 2, 4, 10, 20, 40, ...), "all", a number of sizes per
+    octave, or the cluster times themselves [s], each a multiple of the sample interval to within a thousandth
+    of it; only these need the rate [Hz]. AllanjaxError if it is none of these, or `n` is too small.
     """
     check_member(kind, Kind, "kind")
     largest = {"allan": n // 2, "modified": (n + 1) // 3, "hadamard": n // 3}[kind]
@@ -131,7 +132,7 @@ _ALIGNMENT = 64
 _SPARE = _ALIGNMENT // 8
 
 
-def aligned(*shape: int) -> Float[np.ndarray, "..."]:
+def _aligned(*shape: int) -> Float[np.ndarray, ...]:
     """Array of this shape, with values not yet set, that JAX uses in place."""
     size = int(np.prod(shape))
     memory = np.empty(size + _SPARE)
@@ -139,49 +140,17 @@ def aligned(*shape: int) -> Float[np.ndarray, "..."]:
     return memory[first : first + size].reshape(shape)
 
 
-def flat_rows(
-    table: Any, begin: int, rows: int, fill: float | Float[np.ndarray, " axes"], read: int | None = None
-) -> tuple[Float[np.ndarray, " values"], int]:
-    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
-
-    Args:
-        table: the samples; copied if they are not float64 in C order, or if the rows are at its ends.
-        begin: index of the first row, which may be negative.
-        rows: number of rows, which may go beyond the table.
-        fill: value of rows that the table does not have.
-        read: how many of the rows are used, if not all.
-
-    Returns:
-        The rows with up to eight values more, and the index of the first row's first value among them.
-    """
-    axes = table.shape[1]
-    size = rows * axes + _SPARE
-    if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
-        values = table.reshape(-1)
-        spare = (values.ctypes.data // 8 + begin * axes) % _SPARE
-        first = begin * axes - spare
-        if 0 <= first <= len(values) - size:
-            return values[first : first + size], spare
-    copied = aligned(size)
-    filled = copied[: rows * axes].reshape(rows, axes)
-    start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
-    filled[: start - begin] = filled[end - begin : read] = fill
-    filled[start - begin : end - begin] = table[start:end]
-    return copied, 0
-
-
 #: Quantities that samples may be of: rates, or phases (angles or velocities).
 DataType = Literal["rate", "phase"]
 
-# Differences are taken this many at a time: few enough to stay in cache, enough to hide the loop's overhead.
+# Differences and blocks are taken this many at a time: few enough to stay in cache, enough to hide the loop's
+# overhead. There are as many partial sums, as reductions to a scalar are not vectorised.
 _CHUNK = 2048
 # Chunks for which all cluster sizes are computed before the next block is read.
 _BLOCK = 32
 # Numbers of phases that memory is reserved for at least, so that records of many lengths share a program: of
 # short records, of which there may be thousands, and of others.
 _LEAST = 1 << 16, 1 << 20
-# Samples from which one axis is integrated by several cores.
-_LONG = 1 << 18
 # Axes that are worked through at a time, which bounds the memory.
 _TOGETHER = 16
 # Cluster sizes are padded to a multiple of this number.
@@ -210,13 +179,9 @@ def allan_variance_estimates(
     - hadamard: (x_{k+3m} - 3x_{k+2m} + 3x_{k+m} - x_k)² / (6 m² t0²), SP 1065 section 5.2.9;
     - modified: (mean over k..k+m-1 of the second difference)² / (2 m² t0²), SP 1065 section 5.2.4.
 
-    Args:
-        values: rates, or phases (one more than the rate samples) in the rate's unit times seconds.
-        sizes: cluster sizes in samples; each must leave a difference (`cluster_sizes`), which is not checked.
-        rate: sample rate [Hz]; used with phases only.
-        kind, overlapping, data_type: as in `allan_deviation`.
-
-    Blocks of the record are shared out among the cores. Besides the samples, their phases take memory.
+    The values are rates, or phases (one more than the rate samples) in the rate's unit times seconds, which
+    need the rate [Hz]. Each cluster size [samples] must leave a difference, which is not checked. Blocks of
+    the record are shared out among the cores. Besides the samples, their phases take memory.
     """
     table = np.asarray(values)
     n, axes = len(table) - (data_type == "phase"), table.shape[1]
@@ -225,7 +190,7 @@ def allan_variance_estimates(
     shares = range(min(cores, 1 + n // (_BLOCK * _CHUNK)))
     capacity = _LEAST[0] if n < _LEAST[0] else max(1 << n.bit_length(), _LEAST[1])
     # Memory that is never written costs nothing.
-    phases, parts = aligned(min(axes, _TOGETHER), capacity + _CHUNK), list[np.ndarray]()
+    phases, parts = _aligned(min(axes, _TOGETHER), capacity + _CHUNK), list[np.ndarray]()
 
     def sums_of(task: tuple[int, int]) -> Float[np.ndarray, " m"]:
         arguments = phases[task[0]], every, len(sizes), n, task[1], len(shares)
@@ -235,11 +200,7 @@ def allan_variance_estimates(
     with ThreadPoolExecutor(cores) as pool:
         for first in range(0, axes, _TOGETHER):
             rows = np.ascontiguousarray(table[:, first : first + _TOGETHER].T)
-            if len(rows) < cores and n > _LONG:
-                for x, into in zip(rows, phases, strict=False):
-                    _integrate(x, into, data_type, pool.map, len(shares))
-            else:
-                list(pool.map(lambda x, into: _integrate(x, into, data_type, map, 1), rows, phases))
+            list(pool.map(partial(_integrate, data_type), rows, phases))
             parts += pool.map(sums_of, product(range(len(rows)), shares))
     sums = np.reshape(parts, (axes, len(shares), -1)).sum(axis=1).T[: len(sizes)]
     sums = sums * (rate**2 if data_type == "phase" else 1.0)
@@ -247,42 +208,24 @@ def allan_variance_estimates(
     return sums / (scale * difference_count(n, sizes, kind, overlapping) * sizes**2.0)[:, None]
 
 
+# Samples may be infinite; all phases are NaN then.
+@np.errstate(invalid="ignore")
 def _integrate(
-    x: Float[np.ndarray, " samples"],
-    phases: Float[np.ndarray, " capacity"],
-    data_type: DataType,
-    each: Callable[..., Iterable[Any]],
-    stretches: int,
+    data_type: DataType, x: Float[np.ndarray, " samples"], phases: Float[np.ndarray, " capacity"]
 ) -> None:
-    """Write the phases of an axis, with meaningless values after them; `each` maps over so many stretches.
+    """Write the phases of an axis, with meaningless values after them.
 
     A straight line is subtracted, about the one through the ends: it changes no variance, and the differences
     keep more digits without it.
     """
     n = len(x)
-    edges = np.linspace(0, n, stretches + 1).astype(int).tolist()
-
-    # Samples may be infinite; all phases are NaN then.
-    @np.errstate(invalid="ignore")
-    def total(first: int, stop: int) -> float:
-        return float(np.sum(x[first:stop], dtype=float))
-
-    @np.errstate(invalid="ignore")
-    def add_up(first: int, stop: int, phase: float) -> None:
-        own = phases[first + 1 : stop + 1]
-        np.subtract(x[first:stop], mean, out=own)
-        own[0] += phase
-        np.cumsum(own, out=own)
-
-    with np.errstate(invalid="ignore"):
-        if data_type == "phase":
-            slope = (x[-1] - x[0]) / (n - 1)
-            np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
-            return
-        sums = list(each(total, edges[:-1], edges[1:]))
-        mean, phases[0] = sum(sums) / n, 0.0
-        before = np.cumsum([0.0, *sums[:-1]]) - mean * np.array(edges[:-1])
-        list(each(add_up, edges[:-1], edges[1:], before))
+    if data_type == "phase":
+        slope = (x[-1] - x[0]) / (n - 1)
+        np.subtract(x - x[0], slope * np.arange(n), out=phases[:n])
+        return
+    own, phases[0] = phases[1 : n + 1], 0.0
+    np.subtract(x, np.mean(x, dtype=float), out=own)
+    np.cumsum(own, out=own)
 
 
 @partial(jax.jit, static_argnames=("kind", "overlapping"))
@@ -378,3 +321,329 @@ def _running_sums(x: Float[Array, "axes chunk"]) -> Float[Array, "axes chunk"]:
     earlier = ends @ jnp.triu(jnp.ones((ends.shape[1],) * 2), 1)
     offsets = before[:, :-1] + earlier.reshape(-1, 1)
     return (rows + offsets.reshape(-1, 1)).reshape(x.shape)
+
+
+# A pass up the pyramid of block means: four levels at once, compiled.
+#
+# The pass goes in chunks that stay in a core's cache. A chunk includes a little of the next one, so that
+# chunks do not depend on each other. Missing blocks are NaN, and differences with them do not count: one
+# program, of one shape, serves sequences of any length and alignment.
+
+# Levels of the pyramid that one pass computes, and blocks in a window at the lowest level; every other level
+# has windows of the largest size only.
+_LEVELS, _WINDOWS = 4, (1, 2, 4, 8)
+_WINDOW = _WINDOWS[-1]
+# Blocks of the lowest level that the differences starting in a chunk reach beyond it.
+_REACH = 2 * _WINDOW << (_LEVELS - 1)
+# Values of all axes in a piece.
+_PIECE = 1 << 18
+
+
+def _climb(
+    table: Float[np.ndarray, "n axes"], first: int, pool: ThreadPoolExecutor
+) -> tuple[Float[np.ndarray, "sizes axes"], Float[np.ndarray, "above axes"]]:
+    """Sums of squared differences of window means at four levels, and the blocks of the level above them.
+
+    The table has consecutive blocks of the lowest level from number `first` on, read in place or copied piece
+    by piece. The sums are for windows of 1, 2, 4 and 8 of them and of 8 blocks of each of the other levels;
+    the complete blocks of the fifth level begin with number ⌈first / 16⌉.
+    """
+    n, axes = table.shape
+    piece, base = max(_PIECE >> (axes - 1).bit_length(), _CHUNK), first >> _LEVELS << _LEVELS
+    begins = range(base - first, n, piece)
+
+    def run(begin: int) -> tuple[Any, Any]:
+        chunks = -(-min(n - begin, piece) // _CHUNK)
+        blocks = _flat_rows(table, begin, piece + _REACH, chunks * _CHUNK + _REACH)
+        sums, above = _climb_piece(*blocks, chunks, axes=axes)
+        return np.asarray(sums), np.asarray(above)
+
+    # A thread of its own for a single piece would take longer than the piece.
+    found = pool.map(run, begins) if len(begins) > 1 else map(run, begins)
+    sums, above = zip(*found, strict=True)
+    start, end = (-(-first >> _LEVELS)) - (base >> _LEVELS), ((first + n) >> _LEVELS) - (base >> _LEVELS)
+    return np.sum(sums, axis=0), np.concatenate(above)[start : max(start, end)]
+
+
+def _flat_rows(table: Any, begin: int, rows: int, read: int) -> tuple[Float[np.ndarray, " values"], int]:
+    """Rows of a table [n, axes] of numbers, one after the other, in an array that JAX uses in place.
+
+    The first may be negative and the last beyond the table; such rows are NaN, as far as they are read. The
+    table is copied if it is not float64 in C order, or if the rows are at its ends. There are up to eight
+    values more; the second result is the place of the first row's first value among them.
+    """
+    table, axes = np.asarray(table), table.shape[1]
+    size = rows * axes + _SPARE
+    if table.dtype == np.float64 and table.flags.c_contiguous and table.flags.aligned:
+        values = table.reshape(-1)
+        spare = (values.ctypes.data // 8 + begin * axes) % _SPARE
+        first = begin * axes - spare
+        if 0 <= first <= len(values) - size:
+            return values[first : first + size], spare
+    copied = _aligned(size)
+    filled = copied[: rows * axes].reshape(rows, axes)
+    start, end = (min(max(k, 0), len(table)) for k in (begin, begin + rows))
+    filled[: start - begin] = filled[end - begin : read] = np.nan
+    filled[start - begin : end - begin] = table[start:end]
+    return copied, 0
+
+
+@partial(jax.jit, static_argnames="axes")
+def _climb_piece(
+    flat: Float[Array, " values"],
+    offset: int | Int[Array, ""],
+    chunks: int | Int[Array, ""],
+    *,
+    axes: int,
+) -> tuple[Float[Array, "sizes axes"], Float[Array, "above axes"]]:
+    """Sums of squared differences and the blocks of the level above, for every axis of one piece."""
+
+    def stored(function: Callable[[], Array]) -> Array:
+        """Result of the function, forced into an array of its own by a branch.
+
+        Otherwise XLA repeats the arithmetic wherever the result is used, and then does not vectorise it.
+        """
+        return lax.cond(chunks > 0, function, lambda: jnp.zeros_like(function()))
+
+    def square_sum(sums: Array, windows_on: Array) -> Array:
+        d = windows_on - sums
+        squares = jnp.where(d == d, d**2, 0.0)
+        return squares.reshape(-1, min(len(d), _CHUNK)).sum(axis=0)
+
+    def of_axis(axis: Array) -> tuple[Array, Array]:
+        def add(c: Array, state: tuple[list[Array], Array]) -> tuple[list[Array], Array]:
+            blocks, begin = flat, offset + c * _CHUNK
+            if axes > 1:
+                length, first = _CHUNK + _REACH, offset + c * _CHUNK * axes + axis
+                span = (length - 1) * axes + 1
+                blocks = stored(lambda: lax.dynamic_slice(flat, (first,), (span,))[::axes])
+                begin = jnp.asarray(0)
+
+            def window(width: int, start: int, starts: int) -> Array:
+                """Sums over windows of the lowest level from successive starts, by slices: they vectorise."""
+                if width == 1:
+                    return lax.dynamic_slice(blocks, (begin + start,), (starts,))
+                halves = (window(width // 2, start + k, starts) for k in (0, width // 2))
+                return sum(halves, jnp.zeros(()))
+
+            found = [square_sum(window(w, 0, _CHUNK), window(w, w, _CHUNK)) for w in _WINDOWS[:-2]]
+            half = stored(lambda: window(_WINDOW // 2, 0, _CHUNK + _REACH - _WINDOW // 2 + 1))
+            found.append(square_sum(half[:_CHUNK], half[_WINDOW // 2 :][:_CHUNK]))
+            sums = stored(lambda: half[: -_WINDOW // 2] + half[_WINDOW // 2 :])
+            for k in range(_LEVELS):
+                starts = _CHUNK >> k
+                found.append(square_sum(sums[:starts], sums[_WINDOW:][:starts]))
+                # Sums over 16 blocks from every other start: over windows of 8 blocks of the next level.
+                sums = stored(partial(lambda sums: sums[:-_WINDOW:2] + sums[_WINDOW::2], sums))
+                if _WINDOW << (k + 1) == 1 << _LEVELS:
+                    above = sums[: starts // 2 : _WINDOW] / (1 << _LEVELS)
+            totals, joined = state
+            joined = lax.dynamic_update_slice(joined, above, (c * len(above),))
+            return [t + f for t, f in zip(totals, found, strict=True)], joined
+
+        nothing = [jnp.zeros(min(s, _CHUNK)) for s in starts]
+        sums, above = lax.fori_loop(0, chunks, add, (nothing, jnp.full(rows >> _LEVELS, jnp.nan)))
+        return jnp.stack([s.sum() for s in sums]) / sizes**2, above
+
+    rows = (len(flat) // axes - _REACH) >> _LEVELS << _LEVELS
+    starts = [_CHUNK] * len(_WINDOWS) + [_CHUNK >> k for k in range(1, _LEVELS)]
+    sizes = np.array([*_WINDOWS, *(_WINDOW << k for k in range(1, _LEVELS))])
+    sums, above = lax.map(of_axis, jnp.arange(axes))
+    return sums.T, above.T
+
+
+# Number of cluster sizes below that of the lowest level's largest window.
+_SMALL = len(_WINDOWS) - 1
+# Blocks kept at either end of a level: one fewer than two adjacent windows have.
+_HELD = 2 * _WINDOW - 1
+# Samples of each axis that are processed at once, which bounds the memory that their upper levels take.
+_PART = 1 << 24
+
+_Blocks = Float[np.ndarray, "axes blocks"]
+
+
+def pyramid_strides(sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, " m"]:
+    """Samples between the starts of successive clusters, [m], at cluster sizes that are powers of two."""
+    return np.maximum(1, np.asarray(sizes) // _WINDOW)
+
+
+@dataclass(frozen=True, eq=False)
+class Pyramid:
+    """Sums of squared differences of a piece of a recording, and the block means at its ends for merging.
+
+    Attributes:
+        start, n: index of the piece's first sample in the recording, and number of its samples.
+        sums: [3 + levels, axes] sums of squared differences of window means [unit²] at m = 1, 2, 4, 8, 16, …
+        head: [levels, axes, 15] first blocks of each level [unit]; NaN after them where there are fewer.
+        tail: [levels, axes, 15] last blocks of each level [unit]; NaN before them where there are fewer.
+    """
+
+    start: int
+    n: int
+    sums: Float[np.ndarray, "sizes axes"]
+    head: Float[np.ndarray, "levels axes held"]
+    tail: Float[np.ndarray, "levels axes held"]
+
+    @classmethod
+    def of(cls, values: Float[np.ndarray, "n axes"], start: int = 0) -> Pyramid:
+        """Pyramid of n samples of each axis, the first of them number `start` of the recording.
+
+        The values are read piece by piece, so they may be a memory map. The compiled program is the same for
+        every n; each core runs it on pieces of its own. AllanjaxError if a value is not finite.
+        """
+        if values.ndim != 2 or values.shape[1] == 0:
+            raise AllanjaxError(f"data must have the shape [samples, axes], not {values.shape}")
+        if start < 0:
+            raise AllanjaxError(f"the index of the first sample must not be negative: start is {start}")
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts = (
+                _pyramid_of_part(values[i : i + _PART], start + i, i, pool)
+                for i in range(0, max(len(values), 1), _PART)
+            )
+            return reduce(cls.merge, parts)
+
+    def merge(self, right: Pyramid) -> Pyramid:
+        """Pyramid of this piece and the next one together: that of both in one, to rounding."""
+        border, axes = self.start + self.n, self.sums.shape[1]
+        if right.start != border:
+            raise AllanjaxError(
+                f"only adjacent pieces can be merged: the left one ends before sample {border}, "
+                f"the right one starts at sample {right.start}"
+            )
+        if right.sums.shape[1] != axes:
+            raise AllanjaxError(f"pieces with {axes} and {right.sums.shape[1]} axes are not of one recording")
+        merged = _empty(self.start, self.n + right.n, axes)
+        for piece in (self, right):
+            merged.sums[: len(piece.sums)] += piece.sums
+        junction, first = np.empty((axes, 0)), border
+        for k in range(len(merged.head)):
+            (left_head, left_tail), (right_head, right_tail) = self._held(k), right._held(k)
+            # A block across the border is the mean of two blocks of the level below.
+            block = border >> k
+            begin, end = block << k, (block + 1) << k
+            across = np.empty((axes, 0))
+            if self.start <= begin < border and end <= right.start + right.n:
+                across = _pair_means(junction[:, 2 * block - first :][:, :2])
+            junction = np.concatenate([left_tail, across, right_head], axis=1)
+            first = block - left_tail.shape[1]
+            if k == 0:
+                for i, window in enumerate(_WINDOWS[:-1]):
+                    near = [left_tail[:, 1 - 2 * window :], right_head[:, : 2 * window - 1]]
+                    merged.sums[i] += _square_sum(np.concatenate(near, axis=1), window)
+            merged.sums[_SMALL + k] += _square_sum(junction, _WINDOW)
+            merged._hold(
+                k,
+                np.concatenate([left_head, across, right_head], axis=1),
+                np.concatenate([left_tail, across, right_tail], axis=1),
+            )
+        return merged
+
+    def of_axes(self, keep: Bool[np.ndarray, " axes"]) -> Pyramid:
+        """Pyramid of some of the axes."""
+        return Pyramid(self.start, self.n, self.sums[:, keep], self.head[:, keep], self.tail[:, keep])
+
+    @property
+    def cluster_size(self) -> Int[np.ndarray, " m"]:
+        """Cluster sizes in samples, 1, 2, 4, …, at which the piece has at least one difference."""
+        return 2 ** np.arange(len(self.count))
+
+    @property
+    def count(self) -> Int[np.ndarray, " m"]:
+        """Differences averaged at each cluster size."""
+        small = [self.n + 1 - 2 * window for window in _WINDOWS[:-1]]
+        blocks = [_block_count(self.start, self.n, k) for k in range(len(self.head))]
+        counts = np.array([*small, *(b - _HELD for b in blocks)])
+        return counts[counts > 0]
+
+    def variance(self) -> Float[np.ndarray, "m axes"]:
+        """Allan variances at `cluster_size`, in the square of the samples' unit."""
+        return self.sums[: len(self.count)] / (2 * self.count[:, None])
+
+    def _held(self, k: int) -> tuple[_Blocks, _Blocks]:
+        """First and last blocks of a level, none if the piece does not reach it."""
+        if k >= len(self.head):
+            return (np.empty((self.sums.shape[1], 0)),) * 2
+        held = min(_block_count(self.start, self.n, k), _HELD)
+        return self.head[k, :, :held], self.tail[k, :, _HELD - held :]
+
+    def _hold(self, k: int, first: _Blocks, last: Float[np.ndarray, "axes others"]) -> None:
+        """Store the outermost of these blocks of a level; only while the pyramid is being built."""
+        held = min(_block_count(self.start, self.n, k), _HELD)
+        self.head[k, :, :held] = first[:, :held]
+        self.tail[k, :, _HELD - held :] = last[:, last.shape[1] - held :]
+
+
+def _empty(start: int, n: int, axes: int) -> Pyramid:
+    """Pyramid of n samples whose sums are zero and whose blocks are not yet known."""
+    levels = n.bit_length()
+    held = (levels, axes, _HELD)
+    return Pyramid(start, n, np.zeros((_SMALL + levels, axes)), np.full(held, np.nan), np.full(held, np.nan))
+
+
+def _block_count(start: int, n: int, k: int) -> int:
+    """Number of whole blocks of level k among n samples from `start` on."""
+    return max(((start + n) >> k) - -(-start >> k), 0)
+
+
+def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
+    """Sum of squared differences between the means of adjacent windows of `window` blocks."""
+    sums, of = blocks, 1
+    while of < window:
+        sums, of = sums[:, :-of] + sums[:, of:], 2 * of
+    return ((sums[:, window:] - sums[:, :-window]) ** 2).sum(axis=1) / window**2
+
+
+def _pair_means(blocks: _Blocks) -> Float[np.ndarray, "axes halves"]:
+    """Means of blocks 0 and 1, 2 and 3, …"""
+    return (blocks[:, ::2] + blocks[:, 1::2]) * 0.5
+
+
+def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecutor) -> Pyramid:
+    """Pyramid of samples that fit into memory with their upper levels; error messages count from `origin`."""
+    n, axes = values.shape
+    pyramid = _empty(start, n, axes)
+    table, first = values, start
+    for k in range(0, len(pyramid.head), _LEVELS):
+        if len(table) == 0:
+            break
+        _hold_ends(pyramid, k, table, first)
+        sums, above = _climb(table, first, pool)
+        if k == 0:
+            pyramid.sums[:_SMALL] = sums[:_SMALL]
+            # Every sample is in a block that the first pass returns, or among the samples beside these
+            # blocks.
+            if not all(np.isfinite(x).all() for x in (above, values[:_HELD], values[-_HELD:])):
+                check_finite(values, origin)
+        levels = pyramid.sums[_SMALL + k :][:_LEVELS]
+        levels[:] = sums[_SMALL:][: len(levels)]
+        table, first = above, -(-first >> _LEVELS)
+    return pyramid
+
+
+def _hold_ends(pyramid: Pyramid, k: int, table: Any, first: int) -> None:
+    """Store the outermost blocks of the levels that a pass from level k computes, given all of level k."""
+    enough = (_HELD + 1) << (_LEVELS - 1)
+    head, tail = np.asarray(table[:enough], float).T, np.asarray(table[-enough:], float).T
+    head_first, tail_first = first, first + len(table) - tail.shape[1]
+    for level in range(k, min(k + _LEVELS, len(pyramid.head))):
+        pyramid._hold(level, head, tail)
+        head, head_first = _next_level(head, head_first)
+        tail, tail_first = _next_level(tail, tail_first)
+
+
+def _next_level(blocks: _Blocks, first: int) -> tuple[Float[np.ndarray, "axes halves"], int]:
+    """Whole blocks of the next level, and the index of the first of them."""
+    odd = first % 2
+    pairs = (blocks.shape[1] - odd) // 2
+    return _pair_means(blocks[:, odd : odd + 2 * pairs]), (first + odd) // 2
+
+
+def check_finite(values: Any, origin: int = 0) -> None:
+    """Raise AllanjaxError if a sample [n, axes] is not finite; the first is number `origin` of the data."""
+    bad = ~np.isfinite(np.asarray(values))
+    if bad.any():
+        row, axis = np.argwhere(bad)[0]
+        raise AllanjaxError(
+            f"{bad.sum()} values are not finite, the first at sample {origin + row}, axis {axis}: "
+            "use samples without gaps, or one segment"
+        )

@@ -29,11 +29,11 @@ from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
 from allanjax.comparison.grades import grade, grades
 from allanjax.comparison.sensors import Comparable, Compared, compared
-from allanjax.estimate.tables import SYMBOLS, detail
+from allanjax.estimate.result import detail
 from allanjax.navigation.likely import Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
 from allanjax.noise.datasheet import LEAST
-from allanjax.noise.estimate import Estimate, usual_unit
+from allanjax.noise.estimate import SYMBOLS, Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.record.units import SENSORS, Sensor

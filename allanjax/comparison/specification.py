@@ -22,10 +22,9 @@ from allanjax.base.wording import duration, percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.check import length_for, random_terms, trial_lengths
 from allanjax.estimate.likely_models import likely_models, side_by_side
-from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.tables import SYMBOLS, detail
+from allanjax.estimate.result import AxisFit, Fit, detail
 from allanjax.noise.datasheet import LEAST, Figures
-from allanjax.noise.estimate import Estimate, is_called
+from allanjax.noise.estimate import SYMBOLS, Estimate, is_called
 from allanjax.noise.model import Model
 from allanjax.noise.notation import term_classes
 from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale

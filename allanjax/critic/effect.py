@@ -32,7 +32,7 @@ from allanjax.critic.noise import (
     spectrum_factor,
 )
 from allanjax.critic.policy import judged
-from allanjax.estimate.structure.structure import Structure
+from allanjax.estimate.spectral.model import Structure
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.completion import in_time, widening

@@ -19,10 +19,9 @@ from scipy.ndimage import uniform_filter1d
 from allanjax.estimate.design import correlation_times
 from allanjax.estimate.evidence import TermSets, evidence, term_sets
 from allanjax.estimate.spectral import components as kinds
+from allanjax.estimate.spectral import model as structures
 from allanjax.estimate.spectral.components import columns_of
-from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure import structure as structures
-from allanjax.estimate.structure.structure import Structure
+from allanjax.estimate.spectral.model import Structure, response_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, basic_terms
 from allanjax.spectrum.cosine import Bins, SpectralStatistics, cosine_transform, ramp_column

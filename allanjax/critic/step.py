@@ -14,7 +14,7 @@ from allanjax.critic.finding import CoefficientChange, Rival
 from allanjax.critic.noise import FIXED, MARKOV, WHITE, centred
 from allanjax.critic.policy import judged
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.structure.structure import Structure
+from allanjax.estimate.spectral.model import Structure
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale
 

@@ -31,10 +31,10 @@ from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, finite_or_none, plain, record_size, significant
+from allanjax.estimate.evidence import Ramps, bound, information, power_fits
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared
-from allanjax.estimate.spectral.powers import Ramps, bound, bounds, information, power_fits
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.checklist import Line, Verdict, lines_of, worst
 from allanjax.inspection.spectral import bandwidth_in, spectrum_of
@@ -160,7 +160,8 @@ def _rough_fit(
         left, shape, _ = (x[0] for x in ramp.removed(level, size / 2.0, mean[None]))
         used = (((left / mean - 1.0) * np.sqrt(shape) < _LINE) | (size == 1)).astype(float)
     chi2 = chi_squared(left / mean, 2.0 * shape * used)
-    std = bounds(information(columns, mean, shape * used), power > 0.0)
+    F = information(columns, mean, shape * used)
+    std = np.array([bound(F, gradient, power > 0.0) for gradient in np.eye(len(power))])
     return power, std, bool(chi2 <= beyond_doubt(np.asarray(max(used.sum() - 3.0, 1.0))))
 
 

@@ -139,9 +139,7 @@ class AxisHorizon(ByValue):
     """White noise and process of the bias for the filter of one axis, up to a horizon; see `horizon`.
 
     Attributes:
-        axis: the axis.
-        horizon: time between corrections [s].
-        probability: probability of the bounds.
+        axis, horizon, probability: the axis, time between corrections [s], and probability of the bounds.
         white, walk: the N and K whose predicted variance is the true one at the horizon, and whose largest
             ratio to it at shorter times, from a hundredth of the horizon on, is closest to one. K² is the
             density of the noise that drives the bias.
@@ -263,10 +261,8 @@ class Horizon(ByValue, PerAxis[AxisHorizon]):
     """White noise and process of the bias for the filters of several axes, up to a horizon.
 
     Attributes:
-        name: the recording's name.
-        horizon: time between corrections [s].
+        name, horizon, probability: the recording's name, and as in `AxisHorizon`.
         process: how the filters model the bias, "walk" or "markov".
-        probability: probability of the bounds.
         results: one per axis.
         notes: for a data sheet, what was assumed and what it does not give.
     """

@@ -12,9 +12,8 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.chi_squared import cube_root_score
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
-from allanjax.estimate.design import Tangent, free_powers, of_owners
+from allanjax.estimate.design import Solution, Tangent, free_powers, of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantiles
-from allanjax.estimate.gls import Solution
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.record.recording import Axis
@@ -43,6 +42,8 @@ _Grid: TypeAlias = Float[np.ndarray, "axes grid"]
 _Ends: TypeAlias = Float[np.ndarray, "axes 5"]
 _Flags: TypeAlias = Bool[np.ndarray, "axes _"]
 _Index: TypeAlias = Int[np.ndarray, " axes"]
+_Columns: TypeAlias = Float[np.ndarray, "axes m k"]
+_PerColumn: TypeAlias = Float[np.ndarray, "axes k"]
 _Square: TypeAlias = Float[np.ndarray, "axes k k"]
 
 
@@ -195,12 +196,7 @@ class Hypotheses(NamedTuple):
         return np.min(highest, axis=2)
 
 
-def skewness_of(
-    X: Float[np.ndarray, "axes m k"],
-    weighed: Float[np.ndarray, "axes m k"],
-    std: Float[np.ndarray, "axes k"],
-    power: Float[np.ndarray, "axes k"],
-) -> Float[np.ndarray, "axes k"]:
+def skewness_of(X: _Columns, weighed: _Columns, std: _PerColumn, power: _PerColumn) -> _PerColumn:
     """Skewness of linear estimates, given X and C⁻¹X times their columns of the covariance, and their powers.
 
     The third cumulant of Σ x_j V_j/μ_j is 8 tr(...)³ of quadratic forms. The triple products are replaced by
@@ -211,7 +207,7 @@ def skewness_of(
     return np.minimum(third / std**3, 2.0 * std / np.maximum(power, 1e-300))
 
 
-def _scaled(normal: _Square) -> tuple[_Square, Float[np.ndarray, "axes k"]]:
+def _scaled(normal: _Square) -> tuple[_Square, _PerColumn]:
     """Normal equations with a unit diagonal, and the root of their diagonal; 1 where it is zero."""
     size = np.sqrt(np.einsum("aii->ai", normal))
     size = np.where(size > 0.0, size, 1.0)
@@ -313,13 +309,6 @@ def estimates_of(
     return Estimates(value, std, ends, detected, slopes @ covariance @ slopes.swapaxes(1, 2))
 
 
-class Coefficients(NamedTuple):
-    """The coefficients of one axis by label, and their covariance [SI] in the same order."""
-
-    values: Mapping[str, Estimate]
-    covariance: Float[np.ndarray, "params params"]
-
-
 def coefficients_of(
     template: Model,
     axis: Axis,
@@ -328,10 +317,11 @@ def coefficients_of(
     others: Mapping[str, Estimate],
     n: int,
     rate: float,
-) -> Coefficients:
-    """Coefficients of one axis by their labels: the estimates of its noise, and others, independent of these.
+) -> tuple[dict[str, Estimate], Float[np.ndarray, "params params"]]:
+    """Coefficients of one axis by their labels, with their covariance [SI] in the same order.
 
-    Shapes that may lie beyond the observable range of n samples at `rate` [Hz] have a limit and no error.
+    They are the estimates of its noise, and others, independent of these. Shapes that may lie beyond the
+    observable range of n samples at `rate` [Hz] have a limit and no error.
     """
     rows = zip(reported(noise), *(x[0].tolist() for x in found[:4]), strict=True)
     own = {p.label: _within(estimate_of(p, axis, *row), n, rate) for p, *row in rows}
@@ -341,7 +331,7 @@ def coefficients_of(
     for k, label in enumerate(order):
         if label in others:
             covariance[k, k] = others[label].std ** 2
-    return Coefficients({label: both[label] for label in order}, np.nan_to_num(covariance))
+    return {label: both[label] for label in order}, np.nan_to_num(covariance)
 
 
 def estimate_of(

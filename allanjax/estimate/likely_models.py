@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from allanjax.base.normal import TWO_SIDED_95
+from allanjax.estimate.evidence import information, power_fits
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.notation import term_classes
 from allanjax.noise.terms import Markov
@@ -25,13 +25,10 @@ _WIDEST, _TIMES = 1.5, 15
 
 
 class Likely(NamedTuple):
-    """A set of terms with unit amplitudes, and draws of their squared amplitudes [SI].
+    """A set of terms with unit amplitudes, and draws of their squared amplitudes, the `power` [SI].
 
-    Attributes:
-        labels: names of the terms.
-        terms: a model of each term by itself, with the response if the term passes it.
-        power: the draws.
-        detected: which terms are; the others are only known to be below a limit.
+    Each term is a model by itself, with the response if the term passes it. Those that are not `detected` are
+    only known to be below a limit.
     """
 
     labels: tuple[str, ...]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
@@ -21,23 +22,22 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
-from allanjax.base.tables import Column, PerAxis
-from allanjax.base.wording import chi_squared, percent, plain, record_size, significant
-from allanjax.estimate.tables import details, overview, remarks
+from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
+from allanjax.base.wording import chi_squared, format_with_error, percent, plain, record_size, significant
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
-from allanjax.noise.estimate import Estimate, called
+from allanjax.noise.estimate import SYMBOLS, Estimate, called
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis, DeadAxis
-from allanjax.record.units import rate_unit_of
+from allanjax.record.units import SENSORS, rate_unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from allanjax.estimate.design import Solution
     from allanjax.estimate.deterministic import AxisSpectrum
-    from allanjax.estimate.gls import Solution
     from allanjax.estimate.selection import TermSelection
 
 #: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement, as
@@ -590,10 +590,103 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return details(self._heading(), self.results, notes)
 
     def _tables(self) -> list[list[Column]]:
-        return overview(self)
+        """Tables, one per sensor, with one row per axis."""
+        rows = [(r.axis, r if r.converged else None) for r in self.results]
+        if self.dead:
+            rows = sorted(rows + [(dead.axis, None) for dead in self.dead], key=lambda row: row[0].name)
+        tables: list[list[Column]] = []
+        for sensor in SENSORS:
+            if own := [row for row in rows if row[0].sensor == sensor]:
+                axes, results = zip(*own, strict=True)
+                unit, scale = rate_unit_of(axes[0].unit, sensor)
+                means = [math.nan if r is None else float(r.mean / scale) for r in results]
+                tables += tables_of(
+                    [Column("axis", [axis.name for axis in axes])],
+                    *_coefficient_columns(results),
+                    [column("mean", unit, means, 4), Column("verdict", list(map(_verdict, results)))],
+                )
+        return tables
 
     def _notes(self) -> Iterator[str]:
-        return remarks(self)
+        """Lines below the tables: corrections, misfits, axes without a result, and notes."""
+        known = [result for result in self.results if result.converged]
+        yield from (f"{r.axis.name} {r.correction}" for r in known if r.correction)
+        yield from (f"{r.axis.name} does not fit: {r.misfits}" for r in known if r.misfits)
+        for name, reason in self.without_result.items():
+            if not any(reason in warning for warning in self.warnings):
+                yield f"{name}: no result, {reason}"
+        undecided = {} if self.selection is None else self.selection.undecided()
+        longer = () if self.selection is None else self.selection.ambiguities()
+        yield from (f"note: {note}" for note in self.notes if note not in longer)
+        questions = []
+        for (question, _), of in undecided.items():
+            names = [name for name, *_ in of]
+            questions.append(f"{question} ({', '.join(names) if len(names) < 3 else f'{len(names)} axes'})")
+        if questions:
+            yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
 
     def _title(self) -> str:
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
+
+
+#: Terms whose column a table of coefficients has even where they are not detected: N, B and K.
+MAIN = tuple(SYMBOLS)[:3]
+
+
+def _coefficient_columns(results: Sequence[AxisFit | None]) -> tuple[list[Column], list[Column]]:
+    """Columns of the main coefficients, and of others that some axis has."""
+    found: list[dict[str, Estimate]] = []
+    for r in results:
+        plain_terms = () if r is None else (c for c in r.coefficients.values() if c.term not in r.further)
+        found.append({c.label: c.in_unit() for c in plain_terms})
+    main, others = list[Column](), list[Column]()
+    labels = dict.fromkeys(label for of in found for label in of)
+    for label in sorted(labels, key=lambda name: [*SYMBOLS, name].index(name)):
+        known = [of[label] for of in found if label in of]
+        if label in MAIN or any(c.held or (c.detected and c.measured) for c in known):
+            numbers = [of[label].number if label in of else None for of in found]
+            name = SYMBOLS.get(label, known[0].title)
+            (main if label in MAIN else others).append(column(name, known[0].unit, numbers))
+    return main, others
+
+
+def _verdict(result: AxisFit | None) -> str:
+    """The verdict in one or two words, with p where the model fits."""
+    if result is None:
+        return "no result"
+    if not result.measured or result.incomplete:
+        return "does not fit" if result.measured else "not a measurement"
+    word = "doubtful" if result.doubtful else "fits"
+    return f"{word}, p = {significant(result.p_value, 2)}" if math.isfinite(result.p_value) else word
+
+
+def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:
+    """Table of all coefficients with intervals and limits, a line below per axis, and these notes."""
+    lines = [f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, r.correction, r.level)))}" for r in results]
+    return as_text(title, all_coefficients([r for r in results if r.converged]), [*lines, *notes])
+
+
+def all_coefficients(results: Sequence[Any], estimate: str = "estimate") -> list[list[Column]]:
+    """Table of all coefficients of these axes, one row each, if there are any."""
+    rows = [detail(c) for r in results for c in r.coefficients.values()]
+    return [columns_from(("axis", "coefficient", f"{estimate} ± 1σ", "95 % interval"), rows)] if rows else []
+
+
+def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, str, str]:
+    """Axis, title, value and interval of a coefficient; without an interval, the reason in its place."""
+    c = estimate.in_unit(in_unit)
+    number, reason = c.number, ""
+    if c.held:
+        text, reason = plain(c.value), "held"
+    elif number is None:
+        text, reason = "", "not determined"
+    elif number.error > 0.0:
+        text, reason = format_with_error(*number[:2]), c.describe_interval()
+    else:
+        text = f"{number.before}{significant(number.value)}{number.after}"
+        if not c.detected and c.measured:
+            reason = "not detected"
+            if c.rivals:
+                reason = f"may be {' or '.join(SYMBOLS.get(term, term) for term in c.rivals)}"
+    unit = "" if c.unit == "1" or not text else f" {c.unit}"
+    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))

@@ -22,16 +22,14 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
 from allanjax.base.wording import duration, percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
-from allanjax.estimate.evidence import TermSets, evidence, term_sets
+from allanjax.estimate.evidence import Ramps, TermSets, evidence, information, term_sets
 from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
-from allanjax.estimate.spectral.powers import Ramps, information
-from allanjax.estimate.tables import SYMBOLS
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
-from allanjax.noise.estimate import Estimate, title_of
-from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
+from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -91,8 +89,7 @@ class TermSet:
     """Set of noise terms with its evidence.
 
     Attributes:
-        terms: names of the terms.
-        parameters: number of their free parameters.
+        terms, parameters: names of the terms, and number of their free parameters.
         log_evidence: logarithm of the marginal likelihood relative to the best set [nats].
         probability: posterior probability of the set, all sets having equal prior probabilities.
         intervals: 95 % interval [SI] of each amplitude but a ramp's by label, for sets that cannot be
@@ -120,8 +117,7 @@ class AxisSelection(ByValue):
     noise, and a long one like a random walk.
 
     Attributes:
-        axis: the axis.
-        ranking: all sets, the most probable first.
+        axis, ranking: the axis, and all sets, the most probable first.
         discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
         averaged: coefficients and drift averaged over all sets.
         spectrum: what was ranked; None for a selection from a file.
@@ -246,8 +242,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
     """Ranking of sets of noise terms, for every axis of a recording.
 
     Attributes:
-        name: name of the recording.
-        results: rankings of the axes.
+        name, results: name of the recording, and rankings of its axes.
         facts: what the inspection of the recording detected, the gravest first.
     """
 
@@ -409,11 +404,10 @@ def rank_terms(
 
     The ramp's statistics are those of unit slope.
     """
-    values = [np.asarray(x) for x in statistics]
-    own = [SpectralStatistics(*(x[k] for x in values)) for k in range(len(axes))]
-    each = zip(own, axes, strict=True)
+    own = map(SpectralStatistics._make, zip(*map(np.asarray, statistics), strict=True))
     # Threads would wait for each other: a ranking is many short calls.
-    return TermSelection(name, tuple(candidates._replace(statistics=s).ranked_for(axis) for s, axis in each))
+    each = (candidates._replace(statistics=x).ranked_for(axis) for x, axis in zip(own, axes, strict=True))
+    return TermSelection(name, tuple(each))
 
 
 class Candidates(NamedTuple):
@@ -456,10 +450,10 @@ class Candidates(NamedTuple):
     @property
     def sets(self) -> TermSets:
         """All sets with at most one free time."""
-        sets = term_sets(self.plain, len(self.levels) - self.plain, self.ramp is not None)
+        columns, used, ramp, *_ = term_sets(self.plain, len(self.levels) - self.plain, self.ramp is not None)
         # No set uses the place of a second time.
-        more = ((0, 0), (0, len(self.owner) - sets.columns.shape[1]))
-        return TermSets(np.pad(sets.columns, more), np.pad(sets.used, more), sets.ramp)
+        more = ((0, 0), (0, len(self.owner) - columns.shape[1]))
+        return TermSets(np.pad(columns, more), np.pad(used, more), ramp)
 
     def with_two_times(self, found: TermSets) -> TermSets:
         """All pairs of times with what those sets with one have besides that are not far behind the best."""
@@ -566,14 +560,13 @@ class Candidates(NamedTuple):
             variance += np.outer(squares[:, self.ramp], self.time**2 / 2.0)
         middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
         amplitudes = (p for p in self.model.parameters if p.parameter.is_amplitude)
-        coefficients = {p.label: _of_draws(axis, p, np.sqrt(squares[:, p.term])) for p in amplitudes}
+        coefficients = {}
+        for p in amplitudes:
+            draws = np.sqrt(squares[:, p.term])
+            median, *limits = np.quantile(draws, _QUANTILES).tolist()
+            of_draws = median, float(draws.std()), limits, limits[0] > 0.0
+            coefficients[p.label] = estimate_of(p, axis, *of_draws, source="averaged")
         return Averaged(coefficients, self.time, middle, np.stack(ends, axis=1))
-
-
-def _of_draws(axis: Axis, p: ModelParameter, draws: Float[np.ndarray, " draws"]) -> Estimate:
-    """An averaged amplitude."""
-    median, *ends = np.quantile(draws, _QUANTILES).tolist()
-    return estimate_of(p, axis, median, float(draws.std()), ends, ends[0] > 0.0, source="averaged")
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:

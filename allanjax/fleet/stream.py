@@ -15,15 +15,14 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.allan.pyramid import Pyramid
+from allanjax.allan.estimators import Pyramid
 from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError
-from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, with_curve
+from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, fit_spectra, with_curve
 from allanjax.estimate.deterministic import AxisSpectrum
 from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import Candidates, basic_candidates, rank_terms
-from allanjax.estimate.whittle import fit_spectra
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of

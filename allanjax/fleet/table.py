@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.tables import Column, Number, column, columns_from, tables_of
 from allanjax.base.wording import format_interval, plain, significant
-from allanjax.estimate.tables import MAIN, SYMBOLS
+from allanjax.estimate.result import MAIN
 from allanjax.fleet.comparison import (
     FALSE_ALARMS,
     FEWEST_UNITS,
@@ -26,7 +26,7 @@ from allanjax.fleet.comparison import (
     pooled_values,
 )
 from allanjax.inspection.facts import listed, why_no_measurement
-from allanjax.noise.estimate import title_of
+from allanjax.noise.estimate import SYMBOLS, title_of
 
 if TYPE_CHECKING:
     import pandas as pd

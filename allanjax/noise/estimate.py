@@ -375,6 +375,14 @@ def title_of(label: str, sensor: Sensor) -> str:
     return words
 
 
+#: Symbols of the basic terms, in the order of a table's columns.
+SYMBOLS = {
+    "angle_random_walk": "N",
+    "bias_instability": "B",
+    "rate_random_walk": "K",
+    "quantization": "Q",
+    "drift_ramp": "R",
+}
 # Usual names of the basic terms, besides their own and their symbols.
 _CALLED: dict[str, dict[Sensor, str]] = {
     "angle_random_walk": {"gyro": "arw", "accel": "vrw velocity_random_walk"},

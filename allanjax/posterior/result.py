@@ -19,8 +19,7 @@ from allanjax.base.errors import AllanjaxError, AllanjaxWarning
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis
 from allanjax.base.wording import duration, plain, record_size
-from allanjax.estimate.result import AxisEstimates, Fit
-from allanjax.estimate.tables import all_coefficients
+from allanjax.estimate.result import AxisEstimates, Fit, all_coefficients
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.posterior.priors import Prior

@@ -21,8 +21,8 @@ from allanjax.estimate.design import AllanDesign, AllanTangent, free_shapes, of_
 from allanjax.estimate.deterministic import LINE_REACH, Line, line_columns
 from allanjax.estimate.evidence import PRIOR_RANGE
 from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.spectral.components import in_batches
 from allanjax.estimate.spectral.fit import Arrangement, share_with_error
-from allanjax.estimate.spectral.others import in_batches
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.posterior.priors import LogUniform, ModifiedLogUniform, Prior
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.allan.dynamic import DynamicAllan
+from allanjax.allan.deviation import DynamicAllan
 from allanjax.base.wording import duration
 from allanjax.presentation import draw
 from allanjax.presentation.draw import Heading, Sheet

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.allan.covariance import discrete_gauss
-from allanjax.allan.pyramid import check_finite
+from allanjax.allan.estimators import check_finite
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.noise.terms import DriftRamp, NoiseTerm

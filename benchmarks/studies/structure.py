@@ -30,7 +30,7 @@ from scipy.signal import butter, freqz, lfilter
 
 import allanjax as aj
 from allanjax.estimate.spectral import fit as joint
-from allanjax.estimate.structure import structure as search
+from allanjax.estimate.spectral import model as search
 from benchmarks.common.composite_scene import oscillator as biquad
 from benchmarks.common.hidden_sensors import log_uniform
 from benchmarks.common.study import run_tasks, share, table

@@ -180,7 +180,7 @@ def test_cluster_times_are_rounded_to_samples_and_thinned(curve, tmp_path):
         ("tau,gyro_x,gyro_y,gyro_z", "longer than 60 s; correct duration=", {"duration": "1 min"}),
         ("tau,gyro_x,gyro_y,gyro_z", "shorter than a sample", {"rate": 1.0}),
         ("tau,gyro_x,gyro_y,gyro_z", "must be a time such as 3h", {"duration": "long"}),
-        ("tau,gyro_x,gyro_y,gyro_z", "4 columns, but columns= names 2", {"columns": "tau,gyro_x"}),
+        ("tau,gyro_x,gyro_y,gyro_z", "4 columns, but columns= .* names 2", {"columns": "tau,gyro_x"}),
     ],
 )
 def test_what_cannot_be_is_refused_by_file_column_and_remedy(curve, tmp_path, head, word, options):

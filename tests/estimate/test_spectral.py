@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 
 import allanjax as aj
+from allanjax.estimate.evidence import power_fits
 from allanjax.estimate.spectral.fit import Arrangement
 from allanjax.estimate.spectral.model import maximize
-from allanjax.estimate.spectral.powers import power_fits
 
 # Of so many samples every level is one coefficient, of which expectations are exact.
 RATE, N = 10.0, 65
@@ -148,7 +148,7 @@ def test_a_search_takes_few_joint_fits(monkeypatch):
     inside = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
     after = aj.Resonance(3e-3, 9.0, 15.0) + aj.Resonance(2e-3, 33.0, 20.0)
     x, calls = aj.simulate(aj.LowPass1(20.0) * inside + after, 2**16, 100.0, 1), []
-    place = "allanjax.estimate.structure.structure.maximize"
+    place = "allanjax.estimate.spectral.model.maximize"
     monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
     (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
     assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= {*result.coefficients}

@@ -17,8 +17,8 @@ from allanjax.critic.bank import SLOW, Bank
 from allanjax.critic.effect import TIMES, Candidate, Effect, View
 from allanjax.critic.finding import limited
 from allanjax.critic.noise import FIXED, MARKOV, POWER_LAW, RAMP, SETS, Noise, NoiseFamily, odds, term_of
+from allanjax.estimate.evidence import information, power_fits
 from allanjax.estimate.spectral.components import columns_of
-from allanjax.estimate.spectral.powers import information, power_fits
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.terms import Markov, basic_terms
 from allanjax.record.units import default_coefficient_unit, unit_scale

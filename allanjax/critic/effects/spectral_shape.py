@@ -1,6 +1,6 @@
 """A filter of all noise, and resonances: the structure of the spectrum besides the basic noise terms.
 
-They are searched for together and fitted jointly with the noise (`estimate.structure`); the findings are
+They are searched for together and fitted jointly with the noise (`estimate.spectral`); the findings are
 described after the search, from the final model.
 """
 
@@ -21,11 +21,10 @@ from allanjax.critic.finding import Detail, Limit, limited
 from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of_noise
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
+from allanjax.estimate.spectral import model as structures
 from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
-from allanjax.estimate.spectral.model import response_of
-from allanjax.estimate.structure import structure as structures
-from allanjax.estimate.structure.search import Record, at_all, at_some, completed, narrow, refitted, searched
-from allanjax.estimate.structure.structure import FIXED, Fitted, Spectrum, Structure, model_of
+from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
+from allanjax.estimate.spectral.search import Record, at_all, at_some, completed, narrow, refitted, searched
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response

@@ -15,32 +15,19 @@ the poles of a filter have one form, and no sum over lags is needed. All is in u
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
+from allanjax.noise import response as filters
 from allanjax.noise.numerics import averaged_lags
-from allanjax.noise.response import (
-    HALF_POWER,
-    LARGEST_BANDWIDTH,
-    LONGEST,
-    Biquad,
-    Butterworth,
-    LowPass1,
-    LowPass2,
-    MovingAverage,
-    Poles,
-    Response,
-    apart_from_one,
-    bilinear_poles,
-    biquad_poles,
-    butterworth_poles,
-    one_pole,
-    two_poles,
-)
+from allanjax.noise.response import Poles, Response
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
@@ -104,10 +91,6 @@ class Levels(NamedTuple):
     def endless(self) -> Levels:
         """Copy for a record so long that its ends add nothing."""
         return self._replace(length=_ENDLESS + 0.0 * self.length)
-
-    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Levels:
-        """Copy with these mean squares [rate²] and degrees of freedom."""
-        return self._replace(level=level, shape=dof / 2.0)
 
 
 class Place(NamedTuple):
@@ -252,23 +235,23 @@ BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
 #: Kinds that have a quality factor.
 SHAPED = (TWO_POLES, BIQUAD)
 _CLASSES: dict[int, Any] = {
-    ONE_POLE: LowPass1,
-    TWO_POLES: LowPass2,
-    MOVING_AVERAGE: MovingAverage,
-    BIQUAD: Biquad,
+    ONE_POLE: filters.LowPass1,
+    TWO_POLES: filters.LowPass2,
+    MOVING_AVERAGE: filters.MovingAverage,
+    BIQUAD: filters.Biquad,
 }
 
 
 def response_of_kind(kind: int, bandwidth: float, quality: float) -> Response:
     """Response of a kind other than none; filters without a quality factor ignore it."""
     if kind >= BUTTERWORTH_1:
-        return Butterworth(bandwidth, kind - BUTTERWORTH_1 + 1)
+        return filters.Butterworth(bandwidth, kind - BUTTERWORTH_1 + 1)
     return _CLASSES[kind](bandwidth, quality) if kind in SHAPED else _CLASSES[kind](bandwidth)
 
 
 def kind_of(response: Response | None) -> int:
     """Kind of a response."""
-    if isinstance(response, Butterworth):
+    if isinstance(response, filters.Butterworth):
         return BUTTERWORTH_1 + response.order - 1
     return {None: NONE, **{own: kind for kind, own in _CLASSES.items()}}[response and type(response)]
 
@@ -276,21 +259,22 @@ def kind_of(response: Response | None) -> int:
 def bandwidths(kind: int) -> tuple[float, float]:
     """Least and largest bandwidth of a kind of response [radians per sample interval]."""
     if kind == MOVING_AVERAGE:
-        return 2.0 * np.pi * HALF_POWER / LONGEST, 2.0 * np.pi * HALF_POWER
-    return math.exp(-20.0), LARGEST_BANDWIDTH * np.pi if kind >= BIQUAD else math.exp(5.0)
+        return 2.0 * np.pi * filters.HALF_POWER / filters.LONGEST, 2.0 * np.pi * filters.HALF_POWER
+    return math.exp(-20.0), filters.LARGEST_BANDWIDTH * np.pi if kind >= BIQUAD else math.exp(5.0)
 
 
 def _poles(kind: int, wc: Any, Q: Any) -> Poles:
     """Poles of a filter of a bandwidth [radians per sample interval], see `noise.response`."""
     if kind == ONE_POLE:
-        return one_pole(wc)
+        return filters.one_pole(wc)
     if kind == TWO_POLES:
-        return two_poles(wc, Q)
-    tangent = np.tan(np.minimum(wc, LARGEST_BANDWIDTH * np.pi) / 2.0)
+        return filters.two_poles(wc, Q)
+    tangent = np.tan(np.minimum(wc, filters.LARGEST_BANDWIDTH * np.pi) / 2.0)
     if kind == BIQUAD:
-        return bilinear_poles(biquad_poles(tangent, Q))
+        return filters.bilinear_poles(filters.biquad_poles(tangent, Q))
     order = kind - BUTTERWORTH_1 + 1
-    return bilinear_poles(butterworth_poles(apart_from_one(tangent, order), order), 1.0 / order)
+    tangent = filters.apart_from_one(tangent, order)
+    return filters.bilinear_poles(filters.butterworth_poles(tangent, order), 1.0 / order)
 
 
 def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
@@ -301,7 +285,7 @@ def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarra
     noise has r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1.
     """
     if kind == MOVING_AVERAGE:
-        samples = np.clip(2.0 * np.pi * HALF_POWER / wc, 1.0, LONGEST)
+        samples = np.clip(2.0 * np.pi * filters.HALF_POWER / wc, 1.0, filters.LONGEST)
         whole = np.floor(samples)
         numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
         sums = _of_sums(levels, numbers)[at.reshape(2, *whole.shape[:-2])]
@@ -332,7 +316,7 @@ def _of_sums(levels: Levels, numbers: Float[np.ndarray, " k"]) -> Float[np.ndarr
     """
     m, s = numbers[:, None, None], levels.square
     # Where it changes nothing, the frequency is not so small that the sums cancel.
-    small = levels.angle * LONGEST < _NEARLY_CONSTANT
+    small = levels.angle * filters.LONGEST < _NEARLY_CONSTANT
     sine = np.where(small, 1.0, 2.0 * np.sqrt(s * (1.0 - s)))
     half = m * levels.angle / 2.0
     turned, of_half = np.sin(half), np.cos(half)
@@ -363,7 +347,7 @@ def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int)
     if kind == NONE:
         return np.ones_like(levels.angle), slopes
     if kind == MOVING_AVERAGE:
-        samples = 2.0 * math.pi * HALF_POWER * math.exp(-shape[0])
+        samples = 2.0 * math.pi * filters.HALF_POWER * math.exp(-shape[0])
         wider, narrower = _pieces(samples)
         pieces = dict.fromkeys((wider, narrower or wider))
         both = [
@@ -389,6 +373,69 @@ def piece_of(kind: int, bandwidth: float) -> tuple[float, float]:
     """Bandwidths between which the response is smooth around this one [radians per sample interval]."""
     if kind != MOVING_AVERAGE:
         return 0.0, math.inf
-    unit = 2.0 * math.pi * HALF_POWER
+    unit = 2.0 * math.pi * filters.HALF_POWER
     longer, shorter = _pieces(unit / bandwidth)
     return unit / (longer + 1.0), unit / shorter if shorter else math.inf
+
+
+# Number of rows of a program of JAX, in which batches are evaluated; levels of a record are padded to a
+# multiple of so many.
+_ROWS, _LEVELS = 16, 512
+
+
+def in_batches(
+    function: Callable[[Any, Array], Array], data: Any, rows: Float[np.ndarray, "b k"]
+) -> Float[np.ndarray, "b ..."]:
+    """Function of JAX of data and of each row, compiled once for any number of rows and other such data."""
+    whole = np.resize(rows, (-(-len(rows) // _ROWS) * _ROWS, rows.shape[1]))
+    parts = [_mapped(function, data, some) for some in np.split(whole, len(whole) // _ROWS)]
+    return np.concatenate(parts)[: len(rows)]
+
+
+@eqx.filter_jit
+def _mapped(function: Callable[[Any, Array], Array], data: Any, rows: ArrayLike) -> Array:
+    return jax.lax.map(lambda row: function(data, row), jnp.asarray(rows))
+
+
+class Others(eqx.Module):
+    """Terms of unit amplitude whose free shapes have no closed form, and the places where they are evaluated.
+
+    Each shape has the index of its term, its name and its lower bound.
+    """
+
+    terms: tuple[NoiseTerm, ...]
+    shapes: tuple[tuple[int, str, float], ...] = eqx.field(static=True)
+    places: tuple[Place, ...]
+
+    @classmethod
+    def of(
+        cls, terms: tuple[NoiseTerm, ...], shapes: tuple[tuple[int, str, float], ...], bins: Bins
+    ) -> Others:
+        """Terms as they are observed in these bins, of which those of a record are padded."""
+        places = [Place.of(part) for part in bins.parts]
+        if len(places) == 1:
+            more = [(0, 0), (0, -len(bins.size) % _LEVELS)]
+            frequency = np.pad(places[0].frequency, more, constant_values=bins.rate / 4.0)
+            places[0] = places[0]._replace(frequency=frequency)
+        return cls(
+            tuple(term.with_unit_amplitude().sampled(bins.rate) for term in terms), shapes, tuple(places)
+        )
+
+    def squares(self, values: Float[np.ndarray, "b shapes"], m: int) -> Float[np.ndarray, "b terms 2 m"]:
+        """Expected squares at the nodes of m levels for these values of ln(shape − lower bound)."""
+        return in_batches(_squares, self, values)[..., :m]
+
+    def squares_and_slopes(self, values: Float[np.ndarray, " shapes"], m: int) -> tuple[Any, Any]:
+        """Expected squares (terms, 2, m), and of the term of each shape the derivatives by it."""
+        moves = _STEP * np.eye(len(values))
+        here, *around = self.squares(values + np.concatenate([0.0 * values[None], moves, -moves]), m)
+        slopes = (np.array(around[: len(values)]) - around[len(values) :]) / (2.0 * _STEP)
+        return here, slopes[np.arange(len(values)), [k for k, *_ in self.shapes]]
+
+
+def _squares(others: Others, values: Float[Array, " shapes"]) -> Float[Array, "terms 2 padded"]:
+    terms = list(others.terms)
+    for (k, name, lower), value in zip(others.shapes, values, strict=True):
+        terms[k] = terms[k].replace(**{name: lower + jnp.exp(value)})
+    every = [jnp.concatenate([place.expected(term) for place in others.places], axis=1) for term in terms]
+    return jnp.stack(every)

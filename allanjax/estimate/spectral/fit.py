@@ -10,30 +10,36 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float, Int
+from jaxtyping import Bool, Float, Int
 
 from allanjax.base.chi_squared import beyond_doubt, normal_score
-from allanjax.estimate.design import INSIDE, REACH, Tangent, free_powers, free_shapes, of_owners
-from allanjax.estimate.gls import Solution
+from allanjax.estimate.design import INSIDE, REACH, Solution, Tangent, free_powers, free_shapes, of_owners
+from allanjax.estimate.deterministic import InUse
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import Levels, bandwidths, columns_of, kind_of, passed
+from allanjax.estimate.spectral.components import Levels, Others, bandwidths, columns_of, kind_of
 from allanjax.estimate.spectral.model import (
     TOLERANCE,
     Component,
-    Composition,
     Joint,
     Maximum,
+    Structure,
+    error_of_ends,
     maximize,
-    response_of,
+    model_error,
+    share_with_error,
 )
-from allanjax.estimate.spectral.others import Others
 from allanjax.noise.model import Model
 from allanjax.noise.terms import Markov, NoiseTerm, Resonance
 from allanjax.spectrum.cosine import Bins
 
+_Levels: TypeAlias = Float[np.ndarray, " m"]
+_Theta: TypeAlias = Float[np.ndarray, " parameters"]
+_Power: TypeAlias = Float[np.ndarray, " terms"]
+_Shapes: TypeAlias = Float[np.ndarray, " shapes"]
+_Flags: TypeAlias = Bool[np.ndarray, " terms+shapes"]
 # Names and bounds of the shapes of a kind of component, in ln and units of the sample interval; of the shapes
 # of other terms [SI]; and a value to hold what has none.
 _SHAPES = {
@@ -50,9 +56,6 @@ _LARGEST, _STEPS = 1e3, 60
 # Levels with fewer degrees of freedom say nothing about how well a model fits; difference of minus twice the
 # log-likelihood below which two solutions are the same; and tolerance [nats] of fits before the last one.
 _FEW, _AS_LIKELY, _ROUGH = 0.05, 0.02, 1e-4
-# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
-# fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
-_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
 
 
 class Arrangement(NamedTuple):
@@ -63,9 +66,9 @@ class Arrangement(NamedTuple):
     """
 
     model: Model
-    composition: Composition
+    composition: Structure
     parameter: Int[np.ndarray, " shapes"]
-    offset: Float[np.ndarray, " shapes"]
+    offset: _Shapes
     owner: Int[np.ndarray, " shapes"]
     levels: Levels
     bins: Bins
@@ -85,15 +88,15 @@ class Arrangement(NamedTuple):
         own = tuple((others.index(s.owner), s.name, s.lower) for s in shapes if s.owner in others)
         further = Others.of(tuple(model.terms[k] for k in others), own, bins) if others else None
         response = shapes[-2].value, shapes[-1].value
-        composition = Composition(tuple(components), kind_of(model.response), response, further)
+        composition = Structure(tuple(components), kind_of(model.response), response, further)
         free = [(len(model) + k, s.unit, s.owner) for k, s in enumerate(shapes) if s.free]
         parameter, offset, owner = np.array(free).reshape(-1, 3).T
         levels = Levels.of(bins, columns_of([model.terms[k] for k in columns], bins))
         return cls(model, composition, parameter.astype(int), offset, owner.astype(int), levels, bins)
 
-    def with_data(self, level: Float[np.ndarray, " m"], dof: Float[np.ndarray, " m"]) -> Arrangement:
+    def with_data(self, level: _Levels, dof: _Levels) -> Arrangement:
         """Copy with these mean squares [rate²] and degrees of freedom as data."""
-        return self._replace(levels=self.levels.with_data(level, dof))
+        return self._replace(levels=self.levels._replace(level=level, shape=dof / 2.0))
 
     def unit_power(self, theta: Float[np.ndarray, "*b parameters"]) -> Float[np.ndarray, "*b terms"]:
         """Power of each term's component where the term has unit amplitude.
@@ -121,20 +124,13 @@ class Arrangement(NamedTuple):
         theta = self.parameters(shape[:1] if (shape == shape[:1]).all() else shape)
         return self.composition.levels(theta, self.levels) * self.unit_power(theta)[..., None]
 
-    def error_of_ends(
-        self, shape: Float[np.ndarray, " shapes"], power: Float[np.ndarray, " terms"]
-    ) -> Float[np.ndarray, " m"]:
+    def error_of_ends(self, shape: _Shapes, power: _Power) -> _Levels:
         """Relative variance of the levels from the record's ends, for squared amplitudes of the terms."""
         theta = self.parameters(shape)
         theta[: len(power)] = power * self.unit_power(theta)
         return error_of_ends(self.composition, theta, self.levels, self.bins)
 
-    def estimated(self, active: Bool[np.ndarray, " terms"]) -> Bool[np.ndarray, " terms+shapes"]:
-        """Which powers and which free shapes are estimated, if these terms are in use."""
-        owned = of_owners(self.model, active)[self.owner]
-        return np.concatenate([free_powers(self.model) & active, owned])
-
-    def joint(self, estimated: Bool[np.ndarray, " terms+shapes"]) -> Joint:
+    def joint(self, estimated: _Flags) -> Joint:
         """Joint model in which these powers and free shapes are estimated, with the widest bounds."""
         count, of = len(self.model), self.composition
         bounds = [(0.0, np.inf)] * count
@@ -147,14 +143,10 @@ class Arrangement(NamedTuple):
         free[np.append(np.arange(count), self.parameter)] = estimated
         return Joint(of, free, lower, upper, 0.0 * lower, 0.0 * lower)
 
-    def start(
-        self,
-        active: Bool[np.ndarray, " terms"],
-        power: Float[np.ndarray, " terms"],
-        shape: Float[np.ndarray, " shapes"],
-    ) -> tuple[Float[np.ndarray, " parameters"], Joint]:
+    def start(self, active: InUse, power: _Power, shape: _Shapes) -> tuple[_Theta, Joint]:
         """Parameters to start from, and the joint model of these terms, with bounds around the start."""
-        start, joint, of = self.parameters(shape), self.joint(self.estimated(active)), self.composition
+        estimated = [free_powers(self.model) & active, of_owners(self.model, active)[self.owner]]
+        start, joint, of = self.parameters(shape), self.joint(np.concatenate(estimated)), self.composition
         count = len(self.model)
         start[:count] = np.where(active, power * self.unit_power(start), _NOTHING)
         for k, u, p in zip(self.parameter, self.offset, free_shapes(self.model), strict=True):
@@ -165,11 +157,6 @@ class Arrangement(NamedTuple):
             joint.lower[k] = max(joint.lower[k], start[k] - reach)
             joint.upper[k] = min(joint.upper[k], start[k] + reach, end)
         return start, joint
-
-    def fitted_model(self, fit: LevelFit) -> Model:
-        """The model with the shapes of a fit, and unit amplitudes."""
-        values = zip(free_shapes(self.model), np.exp(fit.solution.shape), strict=True)
-        return self.model.with_values(**{p.label: float(p.parameter.lower + x) for p, x in values})
 
     def unit_levels(
         self, maximum: Maximum
@@ -222,49 +209,6 @@ class Arrangement(NamedTuple):
         return tangent, fit.solution._replace(power=power)
 
 
-def model_error(
-    of: Composition, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
-
-    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
-    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
-    fallen by more than so many factors of e.
-    """
-    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
-    of = of.with_parameters(maximum.theta)
-    if (response := response_of(of, bins.rate)) is not None:
-        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
-        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
-    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
-    for k, own in zip(of.oscillators, resonances, strict=True):
-        share = own.power * maximum.unit[k] / maximum.mean
-        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
-        beside = abs(angle - own.frequency) > _BESIDE * own.width
-        common += (skirt * np.where(beside, share, 0.0)) ** 2
-    return unsteady**2 + common * bins.per_octave()
-
-
-def error_of_ends(
-    of: Composition, theta: Float[np.ndarray, " parameters"], levels: Levels, bins: Bins
-) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from the two ends of a record.
-
-    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there.
-    """
-    if of.kind == kinds.NONE:
-        return np.zeros(len(bins.size))
-    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
-    both = (passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
-    whole, without = (x.mean(axis=0) for x in both)
-    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
-    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
-    # More than the model has is not from the ends either.
-    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * share**2
-
-
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class LevelTangent(Tangent):
     """Levels of a spectrum around a fit: independent, χ² around expectations that are linear in the shapes.
@@ -272,8 +216,8 @@ class LevelTangent(Tangent):
     Those in the octave around each, of this number, share an error of the model.
     """
 
-    degrees: Float[np.ndarray, " m"]
-    per_octave: Float[np.ndarray, " m"]
+    degrees: _Levels
+    per_octave: _Levels
 
     def variances(self, power: Float[np.ndarray, "axes terms"]) -> Float[np.ndarray, "axes m"]:
         return 2.0 * self.mean(power) ** 2 / np.maximum(self.degrees, 1e-9)
@@ -331,37 +275,24 @@ class LevelFit(NamedTuple):
 
     solution: Solution
     maximum: Maximum
-    degrees: Float[np.ndarray, " m"]
+    degrees: _Levels
 
 
-def chi_squared(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> float:
+def chi_squared(ratio: _Levels, dof: _Levels) -> float:
     """χ² of levels from their ratios to their expectations."""
     return float(np.sum(_squares(ratio, dof)))
 
 
-def degrees_left(dof: Float[np.ndarray, " m"], estimated: int) -> float:
+def degrees_left(dof: _Levels, estimated: int) -> float:
     """Degrees of freedom of χ² of levels to which so many parameters were fitted."""
     return max(float(np.sum(np.minimum(dof, 1.0))) - estimated, 1.0)
 
 
-def _squares(ratio: Float[ArrayLike, " m"], dof: Float[ArrayLike, " m"]) -> Float[np.ndarray, " m"]:
+def _squares(ratio: _Levels, dof: _Levels) -> _Levels:
     return np.where(np.asarray(dof) > _FEW, normal_score(ratio, dof) ** 2, 0.0)
 
 
-def share_with_error(dof: Any, variance: Any) -> Any:
-    """Share of their weight that levels keep if the model's error has this relative variance.
-
-    The relative variance 2/dof of each becomes 2/dof + variance.
-    """
-    return 1.0 / (1.0 + 0.5 * dof * variance)
-
-
-def error_of_powers(
-    ratio: Float[ArrayLike, " m"],
-    dof: Float[np.ndarray, " m"],
-    per_octave: Float[np.ndarray, " m"],
-    degrees: float,
-) -> float:
+def error_of_powers(ratio: _Levels, dof: _Levels, per_octave: _Levels, degrees: float) -> float:
     """Relative error of a model that brings χ² to its degrees of freedom; 0 if χ² is not above them.
 
     The ratios are those of levels to their expectations; the levels in an octave share the error, which adds
@@ -381,15 +312,11 @@ def error_of_powers(
 
 
 def fit_levels(
-    arrangement: Arrangement,
-    active: Bool[np.ndarray, " terms"],
-    power: Float[ArrayLike, " terms"],
-    shape: Float[ArrayLike, " shapes"],
-    noise: Float[np.ndarray, " m"],
+    arrangement: Arrangement, active: InUse, power: _Power, shape: _Shapes, noise: _Levels
 ) -> LevelFit:
     """Maximum of the likelihood of one axis from a start, in noise of these rough levels [rate²]."""
     levels, per_octave = arrangement.levels, arrangement.bins.per_octave()
-    theta, joint = arrangement.start(active, np.asarray(power), np.asarray(shape))
+    theta, joint = arrangement.start(active, power, shape)
     dof = 2.0 * levels.shape
     degrees = degrees_left(dof, np.sum(joint.free))
 
@@ -416,11 +343,7 @@ def fit_levels(
 
 
 def _solution(
-    arrangement: Arrangement,
-    active: Bool[np.ndarray, " terms"],
-    found: Maximum,
-    share: Float[np.ndarray, " m"],
-    error: float,
+    arrangement: Arrangement, active: InUse, found: Maximum, share: _Levels, error: float
 ) -> Solution:
     """Solution of a model whose levels keep this share of their weight."""
     from scipy.special import gammaln

@@ -1,4 +1,4 @@
-"""The joint spectral model: expected levels as a function of its parameters, and its maximum likelihood.
+"""The structure of a spectrum: its components and response, their expected levels, and their joint fit.
 
     μ = R·Σ p_c S_c (what is inside the response R) + Σ p_c S_c (what is after it)
 
@@ -17,22 +17,19 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator
-from typing import Any, NamedTuple, Self
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from allanjax.estimate.spectral import components as kinds
-from allanjax.estimate.spectral.components import (
-    Levels,
-    passed,
-    passed_and_slopes,
-    piece_of,
-    response_of_kind,
-)
-from allanjax.estimate.spectral.others import Others
+from allanjax.estimate.spectral.components import Levels, Others
+from allanjax.noise.model import Model
 from allanjax.noise.response import Response
+from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
+from allanjax.spectrum.cosine import Bins, smoothed
+from allanjax.spectrum.peaks import LOWEST
 
 # Damping of the first step, relative to the information; shares of the predicted gain above which it falls,
 # below which it rises, and below which a step is taken back besides; by what factors it changes; and one at
@@ -48,6 +45,42 @@ _SMALL, _STEPS, _LONGEST = 1e-8, 200, 2.0
 _CLOSE, _LOWEST, _LEAST = 1e-4, 1e-12, 1e-30
 #: Distance of two resonances, in the mean of their widths, below which they may be one that moves.
 CLOSE = 1.5
+
+
+# Relative errors of a model's parts, which are judgements: of a response, per factor of e by which it has
+# fallen; of a resonance, whose frequency and damping drift; and of its skirt, so many widths from its peak.
+_FILTER, _UNSTEADY, _SKIRT, _BESIDE = 0.05, 0.1, 0.2, 1.5
+#: Terms without a free shape, in the first columns; the white noise that is added after a response.
+FIXED = ("quantization", "angle_random_walk", "bias_instability", "rate_random_walk")
+QUANTIZATION, WHITE, OUTSIDE = 0, FIXED.index("angle_random_walk"), len(FIXED)
+#: Column of a further term, whose shape is given.
+FURTHER = OUTSIDE + 1
+#: Least quality factor of a resonance: a wider one is an edge, as of a filter.
+LEAST_QUALITY = 1.5
+#: A resonance narrower than so many coefficients is a line.
+LINE = 4.0
+# Least correlation time [samples] of a Markov process: a shorter one is filtered white noise.
+_SHORTEST = 8.0
+#: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
+LOWEST_BANDWIDTH = 0.005
+# Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
+_ERROR = 0.005
+# Number of factors of e beyond which the errors of a response count in a search: a judgement.
+_DEEP = 3.0
+#: Tolerances [nats] of a fit within a search, and of one whose numbers are reported.
+ROUGH, FINE = 1e-2, 1e-7
+#: The prior of a resonance's frequency is uniform in its logarithm, over ln(n/this) for n samples.
+FREQUENCIES = 32.0
+# Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
+_QUALITY = (math.log(10.0), 1.0 / 9.0)
+# Largest distance of a frequency from its start, in ln.
+_REACH = 0.7
+#: Log prior odds against a component [nats]: a judgement, twenty to one.
+PRICE = 3.0
+# Unit of the widths of the priors of powers, quality factors and bandwidth, in ln.
+_DECADES = math.log(10.0)
+_Theta: TypeAlias = Float[np.ndarray, " parameters"]
+_Square: TypeAlias = Float[np.ndarray, "parameters parameters"]
 
 
 class Component(NamedTuple):
@@ -89,19 +122,36 @@ class Component(NamedTuple):
         return abs(self.frequency - other.frequency) < CLOSE * 0.5 * (self.width + other.width)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Composition:
-    """Components of a spectrum, and a response that some pass through, with values.
+def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
+    """Resonance at a frequency [radians per sample]."""
+    return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
 
-    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½.
+
+def markov(time: float, power: float) -> Component:
+    """Markov process of a correlation time [samples], inside the response."""
+    return Component(kinds.MARKOV, power, (math.log(time),), True)
+
+
+def _column(which: int) -> Component:
+    # The output is rounded; and a term of its own kind may have no closed form behind a response.
+    return Component(kinds.COLUMN, inside=which not in (QUANTIZATION, OUTSIDE, FURTHER), which=which)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Structure:
+    """Components of a spectrum, and a response that some pass through, with values or start values.
+
+    The response has a kind, and in ln its bandwidth [radians per sample] and its quality factor less ½. The
+    `further` term, with unit amplitude, is that of column `FURTHER`.
     """
 
     components: tuple[Component, ...]
     kind: int = kinds.NONE
     response: tuple[float, float] = (0.0, math.log(5.0))
     others: Others | None = None
+    further: NoiseTerm | None = None
 
-    def with_parameters(self, theta: Float[np.ndarray, " parameters"]) -> Self:
+    def with_parameters(self, theta: _Theta) -> Structure:
         """Copy with other values of all parameters."""
         values, at, new = theta.tolist(), self.first, []
         for k, own in enumerate(self.components):
@@ -114,17 +164,14 @@ class Composition:
         return math.exp(self.response[0]), 0.5 + math.exp(self.response[1])
 
     def of_kind(self, kind: int) -> list[int]:
-        """Places of the components of a kind."""
         return [k for k, c in enumerate(self.components) if c.kind == kind]
 
     @property
     def oscillators(self) -> list[int]:
-        """Places of the oscillators among the components."""
         return self.of_kind(kinds.OSCILLATOR)
 
     @property
-    def parameters(self) -> Float[np.ndarray, " parameters"]:
-        """Values of all parameters."""
+    def parameters(self) -> _Theta:
         shapes = (x for c in self.components for x in c.shape)
         return np.array([*(c.power for c in self.components), *shapes, *self.response])
 
@@ -136,7 +183,6 @@ class Composition:
 
     @functools.cached_property
     def inside(self) -> Bool[np.ndarray, " components"]:
-        """Which components pass through the response."""
         return np.array([c.inside for c in self.components], bool)
 
     @functools.cached_property
@@ -182,7 +228,7 @@ class Composition:
         unit, response = np.empty((len(theta), len(self.components), levels.angle.shape[1])), None
         if self.kind != kinds.NONE:
             wc, excess = np.exp(theta[:, -2:]).T[:, :, None, None]
-            response = passed(levels, self.kind, wc, 0.5 + excess)
+            response = kinds.passed(levels, self.kind, wc, 0.5 + excess)
         for places, _, value, _ in self.squares(theta, levels):
             for row, k in enumerate(places):
                 own = value[..., row, :, :]
@@ -190,11 +236,86 @@ class Composition:
                 unit[:, k] = 0.5 * (own[..., 0, :] + own[..., 1, :])
         return unit
 
+    @classmethod
+    def plain(cls, columns: Iterable[int]) -> Structure:
+        """Structure of some columns only, of which all but quantization pass through a response, if any."""
+        return cls(tuple(map(_column, columns)))
 
-def response_of(of: Composition, rate: float) -> Response | None:
+    def place(self, column: int) -> int | None:
+        """Place of a column among the components; None if it is not one of them."""
+        found = (k for k, c in enumerate(self.components) if c.kind == kinds.COLUMN and c.which == column)
+        return next(found, None)
+
+    def column(self, column: int) -> Component:
+        """The component of a column, without power if there is none."""
+        k = self.place(column)
+        return _column(column) if k is None else self.components[k]
+
+    @property
+    def there(self) -> list[int]:
+        """Components whose power is not zero."""
+        return [k for k, c in enumerate(self.components) if c.power > 0.0]
+
+    def plus(self, *components: Component) -> Structure:
+        return dataclasses.replace(self, components=(*self.components, *components))
+
+    def with_column(self, column: int, power: float) -> Structure:
+        k, own = self.place(column), self.column(column)._replace(power=power)
+        return self.plus(own) if k is None else self._changed({k: own})
+
+    @property
+    def filter(self) -> tuple[float, ...]:
+        """Kind and shape of the response."""
+        return self.kind, *self.response
+
+    def with_response(self, kind: int, bandwidth: float, quality: float = math.sqrt(0.5)) -> Structure:
+        """Structure with this response [radians per sample]."""
+        response = math.log(bandwidth), math.log(quality - 0.5)
+        return dataclasses.replace(self, kind=kind, response=response)
+
+    def without_response(self) -> Structure:
+        """Structure without a response, and without the white noise after it."""
+        return dataclasses.replace(self.without(self.place(OUTSIDE)), kind=kinds.NONE)
+
+    def with_shape_of(self, other: Structure) -> Structure:
+        """Structure with another one's response and resonances, and with what is after the response there."""
+        inside = {c.which: c.inside for c in other.components if c.kind == kinds.COLUMN}
+        mine = (
+            c._replace(inside=inside.get(c.which, c.inside)) if c.kind == kinds.COLUMN else c
+            for c in self.components
+            if not _is_shape(c)
+        )
+        components = (*mine, *filter(_is_shape, other.components))
+        return dataclasses.replace(self, components=components, kind=other.kind, response=other.response)
+
+    def has_shape_of(self, other: Structure) -> bool:
+        """Whether both have the same kind of response and as many resonances."""
+        return self.kind == other.kind and len(self.oscillators) == len(other.oscillators)
+
+    def placed(self, places: Collection[int | None], inside: bool) -> Structure:
+        """Structure in which these components are inside the response or after it."""
+        return self._changed({k: self.components[k]._replace(inside=inside) for k in places if k is not None})
+
+    def without(self, *places: int | None) -> Structure:
+        return dataclasses.replace(
+            self, components=tuple(c for k, c in enumerate(self.components) if k not in places)
+        )
+
+    def with_powers(self, powers: Iterable[float]) -> Structure:
+        both = zip(self.components, powers, strict=True)
+        return dataclasses.replace(self, components=tuple(c._replace(power=p) for c, p in both))
+
+    def _changed(self, new: dict[int, Component]) -> Structure:
+        components = tuple(new.get(k, c) for k, c in enumerate(self.components))
+        return dataclasses.replace(self, components=components)
+
+
+def response_of(of: Structure, rate: float) -> Response | None:
     """Response of a composition, for samples at `rate` [Hz]; None without one."""
+    if of.kind == kinds.NONE:
+        return None
     w, quality = of.bandwidth
-    return None if of.kind == kinds.NONE else response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+    return kinds.response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -205,15 +326,15 @@ class Joint:
     prior, unless its precision is 0.
     """
 
-    composition: Composition
+    composition: Structure
     free: Bool[np.ndarray, " parameters"]
-    lower: Float[np.ndarray, " parameters"]
-    upper: Float[np.ndarray, " parameters"]
-    centre: Float[np.ndarray, " parameters"]
-    precision: Float[np.ndarray, " parameters"]
+    lower: _Theta
+    upper: _Theta
+    centre: _Theta
+    precision: _Theta
 
 
-def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: Levels) -> tuple[Any, ...]:
+def expected(theta: _Theta, of: Structure, levels: Levels) -> tuple[Any, ...]:
     """Expected levels of components of unit power [rate²], and the derivatives of each by its own shapes.
 
     Also the derivatives of the sum of all components by the bandwidth and by the quality factor of the
@@ -227,10 +348,10 @@ def expected(theta: Float[np.ndarray, " parameters"], of: Composition, levels: L
             rows[own.ravel()] = slope.reshape(-1, 2, m)
     by_response = np.zeros((3, m))
     if of.kind != kinds.NONE:
-        passed, moved = passed_and_slopes(levels, theta[-2:], of.kind)
+        through, moved = kinds.passed_and_slopes(levels, theta[-2:], of.kind)
         passing = np.tensordot(theta[:count] * of.inside, rows[:count], 1)
         by_response = np.mean(moved * passing, axis=1)
-        rows[np.append(of.inside, of.inside[of.owner])] *= passed
+        rows[np.append(of.inside, of.inside[of.owner])] *= through
     mean = 0.5 * (rows[:, 0] + rows[:, 1])
     return mean[:count], mean[count:], by_response
 
@@ -243,7 +364,7 @@ class Maximum(NamedTuple):
     included, of what is estimated and not at a bound (`interior`); the others have a unit on the diagonal.
     """
 
-    theta: Float[np.ndarray, " parameters"]
+    theta: _Theta
     scale: Float[np.ndarray, " components"]
     loss: float
     mean: Float[np.ndarray, " m"]
@@ -251,7 +372,7 @@ class Maximum(NamedTuple):
     by_shape: Float[np.ndarray, "shapes m"]
     by_response: Float[np.ndarray, "3 m"]
     owner: Int[np.ndarray, " shapes"]
-    information: Float[np.ndarray, "parameters parameters"] = np.zeros((0, 0))
+    information: _Square = np.zeros((0, 0))
     interior: Bool[np.ndarray, " parameters"] = np.zeros(0, bool)
     converged: bool = False
 
@@ -265,11 +386,7 @@ class Maximum(NamedTuple):
 
 
 def maximize(
-    theta: Float[np.ndarray, " parameters"],
-    joint: Joint,
-    levels: Levels,
-    noise: Float[np.ndarray, " m"],
-    tolerance: float = TOLERANCE,
+    theta: _Theta, joint: Joint, levels: Levels, noise: Float[np.ndarray, " m"], tolerance: float = TOLERANCE
 ) -> Maximum:
     """Maximum of the likelihood from a start.
 
@@ -280,7 +397,9 @@ def maximize(
 
     def place(theta: Any, scale: Any = None) -> Maximum:
         unit, by_shape, by_response = expected(theta, of, levels)
-        scale = power_scales(unit, levels.shape, noise) if scale is None else scale
+        if scale is None:
+            information = (unit / noise) ** 2 @ levels.shape
+            scale = np.where(information > 0.0, 1.0 / np.sqrt(np.maximum(information, 1e-300)), 1.0)
         mean = np.maximum(theta[:count] @ unit, _LEAST * np.max(scale))
         loss = levels.shape @ (np.log(mean) + levels.level / mean)
         loss += 0.5 * joint.free * joint.precision @ (theta - joint.centre) ** 2
@@ -320,7 +439,7 @@ def _slopes(best: Maximum, joint: Joint, levels: Levels) -> tuple[Any, Any, Any]
 
 def _next(
     best: Maximum, slopes: tuple[Any, Any, Any], joint: Joint, levels: Levels, damping: float
-) -> tuple[Float[np.ndarray, " parameters"], float]:
+) -> tuple[_Theta, float]:
     """The next place to try, and the gain to expect there.
 
     The curvature is that of the levels' deviances: far from the maximum steps are as long as in logarithms.
@@ -346,7 +465,7 @@ def _next(
     move = np.clip(-size * np.linalg.solve(damped, gradient * size), -_LONGEST, _LONGEST)
     every, count = np.zeros(len(best.theta)), len(best.scale)
     every[moving] = move
-    share, piece = 1.0, np.log(piece_of(joint.composition.kind, math.exp(best.theta[-2])))
+    share, piece = 1.0, np.log(kinds.piece_of(joint.composition.kind, math.exp(best.theta[-2])))
     if every[-2] != 0.0:
         share = min((piece[int(every[-2] > 0.0)] - best.theta[-2]) / every[-2], 1.0)
     every *= share
@@ -355,17 +474,244 @@ def _next(
     return np.clip(best.theta + every, joint.lower, joint.upper), gain
 
 
-def power_scales(unit: Any, shape: Any, noise: Any) -> Float[np.ndarray, " components"]:
-    """Power of each component that would be one standard deviation in noise of these levels [rate²]."""
-    information = (unit / noise) ** 2 @ shape
-    return np.where(information > 0.0, 1.0 / np.sqrt(np.maximum(information, 1e-300)), 1.0)
+def model_error(
+    of: Structure, maximum: Maximum, bins: Bins, allowed: float = 0.0, skirt: float = _SKIRT
+) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from what sensors' filters and resonances differ from the model.
+
+    Resonances drift, the more so where several stand for one that moves. Skirts and filters are nowhere
+    just like the model's, which is common to the levels of an octave; of a filter it counts where that has
+    fallen by more than so many factors of e.
+    """
+    f, common, unsteady = bins.frequency, np.zeros(len(bins.frequency)), np.zeros(len(bins.frequency))
+    of = of.with_parameters(maximum.theta)
+    if (response := response_of(of, bins.rate)) is not None:
+        fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
+        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
+    resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
+    for k, own in zip(of.oscillators, resonances, strict=True):
+        share = own.power * maximum.unit[k] / maximum.mean
+        unsteady += _UNSTEADY * sum(own.is_close_to(other) for other in resonances) * share
+        beside = abs(angle - own.frequency) > _BESIDE * own.width
+        common += (skirt * np.where(beside, share, 0.0)) ** 2
+    return unsteady**2 + common * bins.per_octave()
 
 
-def covariance(maximum: Maximum) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance of the estimates, powers as `Maximum.scale` says; zero for what is held or at a bound."""
-    known = np.diag(maximum.information)
-    # The data may tell nothing of the shape of a component without power.
-    size = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
-    both = np.outer(size, size)
-    spread = np.linalg.pinv(maximum.information * both, hermitian=True) * both
-    return np.where(np.outer(maximum.interior, maximum.interior), spread, 0.0)
+def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> Float[np.ndarray, " m"]:
+    """Relative variance of the levels from the two ends of a record.
+
+    Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
+    coefficients it has, and is the same in all levels there.
+    """
+    if of.kind == kinds.NONE:
+        return np.zeros(len(bins.size))
+    w, excess = np.exp(theta[-2:]).reshape(2, 1, 1)
+    both = (kinds.passed(x, of.kind, w, 0.5 + excess).reshape(2, -1) for x in (levels, levels.endless))
+    whole, without = (x.mean(axis=0) for x in both)
+    power = theta[: len(of.components), None] * of.levels(theta[None], levels)[0]
+    passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
+    # More than the model has is not from the ends either.
+    share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
+    return bins.per_octave() * share**2
+
+
+def share_with_error(dof: Any, variance: Any) -> Any:
+    """Share of their weight that levels keep if the model's error has this relative variance.
+
+    The relative variance 2/dof of each becomes 2/dof + variance.
+    """
+    return 1.0 / (1.0 + 0.5 * dof * variance)
+
+
+def _is_shape(component: Component) -> bool:
+    return component.kind == kinds.OSCILLATOR or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
+
+
+class Fitted(NamedTuple):
+    """A structure fitted to a spectrum: log evidence and loss [nats], expected levels [rate²].
+
+    The loss is minus the log-likelihood, prior included. The evidence is Laplace's approximation, where each
+    component costs as much as odds of twenty to one.
+    The `rivals` are other structures that were compared with it, and `doubt` is the relative error of white
+    noise that follows from these.
+    """
+
+    structure: Structure
+    evidence: float
+    loss: float
+    mean: Float[np.ndarray, " m"]
+    maximum: Maximum
+    rivals: tuple[Fitted, ...] = ()
+    doubt: float = 0.0
+
+    @property
+    def covariance(self) -> _Square:
+        """Covariance of powers [rate²] and shapes, in ln; zero for what is held or at a bound."""
+        information, interior, scale = self.maximum.information, self.maximum.interior, self.maximum.scale
+        known = np.diag(information)
+        # The data may tell nothing of the shape of a component without power.
+        size = 1.0 / np.sqrt(np.where(known > 0.0, known, 1.0))
+        both = np.outer(size, size)
+        spread = np.linalg.pinv(information * both, hermitian=True) * both
+        moved = np.ones(len(known))
+        moved[: len(scale)] = self.maximum.theta[: len(scale)] + scale
+        return np.where(np.outer(interior, interior), spread, 0.0) * np.outer(moved, moved)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Levels of the cosine spectrum of one record that structures are fitted to.
+
+    Beside these: smooth ones, a first guess; the number of coefficients in each, the square of a model's
+    relative error there, and the expectations of components and responses that were computed for these bins.
+    """
+
+    bins: Bins
+    levels: Levels
+    rough: Float[np.ndarray, " m"]
+    size: Float[np.ndarray, " m"]
+    error: Any = _ERROR**2
+    known: dict[tuple[float, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        squares: Float[np.ndarray, " n-1"],
+        bins: Bins,
+        further: NoiseTerm | None = None,
+        weight: Float[np.ndarray, " n-1"] | None = None,
+    ) -> Spectrum:
+        """Spectrum of squared coefficients [rate²], of weight 0 or 1; with a column for a further term."""
+        terms: list[NoiseTerm] = [basic_terms()[name] for name in FIXED] + [AngleRandomWalk()]
+        terms += [] if further is None else [further]
+        count = bins.size.astype(float) if weight is None else bins.sums(weight)
+        total = bins.sums(squares if weight is None else squares * weight)
+        level = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
+        levels = Levels.of(bins, kinds.columns_of(terms, bins))._replace(level=level)
+        return cls(bins, levels, smoothed(level * count, count), count).with_error(_ERROR**2)
+
+    def with_error(self, error: Any) -> Spectrum:
+        """Copy for models with these squares of relative errors, of which models are to be compared only."""
+        levels = self.levels._replace(shape=0.5 * self.size * share_with_error(self.size, error))
+        return dataclasses.replace(self, levels=levels, error=error)
+
+    @property
+    def n(self) -> int:
+        return self.bins.n
+
+    def weighing(self, fitted: Fitted, filters: bool = False) -> Spectrum:
+        """Spectrum whose levels count less where a fit has its resonances, and deep in a filter's stop band.
+
+        No sensor's filter is just like the model's; in the pass band (`filters`) its errors count once the
+        kind of filter is known, as they hide it.
+        """
+        allowed = 0.0 if filters else _DEEP
+        error = model_error(fitted.structure, fitted.maximum, self.bins, allowed, skirt=0.0)
+        return self.with_error(error + _ERROR**2)
+
+    def with_full_weight(self, fitted: Fitted) -> Spectrum:
+        """Spectrum whose levels count as if the model of a fit were exact."""
+        of = fitted.structure
+        return self.with_error(error_of_ends(of, of.parameters, self.levels, self.bins))
+
+    def loss_of(self, fitted: Fitted) -> float:
+        """Minus the log-likelihood of these levels under a fit to others [nats]."""
+        return float(self.levels.shape @ (np.log(fitted.mean) + self.levels.level / fitted.mean))
+
+    def know(self, structures: Sequence[Structure]) -> None:
+        """Compute the responses of these structures that are not known yet, those of a kind together."""
+        new = {s.filter: s for s in structures if s.kind != kinds.NONE and s.filter not in self.known}
+        for kind in {s.kind for s in new.values()}:
+            own = {key: s.bandwidth for key, s in new.items() if s.kind == kind}
+            wc, Q = np.array(list(own.values())).T[:, :, None, None]
+            self.known.update(zip(own, kinds.passed(self.levels, kind, wc, Q), strict=True))
+
+    def units(self, structure: Structure, components: Sequence[Component]) -> Float[np.ndarray, "some m"]:
+        """Levels of components of unit power before or after the response of a structure."""
+        for kind, function in kinds.CLOSED.items():
+            if new := [c.shape for c in components if c.kind == kind and c.shape not in self.known]:
+                self.known.update(zip(new, function(self.levels, np.array(new))[0], strict=True))
+        columns = self.levels.columns
+        squares = np.array(
+            [columns[c.which] if c.kind == kinds.COLUMN else self.known[c.shape] for c in components]
+        )
+        if structure.kind != kinds.NONE:
+            self.know([structure])
+            squares[[c.inside for c in components]] *= self.known[structure.filter]
+        return 0.5 * (squares[:, 0] + squares[:, 1])
+
+    def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
+        priors = self._priors(structure)
+        lower, upper, centre, precision, width = np.array(priors).T
+        free = np.ones(len(priors), bool)
+        free[-2:] = structure.kind != kinds.NONE, structure.kind in kinds.SHAPED
+        joint = Joint(structure, free, lower, np.maximum(upper, lower), centre, precision)
+        found = maximize(structure.parameters, joint, self.levels, self.rough, tolerance)
+        better = structure.with_parameters(found.theta)
+        evidence = self._evidence(found, better, width)
+        return Fitted(better, evidence, found.loss, found.mean, found)
+
+    def _priors(self, structure: Structure) -> list[tuple[float, float, float, float, float]]:
+        """Bounds of all parameters, mean and precision of a normal prior, and its width for the evidence."""
+        spacing = np.pi / self.n
+        rows = [(0.0, np.inf, 0.0, 0.0, 8.0 * _DECADES)] * len(structure.components)
+        for c in structure.components:
+            if c.kind == kinds.MARKOV:
+                rows.append((math.log(_SHORTEST), math.log(self.n), 0.0, 0.0, math.log(self.n)))
+            elif c.kind == kinds.OSCILLATOR:
+                lower = max(c.shape[0] - _REACH, math.log(LOWEST * spacing))
+                upper = min(c.shape[0] + _REACH, math.log(np.pi))
+                rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
+                highest = math.log(max(c.frequency / (LINE * spacing), 2.0) - 0.5)
+                rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
+        least, most = kinds.bandwidths(structure.kind)
+        least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
+        rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
+        return [*rows, (math.log(0.02), math.log(20.0), 0.0, 0.0, math.log(20.0))]
+
+    def _evidence(self, found: Maximum, structure: Structure, width: _Theta) -> float:
+        """Laplace's approximation, in which a parameter that the data do not determine costs nothing."""
+        free = found.interior
+        D = width[free] / np.sqrt(2.0 * np.pi)
+        F = found.information[np.ix_(free, free)]
+        _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
+        used = [structure.components[k] for k in structure.there]
+        more = sum(c.kind != kinds.COLUMN or c.which == OUTSIDE for c in used)
+        if structure.kind != kinds.NONE:
+            # Quantization beside a filter may be the filter's shape, the more so before it.
+            rounded = structure.column(QUANTIZATION)
+            more += 1 + (rounded.power > 0.0) * (1 + rounded.inside)
+        return float(-found.loss - 0.5 * logdet - PRICE * more)
+
+
+def model_of(structure: Structure, rate: float) -> Model:
+    """Model with the values of a structure for samples at `rate` [Hz]."""
+    terms = [(term_of(structure, k, rate), structure.components[k].inside) for k in structure.there]
+    response = response_of(structure, rate)
+    if response is None:
+        return Model(tuple(term for term, _ in terms))
+    inside, after = (Model(tuple(term for term, passes in terms if passes == side)) for side in (True, False))
+    return (response * inside if len(inside) else inside) + after
+
+
+def order_of(structure: Structure) -> int:
+    """Order of the response: its number of poles, 1 of a moving average."""
+    if structure.kind >= kinds.BUTTERWORTH_1:
+        return structure.kind - kinds.BUTTERWORTH_1 + 1
+    return 2 if structure.kind in kinds.SHAPED else 1
+
+
+def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
+    """Term of component k; before the response if it passes through it."""
+    component = structure.components[k]
+    root = math.sqrt(component.power)
+    if component.kind == kinds.MARKOV:
+        time = component.time / rate
+        return Markov(math.sqrt(2.0 / time) * root, time)
+    if component.kind == kinds.OSCILLATOR:
+        return Resonance(root, component.frequency * rate / (2.0 * np.pi), component.quality)
+    if component.which < OUTSIDE:
+        return basic_terms()[FIXED[component.which]].replace(coefficient=root)
+    if component.which == FURTHER and (further := structure.further) is not None:
+        return further.replace(**{further.amplitude_parameter().name: root})
+    return AngleRandomWalk(root)

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.allan.deviation import rate_unit
-from allanjax.allan.dynamic import DynamicAllan
+from allanjax.allan.deviation import DynamicAllan, rate_unit
 from allanjax.base.wording import duration, percent, plain
 from allanjax.comparison.compare import SHOWN, drift
 from allanjax.critic.finding import Finding, numbers_in

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from allanjax.estimate.tables import SYMBOLS
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import lines_of, tables
-from allanjax.noise.estimate import title_of
+from allanjax.noise.estimate import SYMBOLS, title_of
 from allanjax.presentation.draw import SENSORS
 from allanjax.presentation.page.blocks import (
     Block,

@@ -7,15 +7,14 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 
-from allanjax.allan.dynamic import dynamic_allan
+from allanjax.allan.deviation import dynamic_allan
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import record_size
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
-from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.tables import MAIN, SYMBOLS, detail
+from allanjax.estimate.result import MAIN, AxisFit, Fit, detail
 from allanjax.inspection.facts import listed
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import SYMBOLS, Estimate
 from allanjax.presentation.draw import SENSORS
 from allanjax.presentation.export.exporting import exported
 from allanjax.presentation.export.targets import TARGETS

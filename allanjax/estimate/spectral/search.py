@@ -21,22 +21,23 @@ import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.base.chi_squared import beyond_doubt
+from allanjax.estimate.evidence import power_fits
 from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.fit import chi_squared, degrees_left
-from allanjax.estimate.spectral.model import Component, response_of
-from allanjax.estimate.spectral.powers import power_fits
-from allanjax.estimate.structure.structure import (
+from allanjax.estimate.spectral.model import (
     FINE,
     LINE,
     OUTSIDE,
     QUANTIZATION,
     ROUGH,
     WHITE,
+    Component,
     Fitted,
     Spectrum,
     Structure,
     markov,
     resonance,
+    response_of,
 )
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
@@ -101,7 +102,6 @@ class Record(NamedTuple):
 
     @property
     def n(self) -> int:
-        """Number of samples."""
         return len(self.squares) + 1
 
     def binned(self, structure: Structure) -> Spectrum:
