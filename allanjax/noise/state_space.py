@@ -79,12 +79,6 @@ def white_block(variance: float) -> Block:
     return Block(none, [], none, none, (), white=variance)
 
 
-def exponential_block(variance: float, x: float) -> Block:
-    """Process of the autocovariance variance·e^{−x|k|} at the samples k: one state."""
-    noise = -np.expm1(-2.0 * x) * variance
-    return Block(np.exp([[-x]]), [1.0], np.array([[noise]]), np.array([[variance]]), ("",))
-
-
 def mean_block(variance: float, x: float) -> Block:
     """Means over sample intervals of a process of autocovariance variance·e^{−|t|}, t in correlation times.
 
@@ -104,13 +98,17 @@ def mean_block(variance: float, x: float) -> Block:
     return Block(transition, [1.0, 0.0], noise, start, ("mean", "end"))
 
 
-def oscillator_block(variance: float, pole: complex) -> Block:
-    """Damped oscillator x'' + 2a x' + ω0² x = white noise, read at the samples; pole −a + iω_d per interval.
+def exponential_block(weight: Any, pole: Any) -> Block:
+    """Process of the autocovariance Re[weight·e^{pole·|k|}] at the samples k: one state, or an oscillator.
 
-    States: position, and velocity divided by ω0, which is uncorrelated with it and has the same variance.
+    A complex pole −a + iω_d is that of x'' + 2a x' + ω0² x = white noise. Its states are position, and
+    velocity divided by ω0, which is uncorrelated with it and has the same variance.
     """
-    a, wd = -pole.real, pole.imag
-    w0 = abs(pole)
+    variance = float(np.real(weight))
+    if not np.iscomplexobj(pole):
+        noise = np.array([[-np.expm1(2.0 * pole) * variance]])
+        return Block(np.exp([[pole]]), [1.0], noise, np.array([[variance]]), ("",))
+    a, wd, w0 = -float(np.real(pole)), float(np.imag(pole)), float(abs(pole))
     c, s = np.cos(wd), np.sin(wd) / wd
     transition = np.exp(-a) * np.array([[c + a * s, w0 * s], [-w0 * s, c - a * s]])
     noise = variance * _innovation(a, wd, w0)

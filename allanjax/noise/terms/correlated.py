@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import abc
 import math
-from collections.abc import Iterable
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,7 +25,7 @@ from allanjax.noise.numerics import (
 )
 from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.response import Parts, Poles
-from allanjax.noise.state_space import Block, exponential_block, mean_block, oscillator_block, together
+from allanjax.noise.state_space import Block, exponential_block, mean_block, together
 
 # Ratio of sample interval to correlation time beyond which only two lags are left.
 _SHORT = 30.0
@@ -99,35 +100,70 @@ class Markov(NoiseTerm):
         return slope * (state[1:] + state[:-1]) + between
 
 
-class Telegraph(NoiseTerm):
+class _Exponential(NoiseTerm):
+    """Noise of the autocovariance R(t) = Re[c·e^{λt}], whose samples are read at their instants."""
+
+    #: Sample interval [s]; 0 for the continuous rate.
+    sample_interval: float = eqx.field(default=0.0, kw_only=True)
+
+    @abc.abstractmethod
+    def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
+        """Pole λ, real or complex, and weight c of the autocovariance."""
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        return exponential_covariance(*self._mode(), lag, self.sample_interval)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return exponential_density(*self._mode(), frequency, rate, self.sample_interval)
+
+    def state_block(self, rate: float, duration: float | None) -> Block:
+        pole, weight = self._mode()
+        return exponential_block(weight, pole / rate)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Simulated samples by the exact recursion of the state: of an oscillator, one complex mode."""
+        pole, weight = self._mode()
+        variance, step, first = jnp.real(weight), jnp.exp(pole / rate), jnp.arange(n) == 0
+        if not jnp.iscomplexobj(pole):
+            innovation = jnp.where(first, 1.0, jnp.sqrt(-jnp.expm1(2.0 * pole / rate)))
+            return linear_recurrence(step, jnp.sqrt(variance) * innovation * jax.random.normal(key, (n,)))
+        # z = velocity − λ̄·position obeys z' = λz + drive, and position = Im z / Im λ. Stationary moments
+        # of z follow from those of position (σ²) and velocity (σ²|λ|²), which are uncorrelated.
+        power = 2.0 * variance * jnp.abs(pole) ** 2
+        pseudo = variance * (jnp.abs(pole) ** 2 + jnp.conj(pole) ** 2)
+        normal = jax.random.normal(key, (2, n))
+
+        def draw(share: Float[Array, ""], pseudo_share: Complex[Array, ""]) -> Complex[Array, " n"]:
+            """Complex Gaussians with E|z|² = share·power and E z² = pseudo_share·pseudo."""
+            p, s = share * power, pseudo_share * pseudo
+            re, im, cross = (p + s.real) / 2.0, (p - s.real) / 2.0, s.imag / 2.0
+            tilt = cross / jnp.sqrt(re)
+            other = jnp.sqrt(jnp.maximum(im - tilt**2, 0.0))
+            return jnp.sqrt(re) * normal[0] + 1j * (tilt * normal[0] + other * normal[1])
+
+        drive = draw(1.0 - jnp.abs(step) ** 2, 1.0 - step**2)
+        start = draw(jnp.asarray(1.0), jnp.asarray(1.0 + 0j))
+        return linear_recurrence(step, jnp.where(first, start, drive)).imag / pole.imag
+
+
+class Telegraph(_Exponential):
     """Bias that jumps between two levels, as often down as up (Machlup 1954, J. Appl. Phys. 25:341).
 
     `amplitude` is the difference of the levels [rad/s or m/s²], `dwell_time` T_d the mean time in each [s].
     R(t) = (amplitude²/4)·e^{−2|t|/T_d}: to second order it is a Markov process of correlation time T_d/2,
-    which has the same spectrum; its simulated paths do jump. Samples are read at their instants.
+    which has the same spectrum; its simulated paths do jump, its state is Gaussian.
     """
 
     amplitude: Value = parameter("J", time_exponent=0.0)
     dwell_time: Value = parameter("T_d", "time")
-    #: Sample interval [s]; 0 for the continuous rate.
-    sample_interval: float = 0.0
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        pole = -2.0 / namespace(self).asarray(self.dwell_time, float)
-        return self.amplitude**2 / 4.0 * exponential_covariance(pole, 1.0, lag, self.sample_interval)
+    def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
+        return -2.0 / namespace(self).asarray(self.dwell_time, float), self.amplitude**2 / 4.0
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         """Two-sided PSD (amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
         x = np.pi * namespace(self, frequency).asarray(frequency) * self.dwell_time
         return self.amplitude**2 / 4.0 * self.dwell_time / (1.0 + x**2)
-
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        pole = -2.0 / namespace(self).asarray(self.dwell_time, float)
-        return self.amplitude**2 / 4.0 * exponential_density(pole, 1.0, frequency, rate, self.sample_interval)
-
-    def state_block(self, rate: float, duration: float | None) -> Block:
-        """State with the same covariance, but Gaussian instead of jumping."""
-        return exponential_block(self.amplitude**2 / 4.0, 2.0 / (rate * self.dwell_time))
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated path with exponential dwell times: an odd Poisson number of jumps changes the level.
@@ -145,7 +181,7 @@ class Telegraph(NoiseTerm):
 _ALIASES = 8
 
 
-class Resonance(NoiseTerm):
+class Resonance(_Exponential):
     """Noise of a damped oscillator, Ω'' + (ω0/Q_f)Ω' + ω0²Ω = white noise.
 
     Not in the thesis, but found in sensors. `amplitude` is the RMS of the rate [rad/s or m/s²], `frequency`
@@ -158,21 +194,14 @@ class Resonance(NoiseTerm):
     amplitude: Value = parameter("σ", time_exponent=0.0)
     frequency: Value = parameter("f0", "line")
     quality_factor: Value = parameter("Q_f", "number", lower=0.5)
-    #: Sample interval [s]; 0 for the continuous rate.
-    sample_interval: float = 0.0
     narrow_band: ClassVar[bool] = True
 
-    def _poles(self) -> tuple[Complex[Array, ""], Complex[Array, ""]]:
-        """Pole λ and weight c of the autocovariance R(t) = σ² Re[c·e^{λt}]."""
+    def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         xp = namespace(self)
         w0 = 2.0 * np.pi * xp.asarray(self.frequency, float)
         a = w0 / (2.0 * self.quality_factor)
         wd = w0 * xp.sqrt(1.0 - 1.0 / (4.0 * self.quality_factor**2))
-        return -a + wd * 1j, 1.0 - a / wd * 1j
-
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        pole, c = self._poles()
-        return self.amplitude**2 * exponential_covariance(pole, c, lag, self.sample_interval)
+        return -a + wd * 1j, self.amplitude**2 * (1.0 - a / wd * 1j)
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance 2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
@@ -187,50 +216,23 @@ class Resonance(NoiseTerm):
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """PSD of the oscillator at the sample instants, or of its means between them."""
-        if is_continuous(self.sample_interval):
-            # For means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
-            xp = namespace(self, frequency, rate)
-            aliases = xp.asarray(frequency, float)[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
-            return xp.sum(self.psd(aliases) * xp.sinc(aliases / rate) ** 2, axis=-1)
-        pole, c = self._poles()
-        return self.amplitude**2 * exponential_density(pole, c, frequency, rate, self.sample_interval)
+        if not is_continuous(self.sample_interval):
+            return super().sampled_psd(frequency, rate)
+        # For means, Σ_m psd(f + m·rate)·sinc²: aliases fall off with the sixth power.
+        xp = namespace(self, frequency, rate)
+        aliases = xp.asarray(frequency, float)[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
+        return xp.sum(self.psd(aliases) * xp.sinc(aliases / rate) ** 2, axis=-1)
 
     def parts(self, rate: float) -> Parts:
         xp = namespace(self, rate)
-        pole, c = self._poles()
-        w, half = xp.exp(pole / rate), self.amplitude**2 * c / 2.0
+        pole, weight = self._mode()
+        w, half = xp.exp(pole / rate), weight / 2.0
         poles = Poles(xp.stack([w, xp.conj(w)]), xp.stack([half, xp.conj(half)]))
         return Parts(0.0, 0.0, 0.0, poles)
 
-    def state_block(self, rate: float, duration: float | None) -> Block:
-        return oscillator_block(self.amplitude**2, complex(self._poles()[0] / rate))
-
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Simulated samples by the exact recursion of position and velocity, as one complex mode."""
-        if is_continuous(self.sample_interval):
-            return super().simulate(key, n, rate)
-        pole, _ = self._poles()
-        w0 = 2.0 * jnp.pi * self.frequency
-        step = jnp.exp(pole / rate)
-        # z = velocity − λ̄·position obeys z' = λz + drive, and position = Im z / Im λ. Stationary moments
-        # of z follow from those of position (σ²) and velocity (σ²ω0²), which are uncorrelated.
-        power = 2.0 * self.amplitude**2 * w0**2
-        pseudo = self.amplitude**2 * (w0**2 + jnp.conj(pole) ** 2)
-        first, second = jax.random.normal(key, (2, n))
-
-        def draw(share: Float[Array, ""], pseudo_share: Complex[Array, ""]) -> Complex[Array, " n"]:
-            """Complex Gaussians with E|z|² = share·power and E z² = pseudo_share·pseudo."""
-            p, s = share * power, pseudo_share * pseudo
-            re, im, cross = (p + s.real) / 2.0, (p - s.real) / 2.0, s.imag / 2.0
-            tilt = cross / jnp.sqrt(re)
-            return jnp.sqrt(re) * first + 1j * (
-                tilt * first + jnp.sqrt(jnp.maximum(im - tilt**2, 0.0)) * second
-            )
-
-        drive = draw(1.0 - jnp.abs(step) ** 2, 1.0 - step**2)
-        start = draw(jnp.asarray(1.0), jnp.asarray(1.0 + 0j))
-        mode = linear_recurrence(step, jnp.where(jnp.arange(n) == 0, start, drive))
-        return mode.imag / pole.imag
+        of = NoiseTerm if is_continuous(self.sample_interval) else _Exponential
+        return of.simulate(self, key, n, rate)
 
 
 # Nodes of the quadrature over the frequency: the spectrum stays smooth for spreads up to the width f0/Q_f.
@@ -270,19 +272,24 @@ class WanderingResonance(NoiseTerm):
             for k, share in enumerate(_SHARES)
         ]
 
+    def _sum(self, method: str, *arguments: Any) -> Any:
+        """Sum of what this method of the oscillators returns."""
+        return sum(getattr(one, method)(*arguments) for one in self._oscillators())
+
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        return _sum(one.phase_covariance(lag) for one in self._oscillators())
+        return self._sum("phase_covariance", lag)
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance of the mean square: the oscillators' powers fluctuate independently."""
-        own = (one.power_scatter(duration) for one in self._oscillators())
-        return _sum(share**2 * scatter for share, scatter in zip(_SHARES, own, strict=True))
+        return sum(
+            x**2 * o.power_scatter(duration) for x, o in zip(_SHARES, self._oscillators(), strict=True)
+        )
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return _sum(one.psd(frequency) for one in self._oscillators())
+        return self._sum("psd", frequency)
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        return _sum(one.sampled_psd(frequency, rate) for one in self._oscillators())
+        return self._sum("sampled_psd", frequency, rate)
 
     def parts(self, rate: float) -> Parts:
         xp = namespace(self, rate)
@@ -301,13 +308,7 @@ class WanderingResonance(NoiseTerm):
         return jnp.sum(jnp.stack(draws), axis=0)
 
 
-def _sum(values: Iterable[Array]) -> Array:
-    """Sum of at least one array."""
-    first, *others = values
-    return sum(others, first)
-
-
-class LowPass(NoiseTerm):
+class LowPass(_Exponential):
     """White noise after a Butterworth filter, S(f) = N²/(1 + (f/f_c)^(2·order)).
 
     Not in the thesis. `coefficient` N in rad/√s or m/s/√s (that of the white noise, two-sided PSD N²),
@@ -319,43 +320,18 @@ class LowPass(NoiseTerm):
     coefficient: Value = parameter("N_f", time_exponent=0.5)
     bandwidth: Value = parameter("f_c", "frequency")
     order: int = option(default=1)
-    #: Sample interval [s]; 0 for the continuous rate.
-    sample_interval: float = 0.0
 
     def __check_init__(self) -> None:
         if self.order not in (1, 2):
             raise AllanjaxError(f"low_pass: the order must be 1 or 2, not {self.order!r}")
 
-    def _pole(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
-        """Pole λ and weight c of the autocovariance R(t) = Re[c·e^{λt}]."""
+    def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         w = 2.0 * np.pi * namespace(self).asarray(self.bandwidth, float)
         power = self.coefficient**2 * w
         if self.order == 1:
             return -w, power / 2.0
         return w * (-1.0 + 1j) / math.sqrt(2.0), power * (1.0 - 1j) / math.sqrt(8.0)
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        return exponential_covariance(*self._pole(), lag, self.sample_interval)
-
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         ratio = namespace(self, frequency).asarray(frequency, float) / self.bandwidth
         return self.coefficient**2 / (1.0 + ratio ** (2 * self.order))
-
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        return exponential_density(*self._pole(), frequency, rate, self.sample_interval)
-
-    def state_block(self, rate: float, duration: float | None) -> Block:
-        pole, weight = self._pole()
-        if self.order == 1:
-            return exponential_block(float(weight), float(-pole / rate))
-        return oscillator_block(float(weight.real), complex(pole / rate))
-
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Simulated samples by the exact recursion of the filter's state."""
-        pole, weight = self._pole()
-        sigma = jnp.sqrt(jnp.real(weight))
-        if self.order == 2:
-            oscillator = Resonance(sigma, self.bandwidth, math.sqrt(0.5), sample_interval=1.0 / rate)
-            return oscillator.simulate(key, n, rate)
-        innovation = jnp.where(jnp.arange(n) == 0, 1.0, jnp.sqrt(-jnp.expm1(2.0 * pole / rate)))
-        return linear_recurrence(jnp.exp(pole / rate), sigma * innovation * jax.random.normal(key, (n,)))
