@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import amount
+from allanjax.record.completion import runs_of
 from allanjax.record.recording import Axis
 
 #: Largest number of windows; a long recording has between half as many and so many.
@@ -446,9 +447,8 @@ def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
 
 def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
     """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     joined: list[tuple[int, int]] = []
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for a, b in runs_of(mask).tolist():
         if joined and a - joined[-1][1] <= gap:
             joined[-1] = (joined[-1][0], b)
         else:

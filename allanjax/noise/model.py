@@ -78,7 +78,7 @@ class NoiseTerm(Parametrized, Process):
 
     # ------------------------------------------------------------------ parameters
     @classmethod
-    def parameters(cls) -> tuple[Parameter, ...]:
+    def parameters(cls) -> tuple[Parameter, ...]:  # type: ignore[override]  # without the cache
         """Declared parameters, in order; the first is the amplitude."""
         declared = super().parameters()
         if not declared or not declared[0].is_amplitude:

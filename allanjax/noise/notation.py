@@ -139,7 +139,9 @@ def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None)
     held: list[str] = []
     for name, value in arguments:
         if name in cls.option_names():
-            values[name] = _integer(value, name)
+            if re.fullmatch(r"[-+]?\d+", value.strip()) is None:
+                raise AllanjaxError(f"{name} must be an integer, not {value!r}")
+            values[name] = int(value)
             continue
         p = _parameter(cls, name)
         values[p.name], is_held = _value(value, p, sensor)
@@ -165,13 +167,6 @@ def _parameter(cls: type[Parametrized], name: str) -> Parameter:
             return p
     names = [p.name for p in cls.parameters()] + list(cls.option_names())
     raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
-
-
-def _integer(text: str, name: str) -> int:
-    """Value of an option."""
-    if re.fullmatch(r"[-+]?\d+", text.strip()) is None:
-        raise AllanjaxError(f"{name} must be an integer, not {text!r}")
-    return int(text)
 
 
 def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:

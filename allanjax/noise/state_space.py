@@ -111,22 +111,13 @@ def exponential_block(weight: Any, pole: Any) -> Block:
     a, wd, w0 = -float(np.real(pole)), float(np.imag(pole)), float(abs(pole))
     c, s = np.cos(wd), np.sin(wd) / wd
     transition = np.exp(-a) * np.array([[c + a * s, w0 * s], [-w0 * s, c - a * s]])
-    noise = variance * _innovation(a, wd, w0)
-    return Block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
-
-
-def _innovation(a: float, wd: float, w0: float) -> Float[np.ndarray, "2 2"]:
-    """Noise of an oscillator of unit variance over one interval: I − A Aᵀ, without its cancellation.
-
-    It is 4a∫ g gᵀ du over the interval, g(u) = e^{−au}·(ω0 sin(ω_d u)/ω_d, cos ω_d u − a sin(ω_d u)/ω_d).
-    """
-    pole = complex(-a, wd)
-    # In modes: g = Re[m e^{pole·u}], so that its products have the exponents 2·pole and −2a.
+    # I − A Aᵀ without its cancellation: 4a∫ g gᵀ du over the interval, g(u) = e^{−au}·(ω0 sin(ω_d u)/ω_d,
+    # cos ω_d u − a sin(ω_d u)/ω_d) = Re[m e^{pole·u}], whose products have the exponents 2·pole and −2a.
     mode = np.array([w0 / (1j * wd), 1.0 - a / (1j * wd)])
-    same = np.expm1(2.0 * pole) / (2.0 * pole)
-    mixed = -np.expm1(-2.0 * a) / (2.0 * a)
+    same, mixed = np.expm1(2.0 * pole) / (2.0 * pole), -np.expm1(-2.0 * a) / (2.0 * a)
     product = np.outer(mode, mode) * same + np.outer(mode, mode.conj()) * mixed
-    return 2.0 * a * product.real
+    noise = variance * 2.0 * a * product.real
+    return Block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
 
 
 def together(blocks: Sequence[Block]) -> Block:
@@ -311,20 +302,16 @@ class StateSpace(ByValue, Tabled):
         Lines and ramps have none.
         """
         f = np.asarray(frequency, float)
-        driven = self._driven()
+        # The states that noise reaches.
+        driven = np.diag(self.Q) > 0.0
+        for _ in range(self.size):
+            driven = driven | (self.A[:, driven] != 0.0).any(axis=1)
         A, H, Q = self.A[np.ix_(driven, driven)], self.H[:, driven], self.Q[np.ix_(driven, driven)]
         turn = np.exp(2j * np.pi * f.reshape(-1, 1, 1) / self.rate)
         row = np.broadcast_to(H.T.astype(complex), (f.size, len(A), 1))
         gain = np.linalg.solve(np.swapaxes(turn * np.eye(len(A)) - A, 1, 2), row)[..., 0]
         power = np.einsum("fi,ij,fj->f", gain, Q, gain.conj()).real
         return ((power + self.R[0, 0]) / self.rate).reshape(f.shape)
-
-    def _driven(self) -> np.ndarray:
-        """Indices of the states that noise reaches."""
-        reached = np.diag(self.Q) > 0.0
-        for _ in range(self.size):
-            reached = reached | (self.A[:, reached] != 0.0).any(axis=1)
-        return np.flatnonzero(reached)
 
     @presented
     def to_numpy(self, path: str | os.PathLike[str]) -> None:

@@ -648,6 +648,8 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
     Raises:
         AllanjaxError: no duration [s]; or no such sum has its spectrum and its Allan variance within 3 %.
     """
+    from scipy.optimize import nnls
+
     if duration is None:
         raise AllanjaxError(
             f"{term.name()} has a finite state space only for a limited time: give the duration in s, e.g. "
@@ -656,13 +658,22 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
     samples = max(duration * rate, 16.0)
     frequency = rate * np.geomspace(1.0 / samples, 0.5, 160)
     time = np.unique(np.round(np.geomspace(1.0, samples / 2.0, 80))) / rate
-    target = _curves(term, frequency, time, rate)
-    worst = math.inf
+
+    def curves(of: NoiseTerm) -> Float[np.ndarray, " f+m"]:
+        """Spectrum of the samples, and Allan variance."""
+        parts = (of.sampled_psd(frequency, rate), of.allan_variance(time))
+        return np.concatenate([np.asarray(part, float) for part in parts])
+
+    target = curves(term)
+    white = np.concatenate([np.ones(len(frequency)), 1.0 / time]) / target
+    longest, shortest, worst = _LONGEST * samples / rate, _SHORTEST / rate, math.inf
     for density in _DENSITIES:
-        processes = _processes(samples, density, rate)
-        relative = np.stack([_curves(p, frequency, time, rate) / target for p in processes], axis=1)
-        white = np.concatenate([np.ones(len(frequency)), 1.0 / time]) / target
-        variance, white_density, worst = _fitted(relative, white)
+        count = math.ceil(density * math.log10(longest / shortest)) + 1
+        processes = [Markov(1.0, float(T_c)) for T_c in np.geomspace(shortest, longest, count)]
+        columns = np.column_stack([*(curves(p) / target for p in processes), white])
+        scale = np.linalg.norm(columns, axis=0)
+        found = nnls(columns / scale, np.ones(len(columns)))[0] / scale
+        worst = float(np.abs(columns @ found - 1.0).max())
         if worst <= _AIM:
             break
     if not worst <= TOLERANCE:
@@ -670,36 +681,9 @@ def gauss_markov_sum(term: NoiseTerm, rate: float, duration: float | None) -> Bl
             f"no sum of Gauss–Markov processes approximates {term!r} to {100.0 * TOLERANCE:.0f} % (best: "
             f"{100.0 * worst:.0f} %); fit bias_instability, rate_random_walk or Markov() instead"
         )
-    found = zip(processes, variance, strict=True)
-    blocks = [p.replace(amplitude=math.sqrt(v)).state_block(rate, None) for p, v in found if v > 0.0]
-    return together([_with_one_mean(blocks), white_block(white_density * rate)])
-
-
-def _curves(
-    term: NoiseTerm, frequency: Float[np.ndarray, " f"], time: Float[np.ndarray, " m"], rate: float
-) -> Float[np.ndarray, " f+m"]:
-    """Spectrum of the samples at frequencies [Hz], and Allan variance at cluster times [s]."""
-    parts = (term.sampled_psd(frequency, rate), term.allan_variance(time))
-    return np.concatenate([np.asarray(part, float) for part in parts])
-
-
-def _processes(samples: float, density: float, rate: float) -> list[Markov]:
-    """Processes of unit amplitude, this many per decade of correlation times."""
-    longest, shortest = _LONGEST * samples / rate, _SHORTEST / rate
-    count = math.ceil(density * math.log10(longest / shortest)) + 1
-    return [Markov(1.0, float(time)) for time in np.geomspace(shortest, longest, count)]
-
-
-def _fitted(
-    relative: Float[np.ndarray, "rows n"], white: Float[np.ndarray, " rows"]
-) -> tuple[Float[np.ndarray, " n"], float, float]:
-    """Squared amplitudes of processes, density of white noise, and the largest error of their sum from 1."""
-    from scipy.optimize import nnls
-
-    columns = np.column_stack([relative, white])
-    scale = np.linalg.norm(columns, axis=0)
-    found = nnls(columns / scale, np.ones(len(columns)))[0] / scale
-    return found[:-1], float(found[-1]), float(np.abs(columns @ found - 1.0).max())
+    squares = zip(processes, found[:-1], strict=True)
+    blocks = [p.replace(amplitude=math.sqrt(v)).state_block(rate, None) for p, v in squares if v > 0.0]
+    return together([_with_one_mean(blocks), white_block(float(found[-1]) * rate)])
 
 
 def _with_one_mean(blocks: list[Block]) -> Block:

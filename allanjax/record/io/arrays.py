@@ -136,7 +136,10 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
         else:
             parts = _columns_of(array, repr(name), source)
             matrices += len(parts) > 1
-            columns |= dict(zip(_labels(name, len(parts)), parts, strict=True))
+            stem, unit = split_unit(name)
+            ends = [f"_{end}" for end in ("xyz" if len(parts) == 3 else range(len(parts)))]
+            labels = [f"{stem}{end}" + (f" [{unit}]" if unit else "") for end in ends]
+            columns |= dict(zip([name] if len(parts) == 1 else labels, parts, strict=True))
     if not columns:
         raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
     lengths = {name: len(column) for name, column in columns.items()}
@@ -147,17 +150,8 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
     unnamed = (
         matrices == 1 and len(arrays) - (rate is not None) == 1 and not next(iter(columns)).endswith("_x")
     )
-    labels = None if unnamed else tuple(columns)
-    return Table.of(tuple(columns.values()), labels, source, rate, tuple(notes))
-
-
-def _labels(name: str, count: int) -> tuple[str, ...]:
-    """Return the labels of the columns of a named array."""
-    if count == 1:
-        return (name,)
-    stem, unit = split_unit(name)
-    ends = "xyz" if count == 3 else range(count)
-    return tuple(f"{stem}_{end}" + (f" [{unit}]" if unit else "") for end in ends)
+    named = None if unnamed else tuple(columns)
+    return Table.of(tuple(columns.values()), named, source, rate, tuple(notes))
 
 
 def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:

@@ -108,7 +108,10 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
             "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
         )
     axes = distinct(axes, table.source)
-    notes += _missing_axes(axes)
+    for sensor in SENSORS:
+        missing = {f"{sensor}_{axis}" for axis in "xyz"} - {axis.name for axis in axes}
+        if len(missing) == 1:
+            notes.append(f"no column for {missing.pop()}; the other two axes are read")
     renamed = [f"{c.name} from {c.label!r}" for c in axes if split_unit(c.label)[0] != c.name]
     if renamed:
         notes.append(f"axes: {', '.join(renamed)}")
@@ -232,16 +235,6 @@ def _chosen_time(
         used = " and ".join(column.label for column in best)
         notes.append(f"times from {used}; {', '.join(ignored)} ignored")
     return best
-
-
-def _missing_axes(axes: Sequence[Column]) -> list[str]:
-    """Return notes on sensors with only two axes of x, y and z."""
-    names, notes = {axis.name for axis in axes}, []
-    for sensor in SENSORS:
-        missing = {f"{sensor}_{axis}" for axis in "xyz"} - names
-        if len(missing) == 1:
-            notes.append(f"no column for {missing.pop()}; the other two axes are read")
-    return notes
 
 
 # Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
@@ -369,9 +362,13 @@ def own_rows(
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
     for sensor, rows in fresh.items():
-        held = _LEAST_FRESH < rows.mean() < _MOST_FRESH
-        if not held or not (in_turn or _is_regular(times[rows])):
-            fresh[sensor] = np.ones(len(values), bool)
+        if _LEAST_FRESH < rows.mean() < _MOST_FRESH:
+            # A sensor with its own rate has nearly all intervals the same.
+            intervals = np.diff(times[rows])
+            typical = np.median(intervals)
+            if in_turn or np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR:
+                continue
+        fresh[sensor] = np.ones(len(values), bool)
     one, other = (*fresh.values(), *fresh.values())[:2]
     if np.mean(one ^ other) <= 1.0 - _REGULAR:
         return one | other
@@ -383,13 +380,6 @@ def own_rows(
         "--columns accel)"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
-
-
-def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
-    """Return whether nearly all intervals are the same, as for a sensor with its own rate."""
-    intervals = np.diff(times)
-    typical = np.median(intervals)
-    return bool(np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR)
 
 
 def _segments(

@@ -62,7 +62,11 @@ def seconds_from_first(
         return Times(parts[0] + 1e-9 * parts[1], None, ())
     column, values = stamps[0]
     if values.dtype.kind == "O":
-        values = _iso_dates(values)
+        import pandas as pd
+
+        dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
+        if not dates.isna().any():
+            values = dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
     if values.dtype.kind == "M":
         missing = np.flatnonzero(np.isnat(values))
         if missing.size:
@@ -270,14 +274,6 @@ def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " s
             if np.ptp(counts) < turn and (step > 0.5 * typical - 1.0 * part).all() and (step < most).all():
                 return counts + turn * np.concatenate([[0], np.cumsum(back)])
     return counts
-
-
-def _iso_dates(values: Shaped[np.ndarray, " samples"]) -> np.ndarray:
-    """Return dates as datetime64 if all cells are ISO 8601, else the cells unchanged."""
-    import pandas as pd
-
-    dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
-    return values if dates.isna().any() else dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
 
 
 def _unit(
