@@ -217,7 +217,12 @@ def look(
     treatment = Treatment(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
     longest = max(parts, key=lambda part: part[1] - part[0], default=None)
-    part = windows.between(*_windows_in(windows, longest, rate))
+    part = windows
+    if longest is not None:
+        starts = windows.edges / rate
+        first = int(np.searchsorted(starts, longest[0] - 1e-9))
+        last = int(np.searchsorted(starts, longest[1] + 1e-9, side="right")) - 1
+        part = windows.between(first, max(last, first + 1))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, axes, rate)
@@ -387,16 +392,6 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
         return recording
     missing = lost if recording.missing is None else lost | recording.missing
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
-
-
-def _windows_in(windows: Windows, part: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """Return the indices of the first window in a part [s] and of the one after its last."""
-    if part is None:
-        return 0, len(windows)
-    edges = windows.edges / rate
-    first = int(np.searchsorted(edges, part[0] - 1e-9))
-    last = int(np.searchsorted(edges, part[1] + 1e-9, side="right")) - 1
-    return first, max(last, first + 1)
 
 
 def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:

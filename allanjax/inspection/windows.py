@@ -221,7 +221,11 @@ def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> 
     # Axis by axis, so that neighbouring samples are adjacent in memory.
     x = np.ascontiguousarray(values.T).reshape(axes, -1, length)
     count = np.full(x.shape[1], length)
-    low, high, repeats = x.min(axis=2).T, x.max(axis=2).T, _repeats(x).T
+    low, high = x.min(axis=2).T, x.max(axis=2).T
+    # Samples equal to the one before are counted in blocks of the shortest window.
+    whole = length // SHORTEST
+    blocks = x[..., : whole * SHORTEST].reshape(axes, len(count), whole, SHORTEST)
+    repeats = np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1)).T
     peak = np.zeros(low.shape)
     power = np.empty((size.bit_length() - 1, *low.shape))
     pairs = np.empty((len(power), len(count)), int)
@@ -235,13 +239,6 @@ def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> 
     mean = x[:, :, 0].T if length == size else values.mean(axis=0)[None]
     resolution = np.full(axes, np.inf)
     return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
-
-
-def _repeats(x: Float[np.ndarray, "*w n"]) -> Int[np.ndarray, " *w"]:
-    """Number of samples equal to the one before, counted in blocks of the shortest window."""
-    count = x.shape[-1] // SHORTEST
-    blocks = x[..., : count * SHORTEST].reshape(*x.shape[:-1], count, SHORTEST)
-    return np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1))
 
 
 def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes"]:
