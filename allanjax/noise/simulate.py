@@ -221,14 +221,6 @@ class SensorPreset(ByValue):
             f"{self.name} has no axis {axis!r}; it has {', '.join(preset.name for preset in self.axes)}"
         )
 
-    def model(self, axis: str) -> Model:
-        """Noise model of an axis."""
-        return self[axis].model
-
-    def rate(self, axis: str) -> float:
-        """Sample rate of an axis [Hz]."""
-        return self[axis].rate
-
     def simulate(self, duration: float, key: PRNGKeyArray | int) -> tuple[Recording, ...]:
         """Simulated recordings of this many seconds, one for each sample rate.
 

@@ -206,12 +206,7 @@ class DeadAxis:
 def axes_of(
     columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
-
-    Raises:
-        RecordingError: there are no axes, two have the same name, or a column is not an axis.
-        UnitError: a unit is missing or unknown, or is a unit of rates for a column of increments.
-    """
+    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes."""
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
     for column in distinct(columns, source):
@@ -319,11 +314,7 @@ def default_names(
 
 
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
-    """Return the columns of axes; axes of several sensors of one kind keep the names in their labels.
-
-    Raises:
-        RecordingError: there are no columns, or two have the same name.
-    """
+    """Return the columns of axes; axes of several sensors of one kind keep the names in their labels."""
     if not columns:
         raise source.error("no gyro or accelerometer column; name the columns with columns= (--columns)")
     count = Counter(column.name for column in columns)

@@ -115,11 +115,7 @@ def _column(column: Any) -> np.ndarray:
 
 
 def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
-    """Return a table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
-
-    Raises:
-        RecordingError: the arrays do not fit together.
-    """
+    """Return a table of named arrays: columns, matrices [samples, columns], scalars that state the rate."""
     rate: float | None = None
     notes: list[str] = []
     columns: dict[str, np.ndarray] = {}
@@ -325,9 +321,6 @@ def read_tdms(path: Path, source: Source) -> Table:
     """Return channels like the arrays of an .npz file, with their units and sample interval.
 
     If several groups have channels, these are named `group.channel`.
-
-    Raises:
-        RecordingError: nptdms is not installed, the file is damaged, or the channels do not fit together.
     """
     nptdms = optional_package("nptdms", "tdms", "a TDMS file", source)
     arrays: dict[str, np.ndarray] = {}

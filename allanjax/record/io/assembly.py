@@ -70,9 +70,6 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
     """Find the layout of a table from the user's columns, else from the labels, else from the given units.
 
     `columns` are its first rows, or all. Assumptions are added to the notes.
-
-    Raises:
-        RecordingError: the columns are not recognised, or two have the same name.
     """
     if options.columns is not None:
         found = _chosen(table, len(columns), options.columns)
@@ -350,9 +347,6 @@ def own_rows(
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then.
-
-    Raises:
-        RecordingError: gyros and accelerometers were sampled at different times.
     """
     fresh = {}
     for sensor in dict.fromkeys(column.sensor for column in axes):

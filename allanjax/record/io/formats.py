@@ -13,11 +13,7 @@ FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TDMS, 
 
 
 def format_of(path: Path, source: Source) -> Format:
-    """Return the format of a file, or of the folder of a ROS 2 bag.
-
-    Raises:
-        RecordingError: the file does not exist, cannot be opened, or is empty.
-    """
+    """Return the format of a file, or of the folder of a ROS 2 bag."""
     if path.is_dir():
         if is_bag(path):
             return ROS

@@ -82,9 +82,6 @@ def joined(chosen: Sequence[Series], source: Source) -> Series:
     """Return a sorted series, or the gyros of one and the accelerometers of another with the gyros' stamps.
 
     A sample without partner is left out, which leaves a gap.
-
-    Raises:
-        RecordingError: the rates differ, or the samples were not taken at the same times.
     """
     if len(chosen) == 1:
         return chosen[0]
@@ -142,10 +139,6 @@ def open_ulog(path: Path, source: Source, topic: str | None, instance: int | Non
     """Return the samples of the messages with the highest rate, or of those chosen.
 
     Gyros and accelerometers with separate messages are read as one recording.
-
-    Raises:
-        RecordingError: pyulog is not installed; the log is damaged or lacks samples of an IMU, or those
-            chosen; the rates of gyros and accelerometers differ.
     """
     pyulog = optional_package("pyulog", "px4", "a PX4 log", source)
     # It prints messages on damage; damaged numbers are detected later.
@@ -278,11 +271,7 @@ ULOG = Format("ULog", b"ULog\x01\x12\x35", open_ulog, (".ulg",), in_chunks=False
 
 
 def open_dataflash(path: Path, source: Source, topic: str | None, instance: int | None) -> Table:
-    """Return the samples of IMU, or of GYR and ACC, whichever has the higher rate or is chosen.
-
-    Raises:
-        RecordingError: the log has no samples of an IMU, only batches, or not the chosen message.
-    """
+    """Return the samples of IMU, or of GYR and ACC, whichever has the higher rate or is chosen."""
     data = np.memmap(path, np.uint8, "r")
     heads = _heads(data)
     definitions = _definitions(data, heads)
@@ -480,10 +469,6 @@ def open_ros(path: Path, source: Source, topic: str | None) -> Table:
     """Return the sensor_msgs/Imu messages of a topic, sorted by the stamps of their headers.
 
     Two topics, one with only gyros and one with only accelerometers, are read as one recording.
-
-    Raises:
-        RecordingError: rosbags is not installed; the bag is damaged, has no such messages, or has several
-            such topics and none is chosen.
     """
     reader = _reader(path, source)
     with damage_reported(source, "a ROS bag", _REINDEX), reader(path) as bag:

@@ -365,11 +365,7 @@ TEXT = Format("text", b"", open_text)
 
 
 def read_vectornav(path: Path, source: Source) -> Table:
-    """Return the lines of the most frequent message; a damaged line is a sample with nan.
-
-    Raises:
-        RecordingError: no message has samples.
-    """
+    """Return the lines of the most frequent message; a damaged line is a sample with nan."""
     import pandas as pd
 
     lines = path.read_bytes().split(b"\n")

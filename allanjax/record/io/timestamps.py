@@ -51,12 +51,7 @@ def seconds_from_first(
     rate: float | None,
     source: Source,
 ) -> Times:
-    """Return times in s from the first sample, from one column or from seconds and nanoseconds.
-
-    Raises:
-        RecordingError: a stamp is missing or not a number, or the unit is unknown.
-        UnitError: the unit is not a unit of time, or is stated twice and differently.
-    """
+    """Return times in s from the first sample, from one column or from seconds and nanoseconds."""
     if len(stamps) == 2:
         parts = [_since_first(values, column.label, source) for column, values in stamps]
         return Times(parts[0] + 1e-9 * parts[1], None, ())
@@ -126,9 +121,6 @@ def rate_from_times(
 
     `more` means that further times follow, so that the longest part is unknown. `gaps` means that samples may
     be missing.
-
-    Raises:
-        RecordingError: times that repeat, go back, or have gaps or too much jitter.
     """
     intervals = np.diff(times)
     if (intervals <= 0.0).any():
