@@ -234,7 +234,11 @@ def look(
     moving = motions(part, axes, rate)
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
-    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)
+    # Allan deviation times the root of the cluster time, for cluster times up to a second.
+    squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
+    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
+    white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
+    facts = implausible(axes, rate, mean, white, auxiliary, about, vibrating)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.
@@ -306,8 +310,15 @@ def _of_samples(
     outliers = np.zeros(len(steps))
     for k, axis in enumerate(recording.axes):
         if axis.name not in held | grave:
-            count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
-            facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
+            count, outliers[k] = outliers_of(x := calm[rows, k], float(steps[k]))
+            if _is_trifle(outliers[k], x):
+                continue
+            rms, share = float(np.sqrt(outliers[k])), plain(100.0 * count / len(x), 2)
+            text = (
+                f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are "
+                f"kept, and the interval of N is widened for the {amount(rms, axis)} rms that they add"
+            )
+            facts.append(Fact("spikes", text, (axis.name,), "widened", rms))
     added_noise = np.sqrt(steps**2 / 12.0 + outliers)
     single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
     return [*facts, *single], steps, added_noise
@@ -357,18 +368,6 @@ def _within(
     return within
 
 
-def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray, " n"]) -> Iterator[Fact]:
-    """Yield a fact about samples beyond Gaussian noise that are kept."""
-    if _is_trifle(variance, x):
-        return
-    share = plain(100.0 * count / len(x), 2)
-    text = (
-        f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are kept, and "
-        f"the interval of N is widened for the {amount(np.sqrt(variance), axis)} rms that they add"
-    )
-    yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
-
-
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
     """Return whether additional variance changes the Allan variance by less than its own error."""
     return variance <= max(TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
@@ -398,13 +397,6 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
         return recording
     missing = lost if recording.missing is None else lost | recording.missing
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
-
-
-def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
-    """Return the Allan deviation times the root of the cluster time, for cluster times up to a second."""
-    squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
-    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
-    return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
 
 
 def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

@@ -109,8 +109,14 @@ class Windows:
             for k in range(0, whole, step)
         ]
         joined = _statistics(values[:0], size, size)._joined(*parts)
+        resolution = np.full(values.shape[1], np.inf)
+        if len(values) > 1:
+            first = np.sort(values[:_SAMPLED], axis=0)
+            d = np.diff(first, axis=0)
+            # Differences due to floating-point rounding are not steps.
+            resolution = np.where(d > 1e-9 * np.ptp(first, axis=0), d, np.inf).min(axis=0)
         rest = np.array(values[whole * size :])
-        return dataclasses.replace(joined, resolution=_resolution(values), rest=rest)
+        return dataclasses.replace(joined, resolution=resolution, rest=rest)
 
     def __len__(self) -> int:
         return len(self.count)
@@ -239,16 +245,6 @@ def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> 
     mean = x[:, :, 0].T if length == size else values.mean(axis=0)[None]
     resolution = np.full(axes, np.inf)
     return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
-
-
-def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes"]:
-    """Smallest step between different samples among the first ones; infinite where none differ."""
-    x = np.sort(values[:_SAMPLED], axis=0)
-    if len(x) < 2:
-        return np.full(values.shape[1], np.inf)
-    d = np.diff(x, axis=0)
-    # Differences due to floating-point rounding are not steps.
-    return np.where(d > 1e-9 * np.ptp(x, axis=0), d, np.inf).min(axis=0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -143,7 +143,10 @@ def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None)
                 raise AllanjaxError(f"{name} must be an integer, not {value!r}")
             values[name] = int(value)
             continue
-        p = _parameter(cls, name)
+        p = next((p for p in cls.parameters() if name in (p.name, p.symbol)), None)
+        if p is None:
+            names = [*(p.name for p in cls.parameters()), *cls.option_names()]
+            raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
         values[p.name], is_held = _value(value, p, sensor)
         held += [p.name] if is_held else []
     made = cls().replace(**values)
@@ -158,15 +161,6 @@ def _class(name: str, classes: Mapping[str, type[_Kind]]) -> type[_Kind]:
         what = "term" if by_symbol else "response"
         raise AllanjaxError(f"unknown {what} {name!r}; known are {known}")
     return classes.get(name.lower()) or by_symbol[name]
-
-
-def _parameter(cls: type[Parametrized], name: str) -> Parameter:
-    """Parameter of a term or response by its name or symbol."""
-    for p in cls.parameters():
-        if name in (p.name, p.symbol):
-            return p
-    names = [p.name for p in cls.parameters()] + list(cls.option_names())
-    raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
 
 
 def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:

@@ -53,7 +53,10 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         )
     model = as_model(model)
     model.check_complete()
-    return _draw(_with_traced_values(model.sampled(float(rate))), as_key(key), int(n), float(rate))
+    model = model.sampled(float(rate))
+    # Python numbers would be constants of the compiled program. Infinite values select a term's formula.
+    finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
+    return _draw(model.with_values(**finite), as_key(key), int(n), float(rate))
 
 
 def simulate_recording(
@@ -136,15 +139,6 @@ def simulate_recording(
 def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
     """Simulated samples of the model, compiled once for each combination of terms, n and rate."""
     return model.simulate(key, n, rate)
-
-
-def _with_traced_values(model: Model) -> Model:
-    """Model with arrays for values: Python numbers would be constants of the compiled program.
-
-    Infinite values stay Python numbers, since they select a term's formula.
-    """
-    finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
-    return model.with_values(**finite)
 
 
 def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:

@@ -71,22 +71,18 @@ def read_npz(path: Path, source: Source) -> Table:
                 raise source.error("a zip archive without NumPy arrays (a spreadsheet?); save it as CSV")
             check_claim(sum(member.file_size for member in members), path, source)
             for member in members:
-                _check_member(archive, member, source)
+                with archive.open(member) as stream:
+                    npy = np.lib.format
+                    old = npy.read_magic(stream) == (1, 0)
+                    read_header = npy.read_array_header_1_0 if old else npy.read_array_header_2_0
+                    shape, _, dtype = read_header(stream)
+                size = member.file_size
+                if math.prod(shape) * dtype.itemsize > size:
+                    claim = f"{member.filename!r} claims the shape {shape} but has {size} bytes"
+                    raise source.error(f"{claim}; save it again")
         with np.load(path, allow_pickle=False) as arrays:
             named = {name: arrays[name] for name in arrays.files}
     return from_named(named, source)
-
-
-def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Source) -> None:
-    """Raise RecordingError if an array in an .npz file claims to be larger than its data."""
-    with archive.open(member) as stream:
-        old = np.lib.format.read_magic(stream) == (1, 0)
-        read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-    if math.prod(shape) * dtype.itemsize > member.file_size:
-        raise source.error(
-            f"{member.filename!r} claims the shape {shape} but has {member.file_size} bytes; save it again"
-        )
 
 
 def open_parquet(path: Path, source: Source) -> Table:

@@ -575,7 +575,12 @@ def open_chunks(
         seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
         part = dataclasses.replace(part, time_unit=unit or options.time_unit)
-        _check_one_rate(first, seconds, layout, source)
+        if all(is_numeric(first[column.index]) for column in layout.axes):
+            values = np.column_stack([first[column.index] for column in layout.axes])
+            if not own_rows(values, seconds, layout.axes, source).all():
+                raise source.error(
+                    "only read() (without --stream) leaves out rows that repeat previous values"
+                )
         times, place = part.first_times()
         check_length(len(times), place)
         if options.uniform:
@@ -600,22 +605,6 @@ def open_chunks(
     return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, part)
 
 
-def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
-    """Raise RecordingError if rows repeat others, as for two sensors in one table."""
-    if all(is_numeric(columns[column.index]) for column in layout.axes):
-        values = np.column_stack([columns[column.index] for column in layout.axes])
-        if not own_rows(values, times, layout.axes, source).all():
-            raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
-
-
-class _Piece(NamedTuple):
-    """Successive rows of a part: axes in the file's units, times [s], and their place in the file."""
-
-    axes: Columns
-    times: Float[np.ndarray, " stamps"]
-    source: Source
-
-
 @dataclasses.dataclass(frozen=True)
 class _PartOfFile:
     """Part of a file from `start` to `stop` [s], read chunk by chunk."""
@@ -631,16 +620,17 @@ class _PartOfFile:
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
         """Return the times [s] of the first samples, at most a chunk, and their place in the file."""
         times, place = np.zeros(0), self.table.source
-        for piece in self.pieces(None):
-            place = place if len(times) else piece.source
-            times = np.concatenate([times, piece.times])
-            if len(times) >= self.chunk:
+        for _, more, source in self.pieces(None):
+            place = place if len(times) else source
+            times = np.concatenate([times, more])[: self.chunk]
+            if len(times) == self.chunk:
                 break
-        return times[: self.chunk], place
+        return times, place
 
-    def pieces(self, rate: float | None) -> Iterator[_Piece]:
-        """Yield the pieces of the part in order; time stamps are checked against their rate if it is known.
+    def pieces(self, rate: float | None) -> Iterator[tuple[Columns, Float[np.ndarray, " stamps"], Source]]:
+        """Yield axes in the file's units, times [s] and place in the file of successive rows of the part.
 
+        Time stamps are checked against their rate if it is known.
         Without stamps, times follow from the rate, which is then known.
         """
         row, elapsed, before = 0, 0.0, np.zeros(0)
@@ -668,7 +658,7 @@ class _PartOfFile:
                     check_rate_kept(together, self.layout.time_label, self.stamped, place.after(-len(before)))
                 before = together[-_BEFORE:]
                 axes = tuple(columns[column.index][rows] for column in self.layout.axes)
-                yield _Piece(axes, times[rows], place)
+                yield axes, times[rows], place
             if rows.stop < size:
                 return
             row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])
