@@ -304,10 +304,8 @@ class Figures:
             if self._answer(key, "reading") == "B":
                 self.statements.append(f"{taken} B; the least Allan deviation is 0.664 B")
                 return "bias_instability", value
-            self.statements.append(
-                f"{taken} the least Allan deviation, 0.664 B; N and K contribute to it, so this B is an upper "
-                "limit"
-            )
+            upper = "N and K contribute to it, so this B is an upper limit"
+            self.statements.append(f"{taken} the least Allan deviation, 0.664 B; {upper}")
             return LEAST, value
         if key == "noise_density":
             one_sided = self._answer(key, "sided") == "one"
