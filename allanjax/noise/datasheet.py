@@ -217,15 +217,6 @@ def known_sheets() -> Mapping[str, Mapping[str, Any]]:
     return {name: {"name": name, **figures} for name, figures in tomllib.loads(text).items()}
 
 
-def _closest(name: str) -> str:
-    """The known names in words, the most similar ones first."""
-    known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
-    near = [there for plain, there in known.items() if own and plain.startswith(own)]
-    near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
-    hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    return f"known are {', '.join(known_sheets())}{hint}"
-
-
 def _plain(name: str) -> str:
     """A name without hyphens, spaces and case."""
     return re.sub(r"[\W_]", "", name).casefold()
@@ -235,14 +226,18 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
     """Contents of a data sheet, and its name in messages."""
     if isinstance(source, Mapping):
         return "data sheet", source
-    for name, known in known_sheets().items():
+    for name, sheet in known_sheets().items():
         if isinstance(source, str) and _plain(name) == _plain(source):
-            return f"data sheet {name}", known
+            return f"data sheet {name}", sheet
     try:
         return str(source), tomllib.loads(Path(source).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
-            names = _closest(source)
+            known, own = {_plain(there): there for there in known_sheets()}, _plain(source)
+            near = [there for plain, there in known.items() if own and plain.startswith(own)]
+            near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            names = f"known are {', '.join(known_sheets())}{hint}"
             raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file; {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
         raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error

@@ -183,23 +183,17 @@ def settled(
     enters = np.zeros((*follow.shape[:-1], len(level)))
     enters[..., rest], enters[..., level] = np.eye(rest.sum()), -follow
     covariance = np.zeros_like(transition)
-    found = _stationary(own, enters @ noise @ np.swapaxes(enters, -1, -2))
-    covariance[..., rest[:, None] & rest] = found.reshape(*found.shape[:-2], rest.sum() ** 2)
-    return covariance
-
-
-def _stationary(
-    transition: Float[np.ndarray, "*g n n"], noise: Float[np.ndarray, "*g n n"]
-) -> Float[np.ndarray, "*g n n"]:
-    """Solution of P = A P Aᵀ + Q, by a sum of positive terms that doubles in length."""
-    total, power = noise, transition
+    # P = A P Aᵀ + Q, by a sum of positive terms that doubles in length.
+    found, power = enters @ noise @ np.swapaxes(enters, -1, -2), own
     for _ in range(_DOUBLINGS):
-        more = power @ total @ np.swapaxes(power, -1, -2)
-        total = total + more
-        if np.all(np.abs(more) <= 1e-17 * np.abs(total)):
+        more = power @ found @ np.swapaxes(power, -1, -2)
+        found = found + more
+        if np.all(np.abs(more) <= 1e-17 * np.abs(found)):
             break
         power = power @ power
-    return (total + np.swapaxes(total, -1, -2)) / 2.0
+    found = (found + np.swapaxes(found, -1, -2)) / 2.0
+    covariance[..., rest[:, None] & rest] = found.reshape(*found.shape[:-2], rest.sum() ** 2)
+    return covariance
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -333,18 +333,13 @@ def _definitions(
                 message[part].partition(b"\0")[0].decode("latin-1")
                 for part in (slice(5, 9), slice(9, 25), slice(25, None))
             )
-            definitions[message[3]] = name, _dtype(characters, labels, message[4])
+            names = [label.strip() for label in labels.split(",")]
+            dtype = None
+            if set(characters) <= {*_TYPES} and len(names) == len({*names} - {""}) == len(characters):
+                dtype = np.dtype([(x, _TYPES[c]) for x, c in zip(names, characters, strict=True)])
+            intact = dtype is not None and dtype.itemsize == message[4] - _HEAD
+            definitions[message[3]] = name, dtype if intact else None
     return definitions
-
-
-def _dtype(characters: str, labels: str, length: int) -> np.dtype | None:
-    """Return the type of a message's fields; None if the definition is inconsistent."""
-    names = [name.strip() for name in labels.split(",")] if labels else []
-    known = all(character in _TYPES for character in characters)
-    if not characters or not known or len(names) != len(characters) or len(set(names)) < len(names):
-        return None
-    dtype = np.dtype([(name, _TYPES[c]) for name, c in zip(names, characters, strict=True)])
-    return dtype if "" not in names and dtype.itemsize == length - _HEAD else None
 
 
 def _messages(

@@ -291,10 +291,17 @@ def _unit(
         return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
     typical = float(np.median(np.diff(times)))
     rates = {unit: 1.0 / (typical * convert(1.0, unit, "s")) for unit in _UNITS if typical > 0.0}
-    fitting = [unit for unit in rates if _fits(unit, rates[unit], values, rate)]
+    low, high = _PLAUSIBLE_RATES
+    if rate is not None:
+        fitting = [unit for unit, hz in rates.items() if abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE]
+    else:
+        # Fractions or dates; whole numbers may also be a counter.
+        since = {unit: float(values[0]) * convert(1.0, unit, "s") for unit in rates}
+        dated = {unit for unit, s in since.items() if _UNIX_SECONDS[0] < s < _UNIX_SECONDS[1]}
+        known = rates if np.any(values % 1) else dated
+        fitting = [unit for unit, hz in rates.items() if low <= hz <= high and unit in known]
     if len(fitting) == 1:
         return fitting[0], (f"{name} has no unit; assuming {fitting[0]}, the only plausible one",)
-    low, high = _PLAUSIBLE_RATES
     possible = (f"in {unit} the rate is {hz:.4g} Hz" for unit, hz in rates.items() if low <= hz <= high)
     listed = ", ".join(possible) or "no unit gives a plausible rate"
     if rate is not None and typical > 0.0:
@@ -305,16 +312,6 @@ def _unit(
         f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
         f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
     )
-
-
-def _fits(unit: str, hz: float, values: np.ndarray, rate: float | None) -> bool:
-    """Whether stamps with this rate in `unit` are plausible: by a given rate, as fractions or dates."""
-    if rate is not None:
-        return abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE
-    low, high = _PLAUSIBLE_RATES
-    unix = _UNIX_SECONDS[0] < float(values[0]) * convert(1.0, unit, "s") < _UNIX_SECONDS[1]
-    # Whole numbers may also be a counter.
-    return low <= hz <= high and (unix or bool(np.any(values % 1)))
 
 
 def _gap(
