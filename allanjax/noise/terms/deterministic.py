@@ -93,10 +93,6 @@ class Sinusoid(NoiseTerm):
         damping = namespace(self).sinc(self.frequency * self.sample_interval)
         return self.amplitude**2 / (2.0 * w**2) * wave / damping**2
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """Zero density: a line's power Ω0²/2 is all at its own frequency."""
-        return namespace(self, frequency).zeros(np.shape(frequency))
-
     def state_block(self, rate: float, duration: float | None) -> Block:
         """States: the line, and itself a quarter of a period before; their phase is unknown."""
         a = 2.0 * np.pi * self.frequency / rate
@@ -128,9 +124,6 @@ class Transient(NoiseTerm):
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return namespace(self, lag).zeros(np.shape(lag))
-
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return namespace(self, frequency).zeros(np.shape(frequency))
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         raise AllanjaxError(

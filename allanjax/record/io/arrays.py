@@ -30,7 +30,11 @@ _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save i
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = frozenset({*range(1, 8), 9, 12, 13})
 _TEXT = frozenset({*range(1, 8), 16, 17, 18})
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _LAST_NUMBER = 1, 2, 3, 4, 5, 15
+_SPARSE = 5
+# By class of an array, how many elements come first, and the kinds of the others: cells, structs and objects
+# of arrays, text, and numbers. Unknown classes may have any kind.
+_CLASSES = dict.fromkeys(range(16), (3, _NUMBERS)) | {4: (3, _TEXT)}
+_CLASSES |= {kind: (names, frozenset({_MATRIX})) for kind, names in ((1, 3), (2, 5), (3, 6))}
 # Flag for complex numbers.
 _COMPLEX = 0x0800
 _HEADER = 128
@@ -278,15 +282,7 @@ def _check_matrix(payload: memoryview, order: str) -> None:
         return
     flags = struct.unpack_from(f"{order}I", elements[0][1])[0]
     kind = flags & 0xFF
-    names = {_CELL: 3, _STRUCT: 5, _OBJECT: 6}.get(kind)
-    if names is not None:
-        allowed = frozenset({_MATRIX})
-    elif kind == _CHAR:
-        names, allowed = 3, _TEXT
-    elif kind <= _LAST_NUMBER:
-        names, allowed = 3, _NUMBERS
-    else:
-        names, allowed = 1, _NUMBERS | _TEXT | {_MATRIX}
+    names, allowed = _CLASSES.get(kind, (1, _NUMBERS | _TEXT | {_MATRIX}))
     # Elements with the numbers, of which a sparse array has two more for places, and a complex one twice.
     parts = 1 + bool(flags & _COMPLEX) + 2 * (kind == _SPARSE)
     if allowed <= _NUMBERS | _TEXT and len(elements) < names + parts:
