@@ -252,7 +252,9 @@ def look(
         facts.append(Fact("at rest", text, concerned, "not a measurement"))
         # The warning about motion comes first and is reason enough.
         refusal = ""
-    spikes = [_within(parts, at, rate) for at in spikes]
+    if parts and recording is not None:
+        inside = np.any([(recording.time >= a) & (recording.time < b) for a, b in parts], axis=0)
+        spikes = [at & inside for at in spikes]
     if recording is None:
         more, steps = resolved(part, axes, None)
         added_noise = steps / np.sqrt(12.0)
@@ -353,19 +355,6 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
     without = bridged(x, at)
     off = (x - without)[at]
     return np.zeros_like(at) if _is_trifle(float(off @ off) / len(x), without) else at
-
-
-def _within(
-    parts: Sequence[tuple[float, float]], at: Bool[np.ndarray, " n"], rate: float
-) -> Bool[np.ndarray, " n"]:
-    """Return which of these samples are in the parts; all of them if there are no parts."""
-    if not parts:
-        return at
-    places = np.flatnonzero(at)
-    inside = [(places / rate >= first) & (places / rate < last) for first, last in parts]
-    within = np.zeros_like(at)
-    within[places[np.any(inside, axis=0)]] = True
-    return within
 
 
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
