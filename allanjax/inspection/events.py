@@ -6,7 +6,7 @@ Events are cut out, filled in on one axis, or kept, or the recording is refused.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -119,7 +119,9 @@ class Run:
 
 def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
     """Return runs with unusual noise or an unusual change of the mean, in order, without overlap."""
-    disturbed = [Run(a, b, "silent") for a, b in _silent(windows)]
+    # An axis that usually changes but is constant is stuck or switched off.
+    stuck = (windows.low == windows.high) & (np.median(windows.repeated, axis=0) < _MOSTLY_NEW)
+    disturbed = [Run(a, b, "silent") for a, b in runs(stuck.any(axis=1), _GAP) if b - a >= _STUCK]
     # Runs detected over few windows are left out of the averages over more.
     for length in LENGTHS:
         touched = touched_by(windows, disturbed)
@@ -143,13 +145,6 @@ def touched_by(windows: Windows, disturbed: Sequence[Run]) -> Bool[np.ndarray, "
     for s in disturbed:
         touched[s.first : s.last] = True
     return touched
-
-
-def _silent(windows: Windows) -> list[tuple[int, int]]:
-    """Return runs of windows in which a usually changing axis is constant: it is stuck or switched off."""
-    constant = windows.low == windows.high
-    usual = np.median(windows.repeated, axis=0) < _MOSTLY_NEW
-    return [(a, b) for a, b in runs((constant & usual).any(axis=1), _GAP) if b - a >= _STUCK]
 
 
 def _runs(scores: Sequence[Scores], length: int, unusual: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
@@ -244,7 +239,12 @@ def excesses(
     """
     touched = touched_by(windows, disturbed)
     sigmas, shares = np.zeros((2, len(disturbed), windows.mean.shape[1]))
-    for square, weight, width in _squares(windows):
+    # Mean square differences at each cluster size, their weights, and how many windows each spans.
+    pairs = windows.pairs.astype(float)
+    squares = [(np.nan_to_num(x), count, 1) for x, count in zip(mean_squares(windows), pairs, strict=True)]
+    steps = steps_of(windows, ["axis"] * windows.mean.shape[1])
+    squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps]
+    for square, weight, width in squares:
         # A place counts as touched if one of its windows is in a run.
         count = np.concatenate([[0], np.cumsum(touched)])
         places = count[width:] > count[: len(count) - width]
@@ -263,25 +263,6 @@ def excesses(
             shares[k] = np.where(abs(part) / error > sigmas[k], abs(part), shares[k])
             sigmas[k] = np.maximum(sigmas[k], abs(part) / error)
     return sigmas, shares
-
-
-def _squares(
-    windows: Windows,
-) -> Iterator[tuple[Float[np.ndarray, "places axes"], Float[np.ndarray, " places"], int]]:
-    """Yield mean square differences at each cluster size, their weights, and how many windows each spans."""
-    for square, pairs in zip(mean_squares(windows), windows.pairs, strict=True):
-        yield np.nan_to_num(square), pairs.astype(float), 1
-    for steps in steps_of(windows, ["axis"] * windows.mean.shape[1]):
-        yield (steps.step**2).T, np.ones(steps.step.shape[1]), 2 * steps.lag
-
-
-def quiet_runs(count: int, disturbed: Sequence[Run]) -> list[tuple[int, int]]:
-    """Return the runs of `count` windows outside all disturbed runs, at least one window away from each."""
-    edges = [0]
-    for s in disturbed:
-        edges += [max(s.first - 1, 0), min(s.last + 1, count)]
-    edges.append(count)
-    return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a]
 
 
 def beside(
@@ -367,11 +348,13 @@ def quiet_parts(
         if not split:
             parts.append((first, last))
             continue
-        calm = quiet_runs(len(part), cuts)
+        # Runs outside all that is cut, at least one window away from it.
+        edges = [0, *(edge for s in cuts for edge in (max(s.first - 1, 0), min(s.last + 1, len(part))))]
+        calm = [(a, b) for a, b in zip(edges[::2], [*edges[1::2], len(part)], strict=True) if b > a]
         longest = max((b - a for a, b in calm), default=0)
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
-    edges = windows.edges
-    quiet = tuple((int(edges[a]), int(edges[b])) for a, b in sorted(parts))
+    first_samples = windows.edges.tolist()
+    quiet = tuple((first_samples[a], first_samples[b]) for a, b in sorted(parts))
     joined = sorted(_joined(cut) + _joined(kept), key=lambda s: s.first)
     return tuple(_events(windows, joined)), quiet
 
@@ -613,7 +596,10 @@ class Treatment:
     def _clause(self, kind: str, events: Sequence[Event]) -> str:
         """Return a clause about all events of one kind."""
         step = grid(self.n / self.rate)
-        places = listed([self._around(e, step) for e in events])
+        # Time spans, rounded; outwards if the rounded ends were the same.
+        ends = [(e.first / self.rate / step, e.last / self.rate / step) for e in events]
+        ends = [x if round(x[0]) != round(x[1]) else (np.floor(x[0]), np.ceil(x[1])) for x in ends]
+        places = listed([span(step * first, step * last, step) for first, last in ends])
         largest = max(events, key=lambda e: abs(e.size))
         axis = self.axes[largest.axis]
         size = amount(abs(largest.size), axis)
@@ -636,10 +622,3 @@ class Treatment:
             return f"{len(events)} {noun}s of up to {size}{off} ({axis.name}) at {middles}"
         a, of = ("an", "") if kind == "spike" else ("a", "of ")
         return f"{a} {noun} {of}{size}{off} at {middles} ({axis.name})"
-
-    def _around(self, e: Event, step: float) -> str:
-        """Time span of an event, rounded; outwards if the rounded ends were the same."""
-        first, last = e.first / self.rate / step, e.last / self.rate / step
-        if round(first) == round(last):
-            first, last = np.floor(first), np.ceil(last)
-        return span(step * first, step * last, step)

@@ -1,32 +1,38 @@
-"""Inspection of a recording before its coefficients are estimated."""
+"""Inspection of a recording before its coefficients are estimated, and its checks in one line each."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.equality import ByValue
 from allanjax.base.threads import for_each
-from allanjax.base.wording import plain, record_size
+from allanjax.base.wording import duration, plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
 from allanjax.inspection.plausible import (
     Ends,
+    accelerometers,
     dead_facts,
+    describe_jitter,
     implausible,
     resolved,
     sampling_facts,
     saturated,
     short,
     temperature_facts,
+    temperatures,
 )
 from allanjax.inspection.spectral import spectral_facts
 from allanjax.inspection.windows import Windows, mean_squares, motion_warning, motions, rms_within, runs
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
+from allanjax.record.units import rate_unit_of
 
 _NOT_EXAMINED = (
     "not examined in a stream: outliers, lines, interpolated samples, temperature; to check these, read a "
@@ -217,13 +223,22 @@ def look(
     treatment = Treatment(events, quiet, axes, rate, n, as_is)
     parts = treatment.parts
     longest = max(parts, key=lambda part: part[1] - part[0], default=None)
-    part = windows.between(*_windows_in(windows, longest, rate))
+    part = windows
+    if longest is not None:
+        starts = windows.edges / rate
+        first = int(np.searchsorted(starts, longest[0] - 1e-9))
+        last = int(np.searchsorted(starts, longest[1] + 1e-9, side="right")) - 1
+        part = windows.between(first, max(last, first + 1))
     mean = np.average(part.mean, axis=0, weights=part.count)
     rms = np.sqrt(rms_within(part) ** 2 + np.average((part.mean - mean) ** 2, axis=0, weights=part.count))
     moving = motions(part, axes, rate)
     about = {sensors[m.axis] for m in moving}
     auxiliary = {} if recording is None else recording.auxiliary
-    facts = implausible(axes, rate, mean, _white(part, rate), auxiliary, about, vibrating)
+    # Allan deviation times the root of the cluster time, for cluster times up to a second.
+    squares, time = mean_squares(part), 2.0 ** np.arange(len(part.power)) / rate
+    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
+    white = np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
+    facts = implausible(axes, rate, mean, white, auxiliary, about, vibrating)
     if as_is:
         facts = [dataclasses.replace(fact, consequence="none") for fact in facts]
     # With a wrong unit noise looks like motion.
@@ -237,7 +252,9 @@ def look(
         facts.append(Fact("at rest", text, concerned, "not a measurement"))
         # The warning about motion comes first and is reason enough.
         refusal = ""
-    spikes = [_within(parts, at, rate) for at in spikes]
+    if parts and recording is not None:
+        inside = np.any([(recording.time >= a) & (recording.time < b) for a, b in parts], axis=0)
+        spikes = [at & inside for at in spikes]
     if recording is None:
         more, steps = resolved(part, axes, None)
         added_noise = steps / np.sqrt(12.0)
@@ -295,8 +312,15 @@ def _of_samples(
     outliers = np.zeros(len(steps))
     for k, axis in enumerate(recording.axes):
         if axis.name not in held | grave:
-            count, outliers[k] = outliers_of(calm[rows, k], float(steps[k]))
-            facts += _outlier_facts(axis, count, outliers[k], calm[rows, k])
+            count, outliers[k] = outliers_of(x := calm[rows, k], float(steps[k]))
+            if _is_trifle(outliers[k], x):
+                continue
+            rms, share = float(np.sqrt(outliers[k])), plain(100.0 * count / len(x), 2)
+            text = (
+                f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are "
+                f"kept, and the interval of N is widened for the {amount(rms, axis)} rms that they add"
+            )
+            facts.append(Fact("spikes", text, (axis.name,), "widened", rms))
     added_noise = np.sqrt(steps**2 / 12.0 + outliers)
     single = (fact for fact in _spike_facts(recording, whole, spikes) if not grave.issuperset(fact.axes))
     return [*facts, *single], steps, added_noise
@@ -333,31 +357,6 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
     return np.zeros_like(at) if _is_trifle(float(off @ off) / len(x), without) else at
 
 
-def _within(
-    parts: Sequence[tuple[float, float]], at: Bool[np.ndarray, " n"], rate: float
-) -> Bool[np.ndarray, " n"]:
-    """Return which of these samples are in the parts; all of them if there are no parts."""
-    if not parts:
-        return at
-    places = np.flatnonzero(at)
-    inside = [(places / rate >= first) & (places / rate < last) for first, last in parts]
-    within = np.zeros_like(at)
-    within[places[np.any(inside, axis=0)]] = True
-    return within
-
-
-def _outlier_facts(axis: Axis, count: int, variance: float, x: Float[np.ndarray, " n"]) -> Iterator[Fact]:
-    """Yield a fact about samples beyond Gaussian noise that are kept."""
-    if _is_trifle(variance, x):
-        return
-    share = plain(100.0 * count / len(x), 2)
-    text = (
-        f"{count} samples of {axis.name} ({share} %) are too large for Gaussian noise; they are kept, and "
-        f"the interval of N is widened for the {amount(np.sqrt(variance), axis)} rms that they add"
-    )
-    yield Fact("spikes", text, (axis.name,), "widened", float(np.sqrt(variance)))
-
-
 def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
     """Return whether additional variance changes the Allan variance by less than its own error."""
     return variance <= max(TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
@@ -387,23 +386,6 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
         return recording
     missing = lost if recording.missing is None else lost | recording.missing
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
-
-
-def _windows_in(windows: Windows, part: tuple[float, float] | None, rate: float) -> tuple[int, int]:
-    """Return the indices of the first window in a part [s] and of the one after its last."""
-    if part is None:
-        return 0, len(windows)
-    edges = windows.edges / rate
-    first = int(np.searchsorted(edges, part[0] - 1e-9))
-    last = int(np.searchsorted(edges, part[1] + 1e-9, side="right")) - 1
-    return first, max(last, first + 1)
-
-
-def _white(windows: Windows, rate: float) -> Float[np.ndarray, "scales axes"]:
-    """Return the Allan deviation times the root of the cluster time, for cluster times up to a second."""
-    squares, time = mean_squares(windows), 2.0 ** np.arange(len(windows.power)) / rate
-    known = np.isfinite(squares).any(axis=(1, 2)) & (time <= max(1.0, time[0]))
-    return np.sqrt(np.nanmean(squares[known], axis=1) / 2.0 * time[known, None])
 
 
 def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -450,3 +432,137 @@ def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], flo
     scale = float(np.sqrt(inner @ inner / max(most, 1))) / _INNER_RMS
     rounded = np.count_nonzero(left[1:-1] == 0.0) > _EQUAL * (len(x) - 2)
     return (np.zeros(len(x)) if rounded or not scale > 0.0 else left / scale), scale
+
+
+# Checks of a recording: fine, look (worth a look), or stop (unusable as it is). Each kind of fact from an
+# inspection is one line; without such a fact the line reads fine.
+
+#: Verdicts, the best first.
+Verdict = Literal["fine", "look", "stop"]
+
+# Sample rate over bandwidth: from three to five, after Hou (2004) section 5.3, figure 5.10.
+_LEAST_RATIO, _MOST_RATIO = 3.0, 5.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """One check: its name, the verdict, and the reason in words with numbers and units.
+
+    In the reason, the finding comes first; after the first semicolon follows what it means and what to do.
+    """
+
+    name: str
+    verdict: Verdict
+    reason: str
+
+
+def lines_of(
+    recording: Recording, inspection: Inspection, widths: Mapping[str, float | None]
+) -> Iterator[Line]:
+    """Yield the checks of a recording, given its inspection and the bandwidth of each axis."""
+
+    def line(name: str, otherwise: str, verdict: Verdict = "fine") -> Line:
+        facts = [fact for fact in inspection.facts if fact.kind == name]
+        if not facts:
+            return Line(name, verdict, otherwise)
+        # Findings with the same advice share it.
+        advice: dict[str, list[str]] = {}
+        for fact in facts:
+            finding, _, rest = fact.text.partition("; ")
+            advice.setdefault(rest, []).append(finding)
+        reason = "; ".join("; ".join(filter(None, (", ".join(of), rest))) for rest, of in advice.items())
+        return Line(name, "stop" if any(fact.grave for fact in facts) else "look", reason)
+
+    timed, rate = recording.jitter is not None, f"{recording.rate:.6g} Hz"
+    unknown = "cannot be checked without time stamps"
+    stated = "; ".join(note for note in recording.notes if note.startswith("sample rate")) or rate
+    yield line("rate", stated) if timed else line("rate", f"{rate} as given; it {unknown}", "look")
+    yield line("jitter", describe_jitter(recording)) if timed else line("jitter", unknown, "look")
+    yield line("gaps", unknown, "look") if recording.gaps is None else line("gaps", "none")
+    yield line("repeated samples", "no more than rounding explains")
+    yield line("interpolation", "no samples are interpolated")
+    yield line("resolution", _resolution(recording, inspection))
+    yield line("saturation", "samples do not pile up at the ends of their range")
+    yield line("dead axes", "every axis changes")
+    yield line("at rest", "no axis moves more than a sensor at rest")
+    yield line("disturbances", "; ".join(inspection.notes) or "none")
+    yield line("spikes", "no outlying samples")
+    yield line("lines", "no spectral lines")
+    sensors = {axis.sensor for axis in recording.axes}
+    if "accel" in sensors:
+        yield line("accel unit", *_gravity(inspection))
+    if "gyro" in sensors:
+        gyros = [k for k, axis in enumerate(inspection.axes) if axis.sensor == "gyro"]
+        k = max(gyros, key=lambda k: abs(inspection.mean[k]))
+        bias = f"{amount(abs(inspection.mean[k]), inspection.axes[k])} ({inspection.axes[k].name})"
+        yield line("gyro unit", f"biases up to {bias} and the noise are plausible for a gyro")
+    yield line("temperature", *_temperature(recording))
+    yield line("length", f"{recording.n:,} samples, {duration(recording.duration)}")
+    yield _bandwidth(recording.rate, widths)
+
+
+def _resolution(recording: Recording, inspection: Inspection) -> str:
+    """Return the noise of the axes in steps of their output, in words."""
+    change = np.diff(recording.values, axis=0)
+    rms = np.sqrt(np.einsum("ij,ij->j", change, change) / len(change) / 2.0)
+    counts = [
+        (float(r / q), k) for k, (r, q) in enumerate(zip(rms, inspection.steps, strict=True)) if q > 0.0
+    ]
+    if not counts:
+        return "the samples show no rounding"
+    least, k = min(counts)
+    step = f"{amount(inspection.steps[k], recording.axes[k], 3)} ({recording.axes[k].name})"
+    return f"the noise is at least {plain(least, 2)} steps of {step}"
+
+
+def _gravity(inspection: Inspection) -> tuple[str, Verdict]:
+    """Return the size of gravity in the accelerometers, which verifies their unit."""
+    accel = max(accelerometers(inspection.axes), key=len)
+    size = float(np.linalg.norm(inspection.mean[accel]))
+    unit, scale = rate_unit_of(inspection.axes[accel[0]].unit, "accel")
+    off = f"{plain(size / scale, 4)} {unit}, {plain(100.0 * abs(size / _G - 1.0), 2)} % off gravity"
+    if abs(size / _G - 1.0) < 0.2:
+        return f"the mean is {off}", "fine"
+    if len(accel) < 3:
+        mean = amount(size, inspection.axes[accel[0]])
+        return f"the mean is {mean}; without all three axes, gravity does not verify the unit", "look"
+    why = "the sensor moved" if inspection.moving else "was gravity removed, or not simulated?"
+    return f"the mean is {off}; {why}", "look"
+
+
+def _temperature(recording: Recording) -> tuple[str, Verdict]:
+    """Return the temperature channels in words, if no axis follows one."""
+    channels = temperatures(recording)
+    if not channels:
+        return "no temperature column; temperature drift will be counted as B, K or ramp", "look"
+    missing = [key for key, z in channels.items() if not np.isfinite(z).all()]
+    if missing:
+        return f"values of {', '.join(missing)} are missing; whether an axis follows it is unknown", "look"
+    ranges = {key: plain(float(np.ptp(z)), 3) for key, z in channels.items()}
+    varies = "; ".join(f"{key} varies by {size} (unit of its column)" for key, size in ranges.items())
+    return f"{varies}, and no axis follows it", "fine"
+
+
+def _bandwidth(rate: float, widths: Mapping[str, float | None]) -> Line:
+    """Return the check of the sample rate against the bandwidth of the axes."""
+    name, wanted = "bandwidth", "three to five times the bandwidth suffices"
+    known = {axis: value for axis, value in widths.items() if value is not None}
+    below = {axis: value for axis, value in known.items() if np.isfinite(value)}
+    if not known:
+        return Line(name, "look", "unknown; drift or a short record hides the passband")
+    if not below:
+        unlimited = f"no filter below {plain(rate / 2.0, 4)} Hz, half the rate"
+        aliased = f"if the sensor has more bandwidth, aliased noise adds to N ({wanted})"
+        return Line(name, "look", f"{unlimited}; {aliased}")
+    axis = max(below, key=below.__getitem__)
+    widest = below[axis]
+    ratio = f"{plain(widest, 3)} Hz ({axis}); the rate is {plain(rate / widest, 2)} times that"
+    if rate < _LEAST_RATIO * widest:
+        return Line(name, "look", f"{ratio}; aliased noise adds to N ({wanted})")
+    return Line(name, "fine", f"{ratio}; {'more than needed, as ' * (rate > _MOST_RATIO * widest)}{wanted}")
+
+
+def worst(lines: Sequence[Line]) -> Verdict:
+    """Return the worst verdict of these lines."""
+    order: Mapping[str, int] = {"fine": 0, "look": 1, "stop": 2}
+    return max((line.verdict for line in lines), key=order.__getitem__, default="fine")

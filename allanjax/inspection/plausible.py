@@ -356,8 +356,21 @@ def sampling_facts(recording: Recording) -> Iterator[Fact]:
         then = "samples are treated as evenly spaced; if the jitter is real, use the sensor's own time stamps"
         text = f"{describe_jitter(recording)}; {then}"
         yield Fact("jitter", text, recording.names, size=jitter, unit="s")
-    if recording.gaps:
-        yield _gaps(recording)
+    if gaps := recording.gaps:
+        rate, lost, longest = recording.rate, sum(g.samples for g in gaps), max(g.samples for g in gaps)
+        count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
+        text = f"{lost:,} samples are missing in {count} {duration(longest / rate)}; "
+        spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
+        means: Consequence = "none" if recording.missing is None else "widened"
+        names = recording.names
+        if recording.missing is None:
+            text += f"{1 + len(recording.others)} segments without gaps are used"
+        else:
+            wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
+            text += f"they are filled in, which widens the intervals by {plain(wider, 2)} %"
+            drawn = zip(names, recording.missing.T, strict=True)
+            names = tuple(name for name, x in drawn if x.any())
+        yield Fact("gaps", text, names, means, lost / rate, "s", spans)
     yield from dead_facts(recording.dead)
 
 
@@ -365,22 +378,6 @@ def dead_facts(dead: Sequence[DeadAxis]) -> Iterator[Fact]:
     """Yield facts about axes that do not change or have no samples."""
     for d in dead:
         yield Fact("dead axes", f"{d.axis.name}: {d.reason}", (d.axis.name,), "not a measurement")
-
-
-def _gaps(recording: Recording) -> Fact:
-    """Return the fact about missing samples, which were filled in or separate segments."""
-    gaps, rate = recording.gaps or (), recording.rate
-    lost, longest = sum(gap.samples for gap in gaps), max(gap.samples for gap in gaps)
-    count = f"{len(gaps)} gaps of at most" if len(gaps) > 1 else "a gap of"
-    text = f"{lost:,} samples are missing in {count} {duration(longest / rate)}"
-    spans = tuple((gap.first / rate, (gap.first + gap.samples) / rate) for gap in gaps)
-    if recording.missing is None:
-        used = f"{text}; {1 + len(recording.others)} segments without gaps are used"
-        return Fact("gaps", used, recording.names, "none", lost / rate, "s", spans)
-    drawn = tuple(name for name, x in zip(recording.names, recording.missing.T, strict=True) if x.any())
-    wider = 100.0 * (float(widening(recording.missing).max()) - 1.0)
-    text = f"{text}; they are filled in, which widens the intervals by {plain(wider, 2)} %"
-    return Fact("gaps", text, drawn, "widened", lost / rate, "s", spans)
 
 
 def describe_jitter(recording: Recording) -> str:

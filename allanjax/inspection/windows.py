@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import amount
+from allanjax.record.completion import runs_of
 from allanjax.record.recording import Axis
 
 #: Largest number of windows; a long recording has between half as many and so many.
@@ -108,8 +109,14 @@ class Windows:
             for k in range(0, whole, step)
         ]
         joined = _statistics(values[:0], size, size)._joined(*parts)
+        resolution = np.full(values.shape[1], np.inf)
+        if len(values) > 1:
+            first = np.sort(values[:_SAMPLED], axis=0)
+            d = np.diff(first, axis=0)
+            # Differences due to floating-point rounding are not steps.
+            resolution = np.where(d > 1e-9 * np.ptp(first, axis=0), d, np.inf).min(axis=0)
         rest = np.array(values[whole * size :])
-        return dataclasses.replace(joined, resolution=_resolution(values), rest=rest)
+        return dataclasses.replace(joined, resolution=resolution, rest=rest)
 
     def __len__(self) -> int:
         return len(self.count)
@@ -220,7 +227,11 @@ def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> 
     # Axis by axis, so that neighbouring samples are adjacent in memory.
     x = np.ascontiguousarray(values.T).reshape(axes, -1, length)
     count = np.full(x.shape[1], length)
-    low, high, repeats = x.min(axis=2).T, x.max(axis=2).T, _repeats(x).T
+    low, high = x.min(axis=2).T, x.max(axis=2).T
+    # Samples equal to the one before are counted in blocks of the shortest window.
+    whole = length // SHORTEST
+    blocks = x[..., : whole * SHORTEST].reshape(axes, len(count), whole, SHORTEST)
+    repeats = np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1)).T
     peak = np.zeros(low.shape)
     power = np.empty((size.bit_length() - 1, *low.shape))
     pairs = np.empty((len(power), len(count)), int)
@@ -234,23 +245,6 @@ def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> 
     mean = x[:, :, 0].T if length == size else values.mean(axis=0)[None]
     resolution = np.full(axes, np.inf)
     return Windows(size, count, mean, low, high, power, pairs, peak, repeats, resolution, values[:0])
-
-
-def _repeats(x: Float[np.ndarray, "*w n"]) -> Int[np.ndarray, " *w"]:
-    """Number of samples equal to the one before, counted in blocks of the shortest window."""
-    count = x.shape[-1] // SHORTEST
-    blocks = x[..., : count * SHORTEST].reshape(*x.shape[:-1], count, SHORTEST)
-    return np.count_nonzero(blocks[..., 1:] == blocks[..., :-1], axis=(-2, -1))
-
-
-def _resolution(values: Float[np.ndarray, "n axes"]) -> Float[np.ndarray, " axes"]:
-    """Smallest step between different samples among the first ones; infinite where none differ."""
-    x = np.sort(values[:_SAMPLED], axis=0)
-    if len(x) < 2:
-        return np.full(values.shape[1], np.inf)
-    d = np.diff(x, axis=0)
-    # Differences due to floating-point rounding are not steps.
-    return np.where(d > 1e-9 * np.ptp(x, axis=0), d, np.inf).min(axis=0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -446,9 +440,8 @@ def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
 
 def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
     """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
     joined: list[tuple[int, int]] = []
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for a, b in runs_of(mask).tolist():
         if joined and a - joined[-1][1] <= gap:
             joined[-1] = (joined[-1][0], b)
         else:

@@ -21,7 +21,8 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,8 @@ _FIGURES: dict[str, dict[str, tuple[str, ...]]] = {
     "rate_random_walk": {},
     "lsb": {},
 }
+# Figures that give N, the first of which is used, with the exponents of time in their units, rate·s^exponent.
+_WHITE = {"random_walk": 0.5, "noise_density": 0.5, "rms_noise": 0.0}
 _WHY = {
     "sided": "densities in data sheets are usually one-sided (√2 times N), those in IEEE 952 two-sided (N)",
     "bandwidth": "the rms of white noise depends on it",
@@ -214,15 +217,6 @@ def known_sheets() -> Mapping[str, Mapping[str, Any]]:
     return {name: {"name": name, **figures} for name, figures in tomllib.loads(text).items()}
 
 
-def _closest(name: str) -> str:
-    """The known names in words, the most similar ones first."""
-    known, own = {_plain(there): there for there in known_sheets()}, _plain(name)
-    near = [there for plain, there in known.items() if own and plain.startswith(own)]
-    near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
-    hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    return f"known are {', '.join(known_sheets())}{hint}"
-
-
 def _plain(name: str) -> str:
     """A name without hyphens, spaces and case."""
     return re.sub(r"[\W_]", "", name).casefold()
@@ -232,14 +226,18 @@ def _document(source: str | os.PathLike[str] | Mapping[str, Any]) -> tuple[str, 
     """Contents of a data sheet, and its name in messages."""
     if isinstance(source, Mapping):
         return "data sheet", source
-    for name, known in known_sheets().items():
+    for name, sheet in known_sheets().items():
         if isinstance(source, str) and _plain(name) == _plain(source):
-            return f"data sheet {name}", known
+            return f"data sheet {name}", sheet
     try:
         return str(source), tomllib.loads(Path(source).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         if isinstance(error, FileNotFoundError) and isinstance(source, str) and Path(source).suffix == "":
-            names = _closest(source)
+            known, own = {_plain(there): there for there in known_sheets()}, _plain(source)
+            near = [there for plain, there in known.items() if own and plain.startswith(own)]
+            near = near or [known[match] for match in difflib.get_close_matches(own, known, cutoff=0.8)]
+            hint = f"; did you mean {' or '.join(near)}?" if near else ""
+            names = f"known are {', '.join(known_sheets())}{hint}"
             raise AllanjaxError(f"{source!r} is neither a known data sheet nor a file; {names}") from None
         why = error.strerror if isinstance(error, OSError) else error
         raise AllanjaxError(f"{source}: {why}; give a TOML file with [gyro] or [accel]") from error
@@ -268,7 +266,12 @@ class Figures:
         if "conditions" in self.figures:
             self.statements.append(str(self.figures["conditions"]))
         Q, stepped = self._rounding()
-        N, B, K = self._white(stepped), self._flicker(), self._amount("rate_random_walk", -0.5)
+        N, B, K = self._white(stepped), None, None
+        if "in_run_bias_instability" in self.figures:
+            label, B = self.one("in_run_bias_instability")
+            B /= MINIMUM if label == LEAST else 1.0
+        if "rate_random_walk" in self.figures:
+            _, K = self.one("rate_random_walk")
         values = ((Quantization, Q), (AngleRandomWalk, N), (BiasInstability, B), (RateRandomWalk, K))
         terms = [
             term().replace(**{term.amplitude_parameter().name: value})
@@ -281,27 +284,47 @@ class Figures:
 
     def one(self, key: str) -> tuple[str, float]:
         """What one figure gives [SI], with the label of its coefficient, or LEAST for the least deviation."""
-        exponents = {"in_run_bias_instability": 0.0, "rate_random_walk": -0.5, **self.others}
-        if key in exponents:
-            label, value = key, self._amount(key, exponents[key])
-        else:
-            label, value = "angle_random_walk", self._whites()[key]()
+        if key in ("random_walk", "noise_density"):
+            with self._named(key):
+                per_root_hz = density_power(self._quantity(self.figures[key], key)[1]) > 0.0
+            if per_root_hz and key == "random_walk":
+                raise self._error(key, "is per √Hz: give it as noise_density with sided, or in deg/√h")
+            if not per_root_hz and key == "noise_density":
+                raise self._error(key, "is not per √Hz: if it is a random walk, give it as random_walk")
+        exponent = {**_WHITE, "in_run_bias_instability": 0.0, "rate_random_walk": -0.5, **self.others}[key]
+        unit = si_unit(default_coefficient_unit(self.sensor, exponent))
+        value = self._in_si(self.figures[key], unit, key)
+        taken = f"{key} is taken as"
         if key == "in_run_bias_instability":
-            label = "bias_instability" if self._answer(key, "reading") == "B" else LEAST
-        return label, value or 0.0
-
-    def _whites(self) -> dict[str, Callable[[], float | None]]:
-        return {"random_walk": self._random_walk, "noise_density": self._density, "rms_noise": self._rms}
+            if self._answer(key, "reading") == "B":
+                self.statements.append(f"{taken} B; the least Allan deviation is 0.664 B")
+                return "bias_instability", value
+            upper = "N and K contribute to it, so this B is an upper limit"
+            self.statements.append(f"{taken} the least Allan deviation, 0.664 B; {upper}")
+            return LEAST, value
+        if key == "noise_density":
+            one_sided = self._answer(key, "sided") == "one"
+            self.statements.append(f"{taken} {'one-sided, √2·N' if one_sided else 'two-sided, N'}")
+            value /= math.sqrt(2.0) if one_sided else 1.0
+        elif key == "rms_noise":
+            bandwidth = self._in_si(self._answer(key, "bandwidth"), "Hz", "bandwidth")
+            width, how = bandwidth, ""
+            if self._answer(key, "bandwidth_is") == "first-order":
+                width *= _ONE_POLE
+                how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)"
+            self.statements.append(f"{taken} white in a noise bandwidth of {plain(width, 4)} Hz{how}")
+            value /= math.sqrt(2.0 * width)
+        return "angle_random_walk" if key in _WHITE else key, value
 
     def _white(self, stepped: float | None) -> float | None:
         """N from the first figure that gives it, else from steps alone."""
-        given = {key: value for key, read in self._whites().items() if (value := read()) is not None}
+        given = {key: self.one(key)[1] for key in _WHITE if key in self.figures}
         if not given:
             if stepped is not None:
                 self.statements.append("N is from the quantization steps alone")
             return stepped
-        first, N = next(iter(given.items()))
-        for key, value in list(given.items())[1:]:
+        (first, N), *others = given.items()
+        for key, value in others:
             self.statements.append(f"N is from {first}; {key} would give {value / N:.2f} times as much")
         if stepped is not None:
             share = (stepped / N) ** 2
@@ -309,51 +332,6 @@ class Figures:
                 f"quantization steps would add {percent(share)} to the power of N; they are not added"
             )
         return N
-
-    def _random_walk(self) -> float | None:
-        if "random_walk" in self.figures and self._is_density("random_walk"):
-            raise self._error("random_walk", "is per √Hz: give it as noise_density with sided, or in deg/√h")
-        return self._amount("random_walk", 0.5)
-
-    def _density(self) -> float | None:
-        if "noise_density" not in self.figures:
-            return None
-        if not self._is_density("noise_density"):
-            raise self._error(
-                "noise_density", "is not per √Hz: if it is a random walk, give it as random_walk"
-            )
-        density, sided = self._amount("noise_density", 0.5) or 0.0, self._answer("noise_density", "sided")
-        meaning = "√2·N" if sided == "one" else "N"
-        self.statements.append(f"noise_density is taken as {sided}-sided, {meaning}")
-        return density / math.sqrt(2.0) if sided == "one" else density
-
-    def _rms(self) -> float | None:
-        rms = self._amount("rms_noise", 0.0)
-        if rms is None:
-            return None
-        bandwidth = self._in_si(self._answer("rms_noise", "bandwidth"), "Hz", "bandwidth")
-        kind = self._answer("rms_noise", "bandwidth_is")
-        width = bandwidth * (_ONE_POLE if kind == "first-order" else 1.0)
-        how = f" (1.57 times the −3 dB bandwidth, {bandwidth:g} Hz)" if kind == "first-order" else ""
-        self.statements.append(
-            f"rms_noise is taken as white in a noise bandwidth of {plain(width, 4)} Hz{how}"
-        )
-        return rms / math.sqrt(2.0 * width)
-
-    def _flicker(self) -> float | None:
-        value = self._amount("in_run_bias_instability", 0.0)
-        if value is None:
-            return None
-        if self._answer("in_run_bias_instability", "reading") == "B":
-            self.statements.append(
-                "in_run_bias_instability is taken as B; the least Allan deviation is 0.664 B"
-            )
-            return value
-        self.statements.append(
-            "in_run_bias_instability is taken as the least Allan deviation, 0.664 B; N and K contribute to "
-            "it, so this B is an upper limit"
-        )
-        return value / MINIMUM
 
     def _rounding(self) -> tuple[float | None, float | None]:
         """Q from steps of increments, or N from steps of rates."""
@@ -363,10 +341,8 @@ class Figures:
         if inverse := re.fullmatch(r"LSB\s*/\s*\(?(.+?)\)?", unit):
             number, unit = 1.0 / number, inverse[1]
         unit = re.sub(r"\s*/\s*LSB$", "", unit)
-        try:
+        with self._named("lsb"):
             step = parse_sample_unit(unit, self.sensor)
-        except UnitError as error:
-            raise UnitError(f"{self.where} lsb: {error}") from error
         size = number * step.scale / math.sqrt(12.0)
         if step.quantity == "increment":
             self.statements.append("lsb is taken as a step of increments, Q = lsb/√12")
@@ -385,20 +361,6 @@ class Figures:
             raise self._error(figure, f"needs {key} = {choices}{wrong}: {_WHY[key]}")
         return str(value)
 
-    def _amount(self, key: str, time_exponent: float) -> float | None:
-        """Figure in SI, rate·s^time_exponent; None if it is not given."""
-        if key not in self.figures:
-            return None
-        si = si_unit(default_coefficient_unit(self.sensor, time_exponent))
-        return self._in_si(self.figures[key], si, key)
-
-    def _is_density(self, key: str) -> bool:
-        """Whether a figure is per √Hz; UnitError for an unknown unit."""
-        try:
-            return density_power(self._quantity(self.figures[key], key)[1]) > 0.0
-        except UnitError as error:
-            raise UnitError(f"{self.where} {key}: {error}") from error
-
     def _quantity(self, text: Any, key: str) -> tuple[float, str]:
         """Number and unit of a figure, whose unit may end in rms."""
         number, unit = parse_quantity(text) or (0.0, "")
@@ -411,8 +373,14 @@ class Figures:
     def _in_si(self, text: Any, si: str, key: str) -> float:
         """Figure in this SI unit; UnitError for a unit of another dimension."""
         number, unit = self._quantity(text, key)
-        try:
+        with self._named(key):
             return convert(number, unit, si, None if si == "Hz" else self.sensor)
+
+    @contextmanager
+    def _named(self, key: str) -> Iterator[None]:
+        """Context in which a UnitError names the figure."""
+        try:
+            yield
         except UnitError as error:
             raise UnitError(f"{self.where} {key}: {error}") from error
 

@@ -179,8 +179,13 @@ class Estimate(ByValue):
 
     def times(self, factor: float) -> Estimate:
         """A copy whose numbers are multiplied by a factor."""
-        numbers: dict[str, Any] = {name: _times(getattr(self, name), factor) for name in _NUMBERS}
-        return dataclasses.replace(self, **numbers)
+        numbers = {name: getattr(self, name) for name in _NUMBERS}
+        scaled: dict[str, Any] = {
+            name: tuple(x * factor for x in number) if isinstance(number, tuple) else number * factor
+            for name, number in numbers.items()
+            if number is not None
+        }
+        return dataclasses.replace(self, **scaled)
 
     def widened(self, factor: float) -> Estimate:
         """A copy whose standard deviation is larger by a factor, with intervals and limits to match.
@@ -348,12 +353,6 @@ Coefficient = Estimate
 _NOTABLY = 1.1
 #: The fields of an estimate that are in its `unit`.
 _NUMBERS = ("value", "std", "interval", "interval_68", "upper_limit", "lower_limit", "excess")
-
-
-def _times(numbers: float | tuple[float, float] | None, factor: float) -> Any:
-    if isinstance(numbers, tuple):
-        return tuple(x * factor for x in numbers)
-    return None if numbers is None else numbers * factor
 
 
 def usual_unit(parameter: Parameter, sensor: Sensor) -> str:

@@ -78,7 +78,7 @@ class NoiseTerm(Parametrized, Process):
 
     # ------------------------------------------------------------------ parameters
     @classmethod
-    def parameters(cls) -> tuple[Parameter, ...]:
+    def parameters(cls) -> tuple[Parameter, ...]:  # type: ignore[override]  # without the cache
         """Declared parameters, in order; the first is the amplitude."""
         declared = super().parameters()
         if not declared or not declared[0].is_amplitude:
@@ -140,7 +140,7 @@ class Model(Module):
     Attributes:
         terms: the noise terms.
         response: the filter that some of them pass, if there is one.
-        inside: whether each term does; none does if it is empty.
+        inside: whether each term does; by default none does.
         rate: sample rate [Hz] of the response; 0 before `sampled`.
     """
 
@@ -148,6 +148,9 @@ class Model(Module):
     response: Response | None = None
     inside: tuple[bool, ...] = eqx.field(static=True, default=())
     rate: float = eqx.field(static=True, default=0.0)
+
+    def __post_init__(self) -> None:
+        self.inside = self.inside or (False,) * len(self.terms)
 
     def __check_init__(self) -> None:
         for term in self.terms:
@@ -166,7 +169,7 @@ class Model(Module):
         if None not in (self.response, other.response) and repr(self.response) != repr(other.response):
             raise AllanjaxError(f"a model has one response, not {self.response!r} and {other.response!r}")
         response = other.response if self.response is None else self.response
-        inside = () if response is None else self._is_inside + other._is_inside
+        inside = self.inside + other.inside
         return Model(self.terms + other.terms, response, inside, self.rate or other.rate)
 
     def __rmul__(self, other: Response) -> Model:
@@ -180,17 +183,12 @@ class Model(Module):
         return dataclasses.replace(self, response=other, inside=(True,) * len(self.terms))
 
     def __repr__(self) -> str:
-        after = [repr(term) for term, inside in zip(self.terms, self._is_inside, strict=True) if not inside]
+        pairs = list(zip(self.terms, self.inside, strict=True))
+        after = [repr(term) for term, inside in pairs if not inside]
         if self.response is not None:
-            passing = zip(self.terms, self._is_inside, strict=True)
-            filtered = [repr(term) for term, inside in passing if inside]
-            after = [f"{self.response!r} * ({' + '.join(filtered)})", *after]
+            filtered = " + ".join(repr(term) for term, inside in pairs if inside)
+            after = [f"{self.response!r} * ({filtered})", *after]
         return " + ".join(after) or "Model(())"
-
-    @property
-    def _is_inside(self) -> tuple[bool, ...]:
-        """Whether each term passes the response."""
-        return self.inside or (False,) * len(self.terms)
 
     @property
     def processes(self) -> tuple[Process, ...]:
@@ -199,7 +197,7 @@ class Model(Module):
             return self.terms
         return tuple(
             FilteredProcess(term, self.response, self.rate) if inside else term
-            for term, inside in zip(self.terms, self._is_inside, strict=True)
+            for term, inside in zip(self.terms, self.inside, strict=True)
         )
 
     def __iter__(self) -> Iterator[NoiseTerm]:
@@ -259,10 +257,8 @@ class Model(Module):
     def without(self, labels: Sequence[str]) -> Model:
         """A copy without the terms of these names."""
         kept = [k for k, label in enumerate(self.term_labels) if label not in labels]
-        inside = tuple(self._is_inside[k] for k in kept)
-        if not any(inside):
-            return Model(tuple(self.terms[k] for k in kept))
-        return dataclasses.replace(self, terms=tuple(self.terms[k] for k in kept), inside=inside)
+        terms, inside = tuple(self.terms[k] for k in kept), tuple(self.inside[k] for k in kept)
+        return dataclasses.replace(self, terms=terms, inside=inside) if any(inside) else Model(terms)
 
     def sampled(self, rate: float) -> Model:
         """The model for a sensor that samples at `rate` [Hz]."""
@@ -312,9 +308,9 @@ class Model(Module):
             term.state_block(rate, duration).labelled(label)
             for term, label in zip(sampled.terms, self.term_labels, strict=True)
         ]
-        if sampled.response is not None and any(self._is_inside):
-            within = [b for b, inside in zip(blocks, self._is_inside, strict=True) if inside]
-            after = [b for b, inside in zip(blocks, self._is_inside, strict=True) if not inside]
+        if sampled.response is not None and any(self.inside):
+            within = [b for b, inside in zip(blocks, self.inside, strict=True) if inside]
+            after = [b for b, inside in zip(blocks, self.inside, strict=True) if not inside]
             b, a = sampled.response.transfer(rate)
             blocks = [filtered_block(together(within), b, a, sampled.response.name()), *after]
         return together(blocks)

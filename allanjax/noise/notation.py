@@ -127,7 +127,12 @@ def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None)
         raise AllanjaxError(
             f"cannot read the term {text!r}; write a name such as angle_random_walk or N=0.1 deg/√h"
         )
-    cls = _class(match["name"], classes)
+    by_symbol = {c.parameters()[0].symbol: c for c in classes.values() if issubclass(c, NoiseTerm)}
+    cls = classes.get(match["name"].lower()) or by_symbol.get(match["name"])
+    if cls is None:
+        known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
+        what = "term" if by_symbol else "response"
+        raise AllanjaxError(f"unknown {what} {match['name']!r}; known are {known}")
     first = cls.parameters()[0]
     arguments = [(first.name, match["value"])] if match["value"] else []
     for argument in _split(match["arguments"], ",") if match["arguments"] else []:
@@ -139,39 +144,18 @@ def _named(text: str, classes: Mapping[str, type[_Kind]], sensor: Sensor | None)
     held: list[str] = []
     for name, value in arguments:
         if name in cls.option_names():
-            values[name] = _integer(value, name)
+            if re.fullmatch(r"[-+]?\d+", value.strip()) is None:
+                raise AllanjaxError(f"{name} must be an integer, not {value!r}")
+            values[name] = int(value)
             continue
-        p = _parameter(cls, name)
+        p = next((p for p in cls.parameters() if name in (p.name, p.symbol)), None)
+        if p is None:
+            names = [*(p.name for p in cls.parameters()), *cls.option_names()]
+            raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
         values[p.name], is_held = _value(value, p, sensor)
         held += [p.name] if is_held else []
     made = cls().replace(**values)
     return made.hold(*held) if held else made
-
-
-def _class(name: str, classes: Mapping[str, type[_Kind]]) -> type[_Kind]:
-    """Class of the term or response with this name, or with this symbol of its first parameter."""
-    by_symbol = {c.parameters()[0].symbol: c for c in classes.values() if issubclass(c, NoiseTerm)}
-    if name.lower() not in classes and name not in by_symbol:
-        known = ", ".join(f"{label} ({c.parameters()[0].symbol})" for label, c in classes.items())
-        what = "term" if by_symbol else "response"
-        raise AllanjaxError(f"unknown {what} {name!r}; known are {known}")
-    return classes.get(name.lower()) or by_symbol[name]
-
-
-def _parameter(cls: type[Parametrized], name: str) -> Parameter:
-    """Parameter of a term or response by its name or symbol."""
-    for p in cls.parameters():
-        if name in (p.name, p.symbol):
-            return p
-    names = [p.name for p in cls.parameters()] + list(cls.option_names())
-    raise AllanjaxError(f"{cls.name()} has no parameter {name!r}; it has {', '.join(names)}")
-
-
-def _integer(text: str, name: str) -> int:
-    """Value of an option."""
-    if re.fullmatch(r"[-+]?\d+", text.strip()) is None:
-        raise AllanjaxError(f"{name} must be an integer, not {text!r}")
-    return int(text)
 
 
 def _value(text: str, p: Parameter, sensor: Sensor | None) -> tuple[float, bool]:

@@ -26,10 +26,6 @@ def _derivative(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
     return lambda x: jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
 
 
-def _second_difference(x: Float[Array, " k"]) -> Float[Array, " k-2"]:
-    return x[2:] - 2.0 * x[1:-1] + x[:-2]
-
-
 def gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]) -> Float[Array, " 2*half"]:
     """Stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
 
@@ -71,7 +67,7 @@ def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> 
         return erfc(4.0 * (d * a / (12.0 * jnp.pi) - 2.0)) / 2.0
 
     G = G_of(jnp.arange(_SINGLE_LAGS + 2) * h)
-    single = -_second_difference(jnp.concatenate([G[1:2], G])) / h**2
+    single = -jnp.diff(jnp.concatenate([G[1:2], G]), 2) / h**2
     lag = jnp.arange(_SINGLE_LAGS + 1)
     total = jnp.sum(jnp.where(lag > 0, 2.0, 1.0) * single * fading(lag) * jnp.cos(a * lag))
 
@@ -107,11 +103,11 @@ def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Floa
     # From lag 1 on: G may have a kink at zero, where no derivative exists.
     second = _derivative(_derivative(G_of))
     G2, G4 = second(lag[1:]), _derivative(_derivative(second))(lag[1:])
-    last = _second_difference(h**4 * G4) / 360.0
+    last = jnp.diff(h**4 * G4, 2) / 360.0
     inner = (h**2 * G2 + h**4 * G4 / 12.0)[1:-1] + last
-    expanded = jnp.pad(_second_difference(inner) / h**2, (3, 0))
+    expanded = jnp.pad(jnp.diff(inner, 2) / h**2, (3, 0))
     # The truncation error is far less than the last term of the expansion.
-    error = jnp.pad(jnp.abs(_second_difference(last)) / h**2, (3, 0), constant_values=jnp.inf)
+    error = jnp.pad(jnp.abs(jnp.diff(last, 2)) / h**2, (3, 0), constant_values=jnp.inf)
     rounding = 64.0 * jnp.finfo(float).eps * jax.lax.cummax(jnp.abs(G))[2:] / h**2
     return jnp.where(error <= jnp.maximum(1e-9 * jnp.abs(expanded), rounding), expanded, direct)
 

@@ -76,21 +76,17 @@ def option(default: int) -> Any:
     return eqx.field(default=default, static=True, metadata={"option": True})
 
 
-@functools.cache
-def _declared(of: type[Parametrized]) -> tuple[Parameter, ...]:
-    fields = ((field.name, field.metadata.get("parameter")) for field in dataclasses.fields(of))
-    return tuple(Parameter(name, **declared) for name, declared in fields if declared is not None)
-
-
 class Parametrized(Module):
     """What has parameters that are declared as fields: a noise term, or a response."""
 
     held: frozenset[str] = eqx.field(static=True, default=frozenset(), kw_only=True)
 
     @classmethod
+    @functools.cache
     def parameters(cls) -> tuple[Parameter, ...]:
         """Declared parameters, in order."""
-        return _declared(cls)
+        fields = ((field.name, field.metadata.get("parameter")) for field in dataclasses.fields(cls))
+        return tuple(Parameter(name, **declared) for name, declared in fields if declared is not None)
 
     @classmethod
     def option_names(cls) -> tuple[str, ...]:

@@ -57,7 +57,12 @@ class Process(Module):
         raise NotImplementedError(f"{type(self).__name__} does not define phase_covariance(lag)")
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]."""
+        """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz].
+
+        Zero for a line, whose power is all at its own frequency, and for what happens once.
+        """
+        if self.deterministic:
+            return namespace(self, frequency).zeros(np.shape(frequency))
         raise NotImplementedError(f"{type(self).__name__} does not define psd(frequency)")
 
     def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:

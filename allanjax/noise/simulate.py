@@ -53,7 +53,10 @@ def simulate(model: ModelLike, n: int, rate: float, key: PRNGKeyArray | int) -> 
         )
     model = as_model(model)
     model.check_complete()
-    return _draw(_with_traced_values(model.sampled(float(rate))), as_key(key), int(n), float(rate))
+    model = model.sampled(float(rate))
+    # Python numbers would be constants of the compiled program. Infinite values select a term's formula.
+    finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
+    return _draw(model.with_values(**finite), as_key(key), int(n), float(rate))
 
 
 def simulate_recording(
@@ -138,15 +141,6 @@ def _draw(model: Model, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, 
     return model.simulate(key, n, rate)
 
 
-def _with_traced_values(model: Model) -> Model:
-    """Model with arrays for values: Python numbers would be constants of the compiled program.
-
-    Infinite values stay Python numbers, since they select a term's formula.
-    """
-    finite = {k: np.asarray(v, float) for k, v in model.values.items() if v is not None and np.isfinite(v)}
-    return model.with_values(**finite)
-
-
 def as_key(key: PRNGKeyArray | int) -> PRNGKeyArray:
     """JAX random key, as given or from a seed."""
     return jax.random.key(key) if isinstance(key, int | np.integer) else key
@@ -220,14 +214,6 @@ class SensorPreset(ByValue):
         raise AllanjaxError(
             f"{self.name} has no axis {axis!r}; it has {', '.join(preset.name for preset in self.axes)}"
         )
-
-    def model(self, axis: str) -> Model:
-        """Noise model of an axis."""
-        return self[axis].model
-
-    def rate(self, axis: str) -> float:
-        """Sample rate of an axis [Hz]."""
-        return self[axis].rate
 
     def simulate(self, duration: float, key: PRNGKeyArray | int) -> tuple[Recording, ...]:
         """Simulated recordings of this many seconds, one for each sample rate.

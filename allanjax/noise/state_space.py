@@ -79,12 +79,6 @@ def white_block(variance: float) -> Block:
     return Block(none, [], none, none, (), white=variance)
 
 
-def exponential_block(variance: float, x: float) -> Block:
-    """Process of the autocovariance variance·e^{−x|k|} at the samples k: one state."""
-    noise = -np.expm1(-2.0 * x) * variance
-    return Block(np.exp([[-x]]), [1.0], np.array([[noise]]), np.array([[variance]]), ("",))
-
-
 def mean_block(variance: float, x: float) -> Block:
     """Means over sample intervals of a process of autocovariance variance·e^{−|t|}, t in correlation times.
 
@@ -104,31 +98,26 @@ def mean_block(variance: float, x: float) -> Block:
     return Block(transition, [1.0, 0.0], noise, start, ("mean", "end"))
 
 
-def oscillator_block(variance: float, pole: complex) -> Block:
-    """Damped oscillator x'' + 2a x' + ω0² x = white noise, read at the samples; pole −a + iω_d per interval.
+def exponential_block(weight: Any, pole: Any) -> Block:
+    """Process of the autocovariance Re[weight·e^{pole·|k|}] at the samples k: one state, or an oscillator.
 
-    States: position, and velocity divided by ω0, which is uncorrelated with it and has the same variance.
+    A complex pole −a + iω_d is that of x'' + 2a x' + ω0² x = white noise. Its states are position, and
+    velocity divided by ω0, which is uncorrelated with it and has the same variance.
     """
-    a, wd = -pole.real, pole.imag
-    w0 = abs(pole)
+    variance = float(np.real(weight))
+    if not np.iscomplexobj(pole):
+        noise = np.array([[-np.expm1(2.0 * pole) * variance]])
+        return Block(np.exp([[pole]]), [1.0], noise, np.array([[variance]]), ("",))
+    a, wd, w0 = -float(np.real(pole)), float(np.imag(pole)), float(abs(pole))
     c, s = np.cos(wd), np.sin(wd) / wd
     transition = np.exp(-a) * np.array([[c + a * s, w0 * s], [-w0 * s, c - a * s]])
-    noise = variance * _innovation(a, wd, w0)
-    return Block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
-
-
-def _innovation(a: float, wd: float, w0: float) -> Float[np.ndarray, "2 2"]:
-    """Noise of an oscillator of unit variance over one interval: I − A Aᵀ, without its cancellation.
-
-    It is 4a∫ g gᵀ du over the interval, g(u) = e^{−au}·(ω0 sin(ω_d u)/ω_d, cos ω_d u − a sin(ω_d u)/ω_d).
-    """
-    pole = complex(-a, wd)
-    # In modes: g = Re[m e^{pole·u}], so that its products have the exponents 2·pole and −2a.
+    # I − A Aᵀ without its cancellation: 4a∫ g gᵀ du over the interval, g(u) = e^{−au}·(ω0 sin(ω_d u)/ω_d,
+    # cos ω_d u − a sin(ω_d u)/ω_d) = Re[m e^{pole·u}], whose products have the exponents 2·pole and −2a.
     mode = np.array([w0 / (1j * wd), 1.0 - a / (1j * wd)])
-    same = np.expm1(2.0 * pole) / (2.0 * pole)
-    mixed = -np.expm1(-2.0 * a) / (2.0 * a)
+    same, mixed = np.expm1(2.0 * pole) / (2.0 * pole), -np.expm1(-2.0 * a) / (2.0 * a)
     product = np.outer(mode, mode) * same + np.outer(mode, mode.conj()) * mixed
-    return 2.0 * a * product.real
+    noise = variance * 2.0 * a * product.real
+    return Block(transition, [1.0, 0.0], noise, variance * np.eye(2), ("position", "velocity"))
 
 
 def together(blocks: Sequence[Block]) -> Block:
@@ -194,23 +183,17 @@ def settled(
     enters = np.zeros((*follow.shape[:-1], len(level)))
     enters[..., rest], enters[..., level] = np.eye(rest.sum()), -follow
     covariance = np.zeros_like(transition)
-    found = _stationary(own, enters @ noise @ np.swapaxes(enters, -1, -2))
-    covariance[..., rest[:, None] & rest] = found.reshape(*found.shape[:-2], rest.sum() ** 2)
-    return covariance
-
-
-def _stationary(
-    transition: Float[np.ndarray, "*g n n"], noise: Float[np.ndarray, "*g n n"]
-) -> Float[np.ndarray, "*g n n"]:
-    """Solution of P = A P Aᵀ + Q, by a sum of positive terms that doubles in length."""
-    total, power = noise, transition
+    # P = A P Aᵀ + Q, by a sum of positive terms that doubles in length.
+    found, power = enters @ noise @ np.swapaxes(enters, -1, -2), own
     for _ in range(_DOUBLINGS):
-        more = power @ total @ np.swapaxes(power, -1, -2)
-        total = total + more
-        if np.all(np.abs(more) <= 1e-17 * np.abs(total)):
+        more = power @ found @ np.swapaxes(power, -1, -2)
+        found = found + more
+        if np.all(np.abs(more) <= 1e-17 * np.abs(found)):
             break
         power = power @ power
-    return (total + np.swapaxes(total, -1, -2)) / 2.0
+    found = (found + np.swapaxes(found, -1, -2)) / 2.0
+    covariance[..., rest[:, None] & rest] = found.reshape(*found.shape[:-2], rest.sum() ** 2)
+    return covariance
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -313,20 +296,16 @@ class StateSpace(ByValue, Tabled):
         Lines and ramps have none.
         """
         f = np.asarray(frequency, float)
-        driven = self._driven()
+        # The states that noise reaches.
+        driven = np.diag(self.Q) > 0.0
+        for _ in range(self.size):
+            driven = driven | (self.A[:, driven] != 0.0).any(axis=1)
         A, H, Q = self.A[np.ix_(driven, driven)], self.H[:, driven], self.Q[np.ix_(driven, driven)]
         turn = np.exp(2j * np.pi * f.reshape(-1, 1, 1) / self.rate)
         row = np.broadcast_to(H.T.astype(complex), (f.size, len(A), 1))
         gain = np.linalg.solve(np.swapaxes(turn * np.eye(len(A)) - A, 1, 2), row)[..., 0]
         power = np.einsum("fi,ij,fj->f", gain, Q, gain.conj()).real
         return ((power + self.R[0, 0]) / self.rate).reshape(f.shape)
-
-    def _driven(self) -> np.ndarray:
-        """Indices of the states that noise reaches."""
-        reached = np.diag(self.Q) > 0.0
-        for _ in range(self.size):
-            reached = reached | (self.A[:, reached] != 0.0).any(axis=1)
-        return np.flatnonzero(reached)
 
     @presented
     def to_numpy(self, path: str | os.PathLike[str]) -> None:

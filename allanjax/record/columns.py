@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.late import presented
-from allanjax.record.units import COUNT_SIZES, SENSORS, SampleUnit, Sensor, parse_sample_unit, same_unit
+from allanjax.record.units import COUNT_SIZES, SENSORS, Sensor, parse_sample_unit, same_unit
 from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
@@ -206,12 +206,7 @@ class DeadAxis:
 def axes_of(
     columns: Sequence[Column], units: Mapping[Sensor, str | None], source: Source
 ) -> tuple[tuple[Axis, ...], tuple[str, ...]]:
-    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes.
-
-    Raises:
-        RecordingError: there are no axes, two have the same name, or a column is not an axis.
-        UnitError: a unit is missing or unknown, or is a unit of rates for a column of increments.
-    """
+    """Return axes from columns, in the unit given for the sensor or else that of the label; and notes."""
     axes, increments = [], []
     stated: dict[str, list[str]] = {}
     for column in distinct(columns, source):
@@ -220,7 +215,26 @@ def axes_of(
                 f"{column.label!r} is not an axis of a gyro or an accelerometer; use names such as gyro_x or "
                 "accel_z, and pass other columns with auxiliary="
             )
-        unit = _unit_of(column, column.sensor, units[column.sensor], source)
+        sensor, given = column.sensor, units[column.sensor]
+        option = f"{sensor}_unit= (--{sensor}-unit)"
+        text = column.unit if given is None else given
+        if text is None:
+            example = "deg/s" if sensor == "gyro" else "m/s^2"
+            raise UnitError(
+                f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of "
+                f"one such as {COUNT_SIZES[sensor]}, or write it in the header: `{column.name} [{example}]`"
+            )
+        try:
+            unit = parse_sample_unit(text, sensor)
+        except UnitError as error:
+            ours = f"column {column.label!r}: {error}; pass {option}"
+            wrong = ours if given is None else f"{option}: {error}"
+            raise UnitError(f"{source.label}: {wrong}") from error
+        if column.increment and unit.quantity == "rate" and given is None:
+            raise UnitError(
+                f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
+                f"is a unit of rates; pass {option}"
+            )
         axes.append(Axis(column.name, column.sensor, unit.name))
         if (own := recognise(column.label).unit) and not same_unit(own, unit.name):
             stated.setdefault(f"read in {unit.name} as requested, although labelled {own}", []).append(
@@ -319,11 +333,7 @@ def default_names(
 
 
 def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
-    """Return the columns of axes; axes of several sensors of one kind keep the names in their labels.
-
-    Raises:
-        RecordingError: there are no columns, or two have the same name.
-    """
+    """Return the columns of axes; axes of several sensors of one kind keep the names in their labels."""
     if not columns:
         raise source.error("no gyro or accelerometer column; name the columns with columns= (--columns)")
     count = Counter(column.name for column in columns)
@@ -337,26 +347,3 @@ def distinct(columns: Sequence[Column], source: Source) -> tuple[Column, ...]:
                 "columns= (--columns)"
             )
     return tuple(own)
-
-
-def _unit_of(column: Column, sensor: Sensor, given: str | None, source: Source) -> SampleUnit:
-    """Return the unit of the column, from the argument or its label."""
-    option = f"{sensor}_unit= (--{sensor}-unit)"
-    text = column.unit if given is None else given
-    if text is None:
-        example = "deg/s" if sensor == "gyro" else "m/s^2"
-        raise UnitError(
-            f"{source.label}: column {column.label!r} has no unit; pass {option}, for counts the size of one "
-            f"such as {COUNT_SIZES[sensor]}, or write it in the header: `{column.name} [{example}]`"
-        )
-    try:
-        unit = parse_sample_unit(text, sensor)
-    except UnitError as error:
-        wrong = f"column {column.label!r}: {error}; pass {option}" if given is None else f"{option}: {error}"
-        raise UnitError(f"{source.label}: {wrong}") from error
-    if column.increment and unit.quantity == "rate" and given is None:
-        raise UnitError(
-            f"{source.label}: column {column.label!r} holds increments by its name, but {unit.name} "
-            f"is a unit of rates; pass {option}"
-        )
-    return unit

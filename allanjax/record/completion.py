@@ -125,8 +125,12 @@ def on_grid(
 
 def gaps_of(missing: Bool[np.ndarray, "samples axes"]) -> tuple[Gap, ...]:
     """Return the gaps in which samples of at least one axis are missing."""
-    edges = np.diff(missing.any(axis=1), prepend=False, append=False)
-    return tuple(Gap(a, b - a) for a, b in np.flatnonzero(edges).reshape(-1, 2).tolist())
+    return tuple(Gap(first, end - first) for first, end in runs_of(np.asarray(missing.any(axis=1))).tolist())
+
+
+def runs_of(mask: Bool[np.ndarray, " n"]) -> Int[np.ndarray, "runs 2"]:
+    """Return the first and the end index of each run of true values."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)
 
 
 def gaps_within(gaps: Iterable[Sequence[int]] | None, first: int, last: int) -> tuple[Gap, ...] | None:
@@ -226,13 +230,13 @@ def notes_on(missing: Bool[np.ndarray, "samples axes"], rate: float, names: Sequ
     notes = []
     for axes in groups.values():
         lost = missing[:, axes[0]]
-        first, end = np.flatnonzero(np.diff(lost, prepend=False, append=False)).reshape(-1, 2).T
-        count = f"{len(first)} gaps of at most" if len(first) > 1 else "a gap of"
+        lengths = np.diff(runs_of(lost))
+        count = f"{len(lengths)} gaps of at most" if len(lengths) > 1 else "a gap of"
         wider = 100.0 * (widening(missing)[axes[0]] - 1.0)
         notes.append(
             f"{', '.join(names[k] for k in axes)}: {lost.sum()} of {len(lost)} samples "
             f"({plain(100.0 * lost.mean(), 2)} %) are missing in {count} "
-            f"{duration(float((end - first).max()) / rate)}; they are filled in, which widens the fit's "
+            f"{duration(float(lengths.max()) / rate)}; they are filled in, which widens the fit's "
             f"intervals by {plain(wider, 2)} %"
         )
     return tuple(notes)
@@ -258,8 +262,9 @@ def predicted(
         v: expected squared cosine coefficients, the spectrum; that of the mean is infinite.
     """
     gaps, full = np.flatnonzero(missing), np.zeros(len(d))
-    lengths = _lengths(missing)[gaps]
-    long, weight = lengths > GAPS_AT_ONCE, 1.0 / v
+    # The length of the gap of each missing sample.
+    lengths = np.diff(runs_of(missing))[:, 0]
+    long, weight = np.repeat(lengths > GAPS_AT_ONCE, lengths), 1.0 / v
     short = np.flatnonzero(~long)
     blocks = inverses(gaps[short], lags_of(weight))
     slowest = min(2 * len(d) // int(lengths.max()), len(v) - 1)
@@ -292,14 +297,6 @@ def predicted(
         y[gaps] += a * direction
         residual -= a * image
     return y
-
-
-def _lengths(missing: Bool[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Return the length of the gap that contains each sample; 0 for samples that are present."""
-    first, end = np.flatnonzero(np.diff(missing, prepend=False, append=False)).reshape(-1, 2).T
-    lengths = np.zeros(len(missing), int)
-    lengths[missing] = np.repeat(end - first, end - first)
-    return lengths
 
 
 def lags_of(v: Float[np.ndarray, " n-1"]) -> Float[np.ndarray, " n+1"]:

@@ -314,10 +314,6 @@ def build(
 
     With `fill`, samples that are nan are filled in given the others; `others` are other segments, separated
     by `gaps`.
-
-    Raises:
-        RecordingError: see `Recording.from_array`.
-        UnitError: a unit is missing, unknown, or given twice and differently.
     """
     axes, own_notes = axes_of(columns, units, source)
     rate = check_rate(rate, source)

@@ -5,7 +5,6 @@ accelerometer's, and `g` is the standard acceleration of gravity, not the gram.
 """
 
 import functools
-import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -177,7 +176,11 @@ def parse_sample_unit(text: str, sensor: Sensor) -> SampleUnit:
             f"unknown unit {text!r} for {_A[sensor]}{hint}; accepted: {', '.join(accepted['rate'])} (rates); "
             f"{', '.join(accepted['increment'])} (increments)"
         )
-    return SampleUnit(_display_name(text, unit.scale, SAMPLE_UNITS[sensor][quantity]), unit.scale, quantity)
+    # One of the usual labels if the unit is the same, else the text.
+    labels = SAMPLE_UNITS[sensor][quantity]
+    spelled = [label for label in labels if _expression(label) == _expression(text)]
+    equal = [label for label in labels if np.isclose(unit_scale(label), unit.scale, rtol=1e-12, atol=0.0)]
+    return SampleUnit([*spelled, *equal, text.strip()][0], unit.scale, quantity)
 
 
 def rate_unit_of(unit: str, sensor: Sensor) -> tuple[str, float]:
@@ -382,16 +385,5 @@ def _of_a_count(unit: _Unit | None) -> _Unit | None:
 
 def _quantity(unit: _Unit | None, sensor: Sensor) -> Quantity | None:
     """Quantity of samples in this unit, or None if it does not fit the sensor."""
-    if unit is None:
-        return None
-    of_dimension = (
-        quantity for quantity, si in SI[sensor].items() if _known(si, None).dimension == unit.dimension
-    )
-    return next(of_dimension, None)
-
-
-def _display_name(text: str, scale: float, labels: tuple[str, ...]) -> str:
-    """Label for display: one of the usual ones if the unit is the same, else the text."""
-    spelled = (label for label in labels if _expression(label) == _expression(text))
-    equal = (label for label in labels if np.isclose(unit_scale(label), scale, rtol=1e-12, atol=0.0))
-    return next(itertools.chain(spelled, equal), text.strip())
+    dimensions = ((quantity, _known(si, None).dimension) for quantity, si in SI[sensor].items())
+    return next((quantity for quantity, own in dimensions if unit and own == unit.dimension), None)

@@ -16,7 +16,7 @@ LARGEST = 1e100
 
 @dataclass(frozen=True)
 class Source:
-    """Origin of samples, for messages.
+    """Origin of samples, for messages: functions that take one raise a RecordingError that begins with it.
 
     Attributes:
         label: path of the file, or a name for an array.

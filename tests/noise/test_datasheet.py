@@ -221,12 +221,13 @@ def test_presets_are_the_tables():
     seen = set()
     for name, sensor, rate, label, unit, *numbers in map(str.split, TABLES.strip().splitlines()):
         for axis, value, error in zip("xyz", numbers[:3], numbers[3:], strict=True):
-            preset, own = aj.SENSORS[name], f"{sensor}_{axis}"
-            assert preset.rate(own) == preset[own].rate == float(rate)
-            printed = {term.name(): found for term, found in preset[own].coefficients.items()}[label]
+            own = f"{sensor}_{axis}"
+            preset = aj.SENSORS[name][own]
+            assert preset.rate == float(rate)
+            printed = {term.name(): found for term, found in preset.coefficients.items()}[label]
             assert (printed.unit, printed.error) == (unit, float(error))
-            in_si = finite(preset.model(own))[label]
+            in_si = finite(preset.model)[label]
             assert in_si == pytest.approx(float(value) * UNITS[unit], rel=1e-12)
             seen.add((name, own, label))
-    every = [(name, axis.name, p.model(axis.name)) for name, p in aj.SENSORS.items() for axis in p.axes]
+    every = [(name, axis.name, axis.model) for name, p in aj.SENSORS.items() for axis in p.axes]
     assert seen == {(name, axis, label) for name, axis, model in every for label in finite(model)}

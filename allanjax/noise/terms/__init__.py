@@ -24,14 +24,18 @@ import functools
 
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.parameter import Parameter, parameter
-from allanjax.noise.terms.correlated import LowPass, Markov, Resonance, Telegraph, WanderingResonance
 from allanjax.noise.terms.deterministic import BiasStep, ChannelEffect, DriftRamp, Sinusoid, WarmUp
-from allanjax.noise.terms.power_laws import (
+from allanjax.noise.terms.random import (
     AngleRandomWalk,
     BiasInstability,
+    LowPass,
+    Markov,
     PowerLaw,
     Quantization,
     RateRandomWalk,
+    Resonance,
+    Telegraph,
+    WanderingResonance,
 )
 
 

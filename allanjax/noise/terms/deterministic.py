@@ -79,10 +79,6 @@ class Sinusoid(NoiseTerm):
     def oscillates(self) -> bool:
         return True
 
-    def _damping(self) -> Float[Array, ""]:
-        """Ratio of the samples' amplitude to that of the continuous line that they are means of."""
-        return namespace(self).sinc(self.frequency * self.sample_interval)
-
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         xp, w = namespace(self, lag), 2.0 * np.pi * self.frequency
 
@@ -93,11 +89,9 @@ class Sinusoid(NoiseTerm):
             return total * x**4
 
         wave = in_gauge(series, lambda x: -2.0 * xp.sin(x / 2.0) ** 2, w * lag)
-        return self.amplitude**2 / (2.0 * w**2) * wave / self._damping() ** 2
-
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        """Zero density: a line's power Ω0²/2 is all at its own frequency."""
-        return namespace(self, frequency).zeros(np.shape(frequency))
+        # Samples are means of the continuous line, which damps it.
+        damping = namespace(self).sinc(self.frequency * self.sample_interval)
+        return self.amplitude**2 / (2.0 * w**2) * wave / damping**2
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         """States: the line, and itself a quarter of a period before; their phase is unknown."""
@@ -130,9 +124,6 @@ class Transient(NoiseTerm):
 
     def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
         return namespace(self, lag).zeros(np.shape(lag))
-
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return namespace(self, frequency).zeros(np.shape(frequency))
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         raise AllanjaxError(

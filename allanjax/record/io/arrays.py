@@ -30,7 +30,11 @@ _SAVE_AGAIN = "or in MATLAB save it with save('file.mat', ..., '-v7'), or save i
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = frozenset({*range(1, 8), 9, 12, 13})
 _TEXT = frozenset({*range(1, 8), 16, 17, 18})
-_CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _LAST_NUMBER = 1, 2, 3, 4, 5, 15
+_SPARSE = 5
+# By class of an array, how many elements come first, and the kinds of the others: cells, structs and objects
+# of arrays, text, and numbers. Unknown classes may have any kind.
+_CLASSES = dict.fromkeys(range(16), (3, _NUMBERS)) | {4: (3, _TEXT)}
+_CLASSES |= {kind: (names, frozenset({_MATRIX})) for kind, names in ((1, 3), (2, 5), (3, 6))}
 # Flag for complex numbers.
 _COMPLEX = 0x0800
 _HEADER = 128
@@ -71,22 +75,18 @@ def read_npz(path: Path, source: Source) -> Table:
                 raise source.error("a zip archive without NumPy arrays (a spreadsheet?); save it as CSV")
             check_claim(sum(member.file_size for member in members), path, source)
             for member in members:
-                _check_member(archive, member, source)
+                with archive.open(member) as stream:
+                    npy = np.lib.format
+                    old = npy.read_magic(stream) == (1, 0)
+                    read_header = npy.read_array_header_1_0 if old else npy.read_array_header_2_0
+                    shape, _, dtype = read_header(stream)
+                size = member.file_size
+                if math.prod(shape) * dtype.itemsize > size:
+                    claim = f"{member.filename!r} claims the shape {shape} but has {size} bytes"
+                    raise source.error(f"{claim}; save it again")
         with np.load(path, allow_pickle=False) as arrays:
             named = {name: arrays[name] for name in arrays.files}
     return from_named(named, source)
-
-
-def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, source: Source) -> None:
-    """Raise RecordingError if an array in an .npz file claims to be larger than its data."""
-    with archive.open(member) as stream:
-        old = np.lib.format.read_magic(stream) == (1, 0)
-        read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(stream)
-    if math.prod(shape) * dtype.itemsize > member.file_size:
-        raise source.error(
-            f"{member.filename!r} claims the shape {shape} but has {member.file_size} bytes; save it again"
-        )
 
 
 def open_parquet(path: Path, source: Source) -> Table:
@@ -115,11 +115,7 @@ def _column(column: Any) -> np.ndarray:
 
 
 def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
-    """Return a table of named arrays: columns, matrices [samples, columns], scalars that state the rate.
-
-    Raises:
-        RecordingError: the arrays do not fit together.
-    """
+    """Return a table of named arrays: columns, matrices [samples, columns], scalars that state the rate."""
     rate: float | None = None
     notes: list[str] = []
     columns: dict[str, np.ndarray] = {}
@@ -136,7 +132,10 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
         else:
             parts = _columns_of(array, repr(name), source)
             matrices += len(parts) > 1
-            columns |= dict(zip(_labels(name, len(parts)), parts, strict=True))
+            stem, unit = split_unit(name)
+            ends = [f"_{end}" for end in ("xyz" if len(parts) == 3 else range(len(parts)))]
+            labels = [f"{stem}{end}" + (f" [{unit}]" if unit else "") for end in ends]
+            columns |= dict(zip([name] if len(parts) == 1 else labels, parts, strict=True))
     if not columns:
         raise source.error("no array of samples; save one column per axis, or gyro and accel [samples, 3]")
     lengths = {name: len(column) for name, column in columns.items()}
@@ -147,17 +146,8 @@ def from_named(arrays: Mapping[str, np.ndarray], source: Source) -> Table:
     unnamed = (
         matrices == 1 and len(arrays) - (rate is not None) == 1 and not next(iter(columns)).endswith("_x")
     )
-    labels = None if unnamed else tuple(columns)
-    return Table.of(tuple(columns.values()), labels, source, rate, tuple(notes))
-
-
-def _labels(name: str, count: int) -> tuple[str, ...]:
-    """Return the labels of the columns of a named array."""
-    if count == 1:
-        return (name,)
-    stem, unit = split_unit(name)
-    ends = "xyz" if count == 3 else range(count)
-    return tuple(f"{stem}_{end}" + (f" [{unit}]" if unit else "") for end in ends)
+    named = None if unnamed else tuple(columns)
+    return Table.of(tuple(columns.values()), named, source, rate, tuple(notes))
 
 
 def _columns_of(array: np.ndarray, name: str, source: Source) -> Columns:
@@ -292,15 +282,7 @@ def _check_matrix(payload: memoryview, order: str) -> None:
         return
     flags = struct.unpack_from(f"{order}I", elements[0][1])[0]
     kind = flags & 0xFF
-    names = {_CELL: 3, _STRUCT: 5, _OBJECT: 6}.get(kind)
-    if names is not None:
-        allowed = frozenset({_MATRIX})
-    elif kind == _CHAR:
-        names, allowed = 3, _TEXT
-    elif kind <= _LAST_NUMBER:
-        names, allowed = 3, _NUMBERS
-    else:
-        names, allowed = 1, _NUMBERS | _TEXT | {_MATRIX}
+    names, allowed = _CLASSES.get(kind, (1, _NUMBERS | _TEXT | {_MATRIX}))
     # Elements with the numbers, of which a sparse array has two more for places, and a complex one twice.
     parts = 1 + bool(flags & _COMPLEX) + 2 * (kind == _SPARSE)
     if allowed <= _NUMBERS | _TEXT and len(elements) < names + parts:
@@ -331,9 +313,6 @@ def read_tdms(path: Path, source: Source) -> Table:
     """Return channels like the arrays of an .npz file, with their units and sample interval.
 
     If several groups have channels, these are named `group.channel`.
-
-    Raises:
-        RecordingError: nptdms is not installed, the file is damaged, or the channels do not fit together.
     """
     nptdms = optional_package("nptdms", "tdms", "a TDMS file", source)
     arrays: dict[str, np.ndarray] = {}

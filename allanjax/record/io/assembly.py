@@ -70,9 +70,6 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
     """Find the layout of a table from the user's columns, else from the labels, else from the given units.
 
     `columns` are its first rows, or all. Assumptions are added to the notes.
-
-    Raises:
-        RecordingError: the columns are not recognised, or two have the same name.
     """
     if options.columns is not None:
         found = _chosen(table, len(columns), options.columns)
@@ -108,7 +105,10 @@ def find_layout(table: Table, columns: Columns, options: ReadOptions, notes: lis
             "name the columns with columns= (--columns), e.g. time,gyro_x,gyro_y,gyro_z"
         )
     axes = distinct(axes, table.source)
-    notes += _missing_axes(axes)
+    for sensor in SENSORS:
+        missing = {f"{sensor}_{axis}" for axis in "xyz"} - {axis.name for axis in axes}
+        if len(missing) == 1:
+            notes.append(f"no column for {missing.pop()}; the other two axes are read")
     renamed = [f"{c.name} from {c.label!r}" for c in axes if split_unit(c.label)[0] != c.name]
     if renamed:
         notes.append(f"axes: {', '.join(renamed)}")
@@ -234,16 +234,6 @@ def _chosen_time(
     return best
 
 
-def _missing_axes(axes: Sequence[Column]) -> list[str]:
-    """Return notes on sensors with only two axes of x, y and z."""
-    names, notes = {axis.name for axis in axes}, []
-    for sensor in SENSORS:
-        missing = {f"{sensor}_{axis}" for axis in "xyz"} - names
-        if len(missing) == 1:
-            notes.append(f"no column for {missing.pop()}; the other two axes are read")
-    return notes
-
-
 # Shares of rows: the least and the largest that are samples of a sensor that shares a table, and the share of
 # these (of all rows if two sensors alternate) at even intervals, to this part of the interval.
 _LEAST_FRESH, _MOST_FRESH, _REGULAR, _SAME = 0.02, 0.92, 0.95, 0.45
@@ -357,9 +347,6 @@ def own_rows(
     """Return the rows of a table in which its sensors were sampled.
 
     If several sensors share a table, a row repeats the previous values of those that were not sampled then.
-
-    Raises:
-        RecordingError: gyros and accelerometers were sampled at different times.
     """
     fresh = {}
     for sensor in dict.fromkeys(column.sensor for column in axes):
@@ -369,9 +356,13 @@ def own_rows(
     living = [rows for rows in fresh.values() if rows.mean() > _LEAST_FRESH]
     in_turn = len(living) == 2 and np.mean(living[0] ^ living[1]) > _REGULAR
     for sensor, rows in fresh.items():
-        held = _LEAST_FRESH < rows.mean() < _MOST_FRESH
-        if not held or not (in_turn or _is_regular(times[rows])):
-            fresh[sensor] = np.ones(len(values), bool)
+        if _LEAST_FRESH < rows.mean() < _MOST_FRESH:
+            # A sensor with its own rate has nearly all intervals the same.
+            intervals = np.diff(times[rows])
+            typical = np.median(intervals)
+            if in_turn or np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR:
+                continue
+        fresh[sensor] = np.ones(len(values), bool)
     one, other = (*fresh.values(), *fresh.values())[:2]
     if np.mean(one ^ other) <= 1.0 - _REGULAR:
         return one | other
@@ -383,13 +374,6 @@ def own_rows(
         "--columns accel)"
     )
     raise MixedRatesError(str(error), tuple(map(str, fresh)))
-
-
-def _is_regular(times: Float[np.ndarray, " samples"]) -> bool:
-    """Return whether nearly all intervals are the same, as for a sensor with its own rate."""
-    intervals = np.diff(times)
-    typical = np.median(intervals)
-    return bool(np.mean(abs(intervals - typical) < _SAME * typical) > _REGULAR)
 
 
 def _segments(
@@ -591,7 +575,12 @@ def open_chunks(
         seconds, unit, time_notes = seconds_from_first(stamps, options.time_unit, rate, table.source)
         notes += time_notes
         part = dataclasses.replace(part, time_unit=unit or options.time_unit)
-        _check_one_rate(first, seconds, layout, source)
+        if all(is_numeric(first[column.index]) for column in layout.axes):
+            values = np.column_stack([first[column.index] for column in layout.axes])
+            if not own_rows(values, seconds, layout.axes, source).all():
+                raise source.error(
+                    "only read() (without --stream) leaves out rows that repeat previous values"
+                )
         times, place = part.first_times()
         check_length(len(times), place)
         if options.uniform:
@@ -616,22 +605,6 @@ def open_chunks(
     return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, part)
 
 
-def _check_one_rate(columns: Columns, times: np.ndarray, layout: Layout, source: Source) -> None:
-    """Raise RecordingError if rows repeat others, as for two sensors in one table."""
-    if all(is_numeric(columns[column.index]) for column in layout.axes):
-        values = np.column_stack([columns[column.index] for column in layout.axes])
-        if not own_rows(values, times, layout.axes, source).all():
-            raise source.error("only read() (without --stream) leaves out rows that repeat previous values")
-
-
-class _Piece(NamedTuple):
-    """Successive rows of a part: axes in the file's units, times [s], and their place in the file."""
-
-    axes: Columns
-    times: Float[np.ndarray, " stamps"]
-    source: Source
-
-
 @dataclasses.dataclass(frozen=True)
 class _PartOfFile:
     """Part of a file from `start` to `stop` [s], read chunk by chunk."""
@@ -647,16 +620,17 @@ class _PartOfFile:
     def first_times(self) -> tuple[Float[np.ndarray, " samples"], Source]:
         """Return the times [s] of the first samples, at most a chunk, and their place in the file."""
         times, place = np.zeros(0), self.table.source
-        for piece in self.pieces(None):
-            place = place if len(times) else piece.source
-            times = np.concatenate([times, piece.times])
-            if len(times) >= self.chunk:
+        for _, more, source in self.pieces(None):
+            place = place if len(times) else source
+            times = np.concatenate([times, more])[: self.chunk]
+            if len(times) == self.chunk:
                 break
-        return times[: self.chunk], place
+        return times, place
 
-    def pieces(self, rate: float | None) -> Iterator[_Piece]:
-        """Yield the pieces of the part in order; time stamps are checked against their rate if it is known.
+    def pieces(self, rate: float | None) -> Iterator[tuple[Columns, Float[np.ndarray, " stamps"], Source]]:
+        """Yield axes in the file's units, times [s] and place in the file of successive rows of the part.
 
+        Time stamps are checked against their rate if it is known.
         Without stamps, times follow from the rate, which is then known.
         """
         row, elapsed, before = 0, 0.0, np.zeros(0)
@@ -684,7 +658,7 @@ class _PartOfFile:
                     check_rate_kept(together, self.layout.time_label, self.stamped, place.after(-len(before)))
                 before = together[-_BEFORE:]
                 axes = tuple(columns[column.index][rows] for column in self.layout.axes)
-                yield _Piece(axes, times[rows], place)
+                yield axes, times[rows], place
             if rows.stop < size:
                 return
             row, last, elapsed = row + size, tuple(x[-1:] for x in stamps), float(times[-1])

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
-from allanjax.record.io.flight_logs import DATAFLASH, ULOG
-from allanjax.record.io.ros import ROS
+from allanjax.record.io.logs import DATAFLASH, ROS, ULOG
 from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT, VECTORNAV
 from allanjax.record.validation import Source
@@ -14,11 +13,7 @@ FORMATS = (PARQUET, NPY, NPZ, HDF5, MAT, ROS, ULOG, DATAFLASH, VECTORNAV, TDMS, 
 
 
 def format_of(path: Path, source: Source) -> Format:
-    """Return the format of a file, or of the folder of a ROS 2 bag.
-
-    Raises:
-        RecordingError: the file does not exist, cannot be opened, or is empty.
-    """
+    """Return the format of a file, or of the folder of a ROS 2 bag."""
     if path.is_dir():
         if is_bag(path):
             return ROS

@@ -66,11 +66,7 @@ class Table:
         return cls(rows, labels, source, n, rate, notes)
 
     def columns(self) -> Columns:
-        """Return all rows.
-
-        Raises:
-            RecordingError: there are no rows, or the file is damaged.
-        """
+        """Return all rows."""
         parts = list(self.rows(sys.maxsize))
         if not parts:
             raise self.no_rows()
@@ -110,11 +106,7 @@ class Format:
         return self.begins(magic) if callable(self.begins) else magic.startswith(self.begins)
 
     def table(self, path: Path, source: Source, options: ReadOptions) -> Table:
-        """Return the table of a file of this kind.
-
-        Raises:
-            RecordingError: the file is damaged, or an option does not apply to such files.
-        """
+        """Return the table of a file of this kind."""
         for name in CHOICES:
             if name not in self.choices and getattr(options, name) is not None:
                 raise source.error(
@@ -170,11 +162,7 @@ def floats(values: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
 def as_float(
     values: Shaped[np.ndarray, " samples"], label: str, source: Source, gaps: bool = False
 ) -> np.ndarray:
-    """Return a column as floats; NaN is kept, as are columns without any value and, with `gaps`, empty cells.
-
-    Raises:
-        RecordingError: a cell is text that is not a number.
-    """
+    """Return a column as floats; NaN is kept, and columns without any value; with `gaps`, empty cells."""
     if is_numeric(values):
         return floats(values)
     import pandas as pd

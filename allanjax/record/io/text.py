@@ -8,7 +8,6 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -102,31 +101,33 @@ def open_text(path: Path, source: Source) -> Table:
         notes += (f"the file ends within a line, which is left out: {cut[:60]!r}",)
 
     def rows(chunk: int) -> Iterator[Columns]:
-        with (
-            _errors_located(path, layout, source),
-            pd.read_csv(
-                path,
-                chunksize=chunk,
-                sep=r"\s+" if layout.delimiter is None else layout.delimiter,
-                header=None,
-                skiprows=layout.start,
-                decimal=layout.decimal,
-                comment=layout.comment,
-                skipinitialspace=True,
-                low_memory=False,
-                encoding=layout.encoding,
-                encoding_errors="replace",
-                compression="gzip" if layout.compressed else None,
-            ) as frames,
-        ):
-            held = next(frames, None)
-            while held is not None:
-                frame, held = held, next(frames, None)
-                columns = _columns(frame, path, layout, source)
-                if held is None and cut:
-                    columns = tuple(column[:-1] for column in columns)
-                if len(columns[0]):
-                    yield columns
+        with damage_reported(source, "text", _SAVE_AGAIN):
+            try:
+                frames = pd.read_csv(
+                    path,
+                    chunksize=chunk,
+                    sep=r"\s+" if layout.delimiter is None else layout.delimiter,
+                    header=None,
+                    skiprows=layout.start,
+                    decimal=layout.decimal,
+                    comment=layout.comment,
+                    skipinitialspace=True,
+                    low_memory=False,
+                    encoding=layout.encoding,
+                    encoding_errors="replace",
+                    compression="gzip" if layout.compressed else None,
+                )
+                with frames:
+                    held = next(frames, None)
+                    while held is not None:
+                        frame, held = held, next(frames, None)
+                        columns = _columns(frame, path, layout, source)
+                        if held is None and cut:
+                            columns = tuple(column[:-1] for column in columns)
+                        if len(columns[0]):
+                            yield columns
+            except pd.errors.ParserError as error:
+                raise source.error(_ragged_row(path, layout) or f"cannot be read: {error}") from error
 
     return Table(rows, layout.labels, source, rate=layout.rate, notes=notes)
 
@@ -141,18 +142,6 @@ def _cut_line(path: Path, layout: _Layout) -> str:
     fields = _split(lines[-1], layout.delimiter)
     short = len(lines) > layout.start + 1 and len(fields) < layout.fields
     return lines[-1].strip() if short and not _is_comment(lines[-1]) else ""
-
-
-@contextmanager
-def _errors_located(path: Path, layout: _Layout, source: Source) -> Iterator[None]:
-    """Context that turns errors of pandas into RecordingErrors with the line."""
-    import pandas as pd
-
-    with damage_reported(source, "text", _SAVE_AGAIN):
-        try:
-            yield
-        except pd.errors.ParserError as error:
-            raise source.error(_ragged_row(path, layout) or f"cannot be read: {error}") from error
 
 
 def _columns(frame: "pd.DataFrame", path: Path, layout: _Layout, source: Source) -> Columns:
@@ -173,7 +162,13 @@ def _layout(path: Path, source: Source) -> _Layout:
     head = [(number, line) for number, line in enumerate(lines) if not _is_blank(line)]
     if not head:
         raise source.error("the file is empty; give a file with one row of numbers per sample")
-    with_commas = [_has_decimal_commas(line) for _, line in head]
+    # Numbers with decimal commas are separated by semicolons, tabs or spaces.
+    with_commas = [
+        "," in line
+        and _DECIMAL_COMMA.fullmatch(line) is not None
+        and (_delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line) is not None)
+        for _, line in head
+    ]
     decimal = "," if any(with_commas) else "."
     head = [
         (number, line.replace(",", ".") if commas else line)
@@ -316,13 +311,6 @@ def _ragged_row(path: Path, layout: _Layout) -> str | None:
     return None
 
 
-def _has_decimal_commas(line: str) -> bool:
-    """Return whether a line has numbers with decimal commas, separated by semicolons, tabs or spaces."""
-    if "," not in line or not _DECIMAL_COMMA.fullmatch(line):
-        return False
-    return _delimiter(line) != "," or re.search(r"\d\s+[+-]?\d", line) is not None
-
-
 def _is_comment(line: str) -> bool:
     """Return whether a line is a comment."""
     return line.lstrip().startswith(_COMMENT_MARKS)
@@ -377,11 +365,7 @@ TEXT = Format("text", b"", open_text)
 
 
 def read_vectornav(path: Path, source: Source) -> Table:
-    """Return the lines of the most frequent message; a damaged line is a sample with nan.
-
-    Raises:
-        RecordingError: no message has samples.
-    """
+    """Return the lines of the most frequent message; a damaged line is a sample with nan."""
     import pandas as pd
 
     lines = path.read_bytes().split(b"\n")

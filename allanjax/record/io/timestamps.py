@@ -51,18 +51,17 @@ def seconds_from_first(
     rate: float | None,
     source: Source,
 ) -> Times:
-    """Return times in s from the first sample, from one column or from seconds and nanoseconds.
-
-    Raises:
-        RecordingError: a stamp is missing or not a number, or the unit is unknown.
-        UnitError: the unit is not a unit of time, or is stated twice and differently.
-    """
+    """Return times in s from the first sample, from one column or from seconds and nanoseconds."""
     if len(stamps) == 2:
         parts = [_since_first(values, column.label, source) for column, values in stamps]
         return Times(parts[0] + 1e-9 * parts[1], None, ())
     column, values = stamps[0]
     if values.dtype.kind == "O":
-        values = _iso_dates(values)
+        import pandas as pd
+
+        dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
+        if not dates.isna().any():
+            values = dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
     if values.dtype.kind == "M":
         missing = np.flatnonzero(np.isnat(values))
         if missing.size:
@@ -122,9 +121,6 @@ def rate_from_times(
 
     `more` means that further times follow, so that the longest part is unknown. `gaps` means that samples may
     be missing.
-
-    Raises:
-        RecordingError: times that repeat, go back, or have gaps or too much jitter.
     """
     intervals = np.diff(times)
     if (intervals <= 0.0).any():
@@ -272,14 +268,6 @@ def _unwrapped(counts: Shaped[np.ndarray, " samples"]) -> Shaped[np.ndarray, " s
     return counts
 
 
-def _iso_dates(values: Shaped[np.ndarray, " samples"]) -> np.ndarray:
-    """Return dates as datetime64 if all cells are ISO 8601, else the cells unchanged."""
-    import pandas as pd
-
-    dates = pd.to_datetime(pd.Series(values), format="ISO8601", utc=True, errors="coerce")
-    return values if dates.isna().any() else dates.dt.tz_localize(None).to_numpy(dtype="datetime64[ns]")
-
-
 def _unit(
     column: Column,
     times: Float[np.ndarray, " samples"],
@@ -303,10 +291,17 @@ def _unit(
         return stated, (f"{name} read in {stated} as requested, although labelled {column.unit}",)
     typical = float(np.median(np.diff(times)))
     rates = {unit: 1.0 / (typical * convert(1.0, unit, "s")) for unit in _UNITS if typical > 0.0}
-    fitting = [unit for unit in rates if _fits(unit, rates[unit], values, rate)]
+    low, high = _PLAUSIBLE_RATES
+    if rate is not None:
+        fitting = [unit for unit, hz in rates.items() if abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE]
+    else:
+        # Fractions or dates; whole numbers may also be a counter.
+        since = {unit: float(values[0]) * convert(1.0, unit, "s") for unit in rates}
+        dated = {unit for unit, s in since.items() if _UNIX_SECONDS[0] < s < _UNIX_SECONDS[1]}
+        known = rates if np.any(values % 1) else dated
+        fitting = [unit for unit, hz in rates.items() if low <= hz <= high and unit in known]
     if len(fitting) == 1:
         return fitting[0], (f"{name} has no unit; assuming {fitting[0]}, the only plausible one",)
-    low, high = _PLAUSIBLE_RATES
     possible = (f"in {unit} the rate is {hz:.4g} Hz" for unit, hz in rates.items() if low <= hz <= high)
     listed = ", ".join(possible) or "no unit gives a plausible rate"
     if rate is not None and typical > 0.0:
@@ -317,16 +312,6 @@ def _unit(
         f"{name} has no unit, and it is ambiguous ({listed}); pass time_unit= (--time-unit), such as s, ms "
         f"or '0.1 ms', or rate= (--rate), or write the unit in the header: `{column.name} [s]`"
     )
-
-
-def _fits(unit: str, hz: float, values: np.ndarray, rate: float | None) -> bool:
-    """Whether stamps with this rate in `unit` are plausible: by a given rate, as fractions or dates."""
-    if rate is not None:
-        return abs(hz / rate - 1.0) < MAX_RATE_DIFFERENCE
-    low, high = _PLAUSIBLE_RATES
-    unix = _UNIX_SECONDS[0] < float(values[0]) * convert(1.0, unit, "s") < _UNIX_SECONDS[1]
-    # Whole numbers may also be a counter.
-    return low <= hz <= high and (unix or bool(np.any(values % 1)))
 
 
 def _gap(
