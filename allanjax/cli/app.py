@@ -81,23 +81,11 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    *("check", "characterize", "critique", "report", "compare", "spec", "fleet", "repeat"),
-    *(
-        "export",
-        "horizon",
-        "navigate",
-        "statespace",
-        "kalman",
-        "calibrate",
-        "simulate",
-        "convert",
-        "schema",
-        "demo",
-    ),
+    "check characterize critique report compare spec fleet repeat export horizon navigate statespace kalman "
+    "calibrate simulate convert schema demo"
 )
-for _name in _ORDER:
+for _name in _ORDER.split():
     _command, _epilog = COMMANDS[_name]
-    _help = " ".join((_command.__doc__ or "").split())
     # In the list of commands: the first sentence, without its enumeration.
-    _short = re.split("[.:] ", _help)[0].removesuffix(".")
-    app.command(_name, help=_help, short_help=_short, epilog=_epilog)(_command)
+    _short = re.split("[.:] ", _command.__doc__ or "")[0].removesuffix(".")
+    app.command(_name, help=_command.__doc__, short_help=_short, epilog=_epilog)(_command)

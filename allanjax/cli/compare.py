@@ -1,9 +1,7 @@
 """The command `allanjax compare`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Input, prepare, print_result, stage, user_errors
@@ -23,40 +21,27 @@ if TYPE_CHECKING:
     "allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s --accel-unit m/s²",
 )
 def compare(
-    sensors: Annotated[
-        list[str],
-        typer.Argument(
-            help="Recordings, results of characterize (NAME.json), data sheets (.toml, or a name listed by "
-            "allanjax convert --list), or presets: cimu, hg1700, motionpak2.",
-            metavar="SENSOR",
-        ),
-    ],
+    sensors: list[str],
     options: FitOptions,
-    curve: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A sensor of which only an Allan curve is known: its file, and the rate and length of the "
-            "record; repeat for more.",
-            metavar="'FILE, RATE, LENGTH'",
-        ),
-    ] = None,
-    label: Annotated[
-        list[str] | None, typer.Option(help="What to call a sensor; repeat for each, in their order.")
-    ] = None,
-    reference: Annotated[
-        str | None, typer.Option(help="Sensor that the others are compared with. Default: the first.")
-    ] = None,
-    out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--out", "-o", help="Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more."
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    curve: list[str] | None = None,
+    label: list[str] | None = None,
+    reference: str | None = None,
+    out: list[Path] | None = None,
+    as_json: bool = False,
 ) -> None:
     """Compare sensors of any grade: coefficients with intervals, ratios and whether they differ, Allan
     deviations over one another, drift after 1 min, 10 min and 1 h, and growth of heading and position errors.
     Two recordings of one sensor, before and after a change of the setup, are compared in the same way.
+
+    Args:
+        sensors (SENSOR): Recordings, results of characterize (NAME.json), data sheets (.toml, or a name
+            listed by allanjax convert --list), or presets: cimu, hg1700, motionpak2.
+        curve (--curve 'FILE, RATE, LENGTH'): A sensor of which only an Allan curve is known: its file, and
+            the rate and length of the record; repeat for more.
+        label: What to call a sensor; repeat for each, in their order.
+        reference: Sensor that the others are compared with. Default: the first.
+        out (--out, -o): Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.
+        as_json (--json): Print JSON instead of tables.
     """
     prepare()
     from allanjax.comparison.compare import compare as compared

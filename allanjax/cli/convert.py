@@ -1,7 +1,7 @@
 """The command `allanjax convert`."""
 
 import math
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
@@ -17,27 +17,26 @@ from allanjax.cli.options import command
     "allanjax convert --list",
 )
 def convert(
-    value: Annotated[float | None, typer.Argument(help="The number.", metavar="VALUE")] = None,
-    unit: Annotated[str | None, typer.Argument(help="Its unit.", metavar="UNIT")] = None,
-    to: Annotated[str | None, typer.Option(help="Unit to convert to.")] = None,
-    sided: Annotated[
-        Literal["one", "two"] | None,
-        typer.Option(help="Whether a density per √Hz is one-sided, as in data sheets, or two-sided."),
-    ] = None,
-    sheet: Annotated[
-        str | None,
-        typer.Option(
-            help="Data sheet to convert to noise coefficients: a sensor listed by --list, or a TOML file."
-        ),
-    ] = None,
-    show_list: Annotated[
-        bool, typer.Option("--list", help="List the sensors with a built-in data sheet and exit.")
-    ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON; needs --sheet.")] = False,
+    value: float | None = None,
+    unit: str | None = None,
+    to: str | None = None,
+    sided: Literal["one", "two"] | None = None,
+    sheet: str | None = None,
+    show_list: bool = False,
+    as_json: bool = False,
 ) -> None:
     """Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write
     roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results
     are printed.
+
+    Args:
+        value (VALUE): The number.
+        unit (UNIT): Its unit.
+        to: Unit to convert to.
+        sided: Whether a density per √Hz is one-sided, as in data sheets, or two-sided.
+        sheet: Data sheet to convert to noise coefficients: a sensor listed by --list, or a TOML file.
+        show_list (--list): List the sensors with a built-in data sheet and exit.
+        as_json (--json): Print JSON; needs --sheet.
     """
     if show_list:
         from allanjax.noise.datasheet import known_sheets

@@ -4,7 +4,7 @@ import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -43,13 +43,14 @@ def check(
     files: Files,
     reading: ReadOptions,
     vibrating: Vibrating = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}.")
-    ] = False,
+    as_json: bool = False,
 ) -> None:
     """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
     resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
     line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
+
+    Args:
+        as_json (--json): Print JSON instead of tables: {schema_version, checks, errors}.
     """
     from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
 
@@ -89,47 +90,31 @@ def check(
 def characterize(
     files: Files,
     options: FitOptions,
-    stream: Annotated[
-        bool,
-        typer.Option(
-            "--stream",
-            help="Read in chunks, for recordings that do not fit into memory. The Allan variances are "
-            "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
-        ),
-    ] = False,
-    spec: Annotated[
-        Path | None,
-        typer.Option(
-            help="Check the coefficients against the limits in this file (help(allanjax.check_spec)), and "
-            "write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is undecided.",
-            metavar="LIMITS.yaml",
-        ),
-    ] = None,
-    curve: Annotated[
-        bool,
-        typer.Option(
-            "--curve",
-            help="The files are Allan curves (cluster times and a column per axis) without their recordings; "
-            "needs --rate and --duration of these for intervals. NAME_psd.png is not written.",
-        ),
-    ] = False,
-    duration: Annotated[
-        str | None,
-        typer.Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
-    ] = None,
+    stream: bool = False,
+    spec: Path | None = None,
+    curve: bool = False,
+    duration: str | None = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
-    ] = False,
+    as_json: bool = False,
+    verbose: bool = False,
 ) -> None:
     """Estimate the noise coefficients of static recordings. Prints one table per file and writes NAME.json,
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
+
+    Args:
+        stream: Read in chunks, for recordings that do not fit into memory. The Allan variances are estimated
+            at octaves by the pyramid estimator; NAME_psd.png is not written.
+        spec (--spec LIMITS.yaml): Check the coefficients against the limits in this file
+            (help(allanjax.check_spec)), and write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met;
+            3: none, but one is undecided.
+        curve: The files are Allan curves (cluster times and a column per axis) without their recordings;
+            needs --rate and --duration of these for intervals. NAME_psd.png is not written.
+        duration: Length of the recording of a curve: 3h, 20 min, or a number of seconds.
+        as_json (--json): Print JSON instead of tables: {schema_version, fits, errors}.
+        verbose: Print all coefficients with 95 % intervals, limits and χ².
     """
     from allanjax.comparison.specification import check_spec, read_spec
 
@@ -243,27 +228,22 @@ def critique(
     files: Files,
     reading: ReadOptions,
     vibrating: Vibrating = False,
-    refit: Annotated[
-        bool,
-        typer.Option("--refit", help="Also print the coefficients after correction for the findings."),
-    ] = False,
+    refit: bool = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json",
-            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, errors, "
-            "...} for one file, {schema_version, critiques, errors} for several.",
-        ),
-    ] = False,
+    as_json: bool = False,
 ) -> None:
     """Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers,
     filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per
     finding. If one file fails, the others are still processed. With --json (schema: allanjax schema
     critique), the output for one file is its document; with several files, or if none could be read, it is
     {schema_version, critiques, errors}.
+
+    Args:
+        refit: Also print the coefficients after correction for the findings.
+        as_json (--json): Print JSON instead: {schema_version, recording, findings, axes, shared_findings,
+            errors, ...} for one file, {schema_version, critiques, errors} for several.
     """
     from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 

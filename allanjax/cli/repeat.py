@@ -1,9 +1,7 @@
 """The command `allanjax repeat`."""
 
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
@@ -29,16 +27,18 @@ from allanjax.fleet.options import FitOptions
 def repeat(
     files: Files,
     options: FitOptions,
-    out: Annotated[
-        Path | None, typer.Option(help=f"Folder for the figure. Default: {RESULTS}, or none with --json.")
-    ] = None,
+    out: Path | None = None,
     figure_format: FigureFormat = "png",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    as_json: bool = False,
 ) -> None:
     """Fit recordings of one unit on several days, or of units of one type, jointly: one set of terms per
     axis, the common value of each coefficient, the scatter between recordings beyond what their intervals
     explain, and which recording is the odd one out. Takes recordings or results NAME.json of characterize.
     Prints a table per axis and writes repeat.png.
+
+    Args:
+        out: Folder for the figure. Default: allanjax-results, or none with --json.
+        as_json (--json): Print JSON instead of tables.
     """
     directory = None if as_json and out is None else out or RESULTS
     prepare(directory)

@@ -1,7 +1,7 @@
 """The command `allanjax report`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -37,14 +37,16 @@ if TYPE_CHECKING:
 def report(
     files: Files,
     options: FitOptions,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Page to write.")] = Path("report.html"),
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Without the critique, which takes longer than all the rest.")
-    ] = False,
+    out: Path = Path("report.html"),
+    quick: bool = False,
 ) -> None:
     """Write one page of HTML about static recordings or saved results: verdict, coefficients with
     intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
     The page needs no network, and prints to PDF.
+
+    Args:
+        out (--out, -o): Page to write.
+        quick: Without the critique, which takes longer than all the rest.
     """
     if out.suffix.lower() not in (".html", ".htm"):
         raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")

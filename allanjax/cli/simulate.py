@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -38,28 +38,29 @@ _TRUTH = {
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
 def simulate(
-    preset: Annotated[str | None, typer.Argument(help="Sensor listed by --list.", metavar="SENSOR")] = None,
-    terms: Annotated[
-        str | None,
-        typer.Option(help="Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots."),
-    ] = None,
+    preset: str | None = None,
+    terms: str | None = None,
     sheet: Sheet = None,
-    sensor: Annotated[Literal["gyro", "accel"], typer.Option(help="Kind of sensor, with --terms.")] = "gyro",
-    duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
-    rate: Annotated[
-        float, typer.Option(help="Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.")
-    ] = 100.0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per "
-            "rate is written, with the rate in its name."
-        ),
-    ] = None,
-    show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
+    sensor: Literal["gyro", "accel"] = "gyro",
+    duration: float = 3600.0,
+    rate: float = 100.0,
+    seed: int = 0,
+    out: Path | None = None,
+    show_list: bool = False,
 ) -> None:
-    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file."""
+    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file.
+
+    Args:
+        preset (SENSOR): Sensor listed by --list.
+        terms: Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.
+        sensor: Kind of sensor, with --terms.
+        duration: Length in s.
+        rate: Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.
+        seed: The same seed gives the same recording.
+        out: File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per rate is
+            written, with the rate in its name.
+        show_list (--list): List the sensors and exit.
+    """
     from allanjax.noise.simulate import SENSORS
 
     if show_list:
@@ -101,11 +102,13 @@ def simulate(
 
 @command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
-        "allanjax-demo"
-    ),
+    out: Path = Path("allanjax-demo"),
 ) -> None:
-    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."""
+    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients.
+
+    Args:
+        out: Folder for the recording and the results.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.base.earth import STANDARD_GRAVITY
