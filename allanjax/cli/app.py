@@ -12,17 +12,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli import (  # noqa: F401
-    calibrate,
-    compare,
-    convert,
-    fleet,
-    recordings,
-    repeat,
-    report,
-    results,
-    simulate,
-)
+from allanjax.cli import calibrate, compare, fleet, recordings, results, simulate  # noqa: F401
 from allanjax.cli.interrupt import end_on_interrupt
 from allanjax.cli.options import COMMANDS, epilog
 

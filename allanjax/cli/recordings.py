@@ -1,4 +1,4 @@
-"""The commands `allanjax check`, `characterize` and `critique`, for one or more recordings."""
+"""The commands `allanjax check`, `characterize`, `critique` and `report`, for one or more recordings."""
 
 import dataclasses
 from concurrent.futures import ThreadPoolExecutor
@@ -16,13 +16,19 @@ from allanjax.cli.common import (
     Outcome,
     Vibrating,
     exit_by,
+    exit_if_failed,
     fitting,
+    inputs,
+    prepare,
+    print_written,
+    saved_fit,
     stage,
     user_errors,
     work_through,
+    worked_through,
 )
 from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.pages import Html, write_page
+from allanjax.cli.pages import Html, origin, write_page
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import ReadOptions
 
@@ -30,6 +36,7 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
     from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
+    from allanjax.presentation.page.report import Reported
     from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
 
@@ -70,10 +77,8 @@ def check(
             stopped.append(file.label)
         return Outcome(str(result), result.to_dict(), (), ())
 
-    def document(checks: list[dict[str, Any]], _: int) -> dict[str, Any]:
-        return {"schema_version": SCHEMA_VERSION, "checks": checks}
-
-    work_through(files, None, as_json, work, document, writes=False)
+    document = {"schema_version": SCHEMA_VERSION}
+    work_through(files, None, as_json, work, lambda checks, _: document | {"checks": checks}, writes=False)
     if stopped:
         raise typer.Exit(1)
 
@@ -248,7 +253,11 @@ def critique(
     from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        result = _read_and_criticize(file, reading, vibrating)
+        with stage(f"{file.label}: loading allanjax"):
+            import allanjax.critic.critique  # noqa: F401
+        with stage(f"{file.label}: reading"):
+            recording = file.read(reading)
+        result = _criticize(file, recording, vibrating)
         paths = [] if directory is None else _write(result, directory, file, figure_format)
         if directory is not None and html:
             with stage(f"{file.label}: writing the page"):
@@ -266,11 +275,9 @@ def critique(
     work_through(files, out, as_json, work, document)
 
 
-def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "Critique":
-    with stage(f"{file.label}: loading allanjax"):
-        from allanjax.critic.critique import critique
-    with stage(f"{file.label}: reading"):
-        recording = file.read(reading)
+def _criticize(file: Input, recording: "Recording", vibrating: bool) -> "Critique":
+    from allanjax.critic.critique import critique
+
     with fitting(file, recording) as show:
         return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
 
@@ -287,3 +294,49 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
         paths = [directory / f"{file.name}_critique.json"]
         write_document(to_dict(critique), paths[0])
         return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]
+
+
+@command(
+    "allanjax report imu.csv --out report.html",
+    "allanjax report imu.csv --quick --out report.html",
+    "allanjax report allanjax-results/imu.json --out report.html",
+)
+def report(
+    files: Files,
+    options: FitOptions,
+    out: Path = Path("report.html"),
+    quick: bool = False,
+) -> None:
+    """Write one page of HTML about static recordings or saved results: verdict, coefficients with
+    intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
+    The page needs no network, and prints to PDF.
+
+    Args:
+        out (--out, -o): Page to write.
+        quick: Without the critique, which takes longer than all the rest.
+    """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")
+    prepare(out.parent)
+    errors: list[dict[str, str]] = []
+    with inputs(files, out.parent) as given:
+        done = worked_through(given, lambda file: _reported(file, options, quick), errors)
+        parts = [part for _, part in done]
+    if parts:
+        from allanjax.presentation.page.report import page_about
+
+        with stage("writing the page"):
+            page_about(parts).save(out)
+        print_written([out])
+    exit_if_failed(errors, len(given))
+
+
+def _reported(file: Input, options: FitOptions, quick: bool) -> "Reported":
+    """What is shown of a file: of a result its fit, of a recording everything."""
+    from allanjax.presentation.page.report import Reported
+
+    if file.path.suffix == ".json":
+        return Reported(saved_fit(file.path), origin=origin(file))
+    recording, check, spectrum, fit = read_and_fit(file, options)
+    critique = None if quick else _criticize(file, recording, options.vibrating)
+    return Reported(fit, critique, recording, spectrum, check, origin(file))

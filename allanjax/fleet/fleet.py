@@ -181,7 +181,15 @@ def characterize_fleet(
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
             scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
-    _check_arguments(workers, scheduler, piece)
+    if piece < _SHORTEST_PIECE:
+        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
+    if workers is not None and workers < 1:
+        raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
+    if workers is not None and scheduler is not None:
+        raise AllanjaxError(
+            "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
+            "its own workers; leave out one of the two"
+        )
     out = Path(out)
     paths = matching_files(files, out)
     model = None if model is None else as_model(model)
@@ -232,30 +240,6 @@ class _Done:
     def counts(self) -> tuple[int, int]:
         """How many recordings are done, and how many of these failed."""
         return len(self.errors), sum(map(bool, self.errors.values()))
-
-    def table(self) -> pd.DataFrame:
-        """Table in the order of the recordings, whatever the order they ended in."""
-        return table_of([row for name in self.recordings for row in self.rows.get(name, ())])
-
-    def failures(self) -> tuple[dict[str, str], ...]:
-        """Files and axes without a result, and why, in the order of the recordings."""
-        return tuple(
-            {"file": str(path), "message": message}
-            for name, path in self.recordings.items()
-            for message in self.errors.get(name, ())
-        )
-
-
-def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> None:
-    if piece < _SHORTEST_PIECE:
-        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
-    if workers is not None and workers < 1:
-        raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
-    if workers is not None and scheduler is not None:
-        raise AllanjaxError(
-            "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
-            "its own workers; leave out one of the two"
-        )
 
 
 def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
@@ -339,9 +323,15 @@ def _reason(path: Path, error: Exception) -> str:
 
 def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figure_format: str) -> FleetResult:
     """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
-    table, more = judged(done.table(), done.structures)
-    paths = tuple(done.recordings.values())
-    result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
+    # In the order of the recordings, whatever the order they ended in.
+    rows = [row for name in done.recordings for row in done.rows.get(name, ())]
+    table, more = judged(table_of(rows), done.structures)
+    errors = tuple(
+        {"file": str(path), "message": message}
+        for name, path in done.recordings.items()
+        for message in done.errors.get(name, ())
+    )
+    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
     write_table(table, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
