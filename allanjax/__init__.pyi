@@ -12,8 +12,8 @@ from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
 from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
-from allanjax.calibration.loading import load_calibration as load_calibration
 from allanjax.calibration.result import Calibration as Calibration
+from allanjax.calibration.result import load_calibration as load_calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
 from allanjax.comparison.compare import Comparison as Comparison
 from allanjax.comparison.compare import compare as compare

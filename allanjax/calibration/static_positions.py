@@ -93,8 +93,10 @@ def calibrate(
     Raises:
         RecordingError: a recording cannot be read or was not at rest; recordings without a common axis;
             positions that do not determine the errors; up and down exchanged.
-        FitError: no noise model from the recordings; orientations that could not be estimated.
-        AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap.
+        FitError: no noise model from the recordings, or one with too little noise; orientations that could
+            not be estimated.
+        AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap; a model
+            with a parameter without a value, or with a step or a warm-up, which are not noise.
     """
     if isinstance(positions, Mapping):
         orientations = list(positions) if orientations is None else orientations

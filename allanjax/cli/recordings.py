@@ -46,12 +46,7 @@ if TYPE_CHECKING:
     "allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
     "allanjax check *.csv --json > checks.json",
 )
-def check(
-    files: Files,
-    reading: ReadOptions,
-    vibrating: Vibrating = False,
-    as_json: bool = False,
-) -> None:
+def check(files: Files, reading: ReadOptions, vibrating: Vibrating = False, as_json: bool = False) -> None:
     """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
     resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
     line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
@@ -215,13 +210,13 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             show(f"{file.label}: reading, {done:,} samples{share}")
 
         accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
-        inspection = options.inspect(accumulator)
+        inspection = accumulator.inspect(as_is=options.as_is, vibrating=options.vibrating)
         if inspection.longest_part is not None:
             # Disturbed parts cannot be removed from the sums, so the file is read again without them.
             reading = reading.within(inspection.longest_part)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
-        return options.fit_accumulated(accumulator, inspection)
+        return accumulator.fit_inspected(inspection, options.model, options.objective)
 
 
 @command(
@@ -301,12 +296,7 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
     "allanjax report imu.csv --quick --out report.html",
     "allanjax report allanjax-results/imu.json --out report.html",
 )
-def report(
-    files: Files,
-    options: FitOptions,
-    out: Path = Path("report.html"),
-    quick: bool = False,
-) -> None:
+def report(files: Files, options: FitOptions, out: Path = Path("report.html"), quick: bool = False) -> None:
     """Write one page of HTML about static recordings or saved results: verdict, coefficients with
     intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
     The page needs no network, and prints to PDF.

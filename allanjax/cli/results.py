@@ -175,7 +175,7 @@ def navigate(
         as_json (--json): Print JSON, in SI units.
     """
     prepare()
-    from allanjax.calibration.loading import load_calibration
+    from allanjax.calibration.result import load_calibration
     from allanjax.navigation.alignment import align
     from allanjax.navigation.motion import Profile
     from allanjax.navigation.navigator import navigate
@@ -287,12 +287,7 @@ def kalman(
     "allanjax spec allanjax-results/imu.json limits.yaml",
     "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
 )
-def spec(
-    result: Path,
-    limits: Path,
-    out: Path | None = None,
-    as_json: bool = False,
-) -> None:
+def spec(result: Path, limits: Path, out: Path | None = None, as_json: bool = False) -> None:
     """Check a saved result against the limits of a specification, as characterize does with --spec: noise
     density, random walk, in-run bias and others, with the probability that the true value meets each limit
     (exit code 1: a limit is not met; 3: none, but one is undecided). help(allanjax.check_spec) describes the
@@ -316,9 +311,7 @@ def spec(
 
 
 @command("allanjax schema fit > fit.schema.json")
-def schema(
-    name: Literal["check", "fit", "critique", "fleet", "horizon"],
-) -> None:
+def schema(name: Literal["check", "fit", "critique", "fleet", "horizon"]) -> None:
     """Print the JSON schema of what check, characterize, critique, fleet or horizon writes.
 
     Args:

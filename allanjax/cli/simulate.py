@@ -101,9 +101,7 @@ def simulate(
 
 
 @command()
-def demo(
-    out: Path = Path("allanjax-demo"),
-) -> None:
+def demo(out: Path = Path("allanjax-demo")) -> None:
     """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients.
 
     Args:

@@ -103,11 +103,7 @@ class Compared(NamedTuple):
 
 
 def compared(data: Comparable, label: str = "") -> Compared:
-    """A sensor in the form of comparisons; recordings are read and fitted.
-
-    Raises:
-        AllanjaxError: a name that is neither a file nor a data sheet nor a preset, or what `fit` raises.
-    """
+    """A sensor in the form of comparisons; recordings are read and fitted."""
     data = _opened(data)
     if isinstance(data, DataSheet):
         values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}

@@ -240,29 +240,27 @@ def _chance(values: Values, unit: int, usual: Flags, log_prior: Widths) -> float
 
 def _tail(values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Widths) -> float:
     """Probability of a value at least as far from the others on its side, integrated over centre and τ."""
-    x = values.x[rest]
-    centre = float(np.median(x))
+    centre = float(np.median(values.x[rest]))
     s = values.towards(centre)
-    precision = 1.0 / (WIDTHS[:, None] ** 2 + s[rest] ** 2)
-    total = precision.sum(axis=1)
-    mean = np.sum(precision * x, axis=1) / total
-    log_posterior = log_prior + log_evidence(precision, x, mean)
+    evidence, mean, total = by_width(values.x[rest], s[rest])
+    log_posterior = log_prior + evidence
     posterior = np.exp(log_posterior - log_posterior.max())
     deviation = abs(values.x[unit] - centre) + np.sign(centre - values.x[unit]) * (mean - centre)
     tails = ndtr(-deviation / np.sqrt(WIDTHS**2 + s[unit] ** 2 + 1.0 / total))
     return float(np.sum(posterior * tails) / np.sum(posterior))
 
 
-def log_evidence(
-    precision: Float[np.ndarray, "widths units"],
-    x: Numbers,
-    mean: Widths,
-) -> Widths:
-    """Log-likelihood of normal values, integrated over a centre of flat prior density 1."""
+def by_width(x: Numbers, s: Numbers) -> tuple[Widths, Widths, Widths]:
+    """Log-likelihood of normal values, their weighted mean, and its precision, for each scatter of units.
+
+    The likelihood is integrated over a centre of flat prior density 1.
+    """
+    precision = 1.0 / (WIDTHS[:, None] ** 2 + s**2)
     total = precision.sum(axis=1)
+    mean = np.sum(precision * x, axis=1) / total
     misfit = np.sum(precision * (x - mean[:, None]) ** 2, axis=1)
     parts = np.sum(np.log(precision), axis=1) - np.log(total) - misfit
-    return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi))
+    return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi)), mean, total
 
 
 def log_prior_of(coefficient: str) -> Widths:
@@ -371,9 +369,8 @@ def _weighed(
     for k, part in enumerate(parts):
         # Two units that are far better than the others are not both bad ones.
         if len(part) >= (smallest if k else _FEWEST_BETTER):
-            precision = 1.0 / (WIDTHS[:, None] ** 2 + np.maximum(s[part], 1e-9) ** 2)
-            mean = np.sum(precision * x[part], axis=1) / precision.sum(axis=1)
-            group[k] = log_evidence(precision, x[part], mean) - np.log(_RANGE) + len(part) * np.log1p(-_ODD)
+            evidence = by_width(x[part], np.maximum(s[part], _ROUNDING))[0]
+            group[k] = evidence - np.log(_RANGE) + len(part) * np.log1p(-_ODD)
     gain = group - odd[:, None]
     one = logsumexp(prior + odd.sum() + gain.max(axis=0))
     # Assignment of the other units to groups: all shares of the groups are equally likely.

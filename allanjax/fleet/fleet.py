@@ -293,7 +293,8 @@ def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulato
 
 def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> list[dict[str, Any]]:
     """Task of a worker: all pieces of a recording together."""
-    return [to_dict(options.fit_accumulated(functools.reduce(AllanAccumulator.merge, pieces)))]
+    whole, how = functools.reduce(AllanAccumulator.merge, pieces), (options.model, options.objective)
+    return [to_dict(whole.fit(*how, as_is=options.as_is, vibrating=options.vibrating))]
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
@@ -347,9 +348,6 @@ def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterat
     """Client of the cluster at the address `scheduler`, or of a local one that is closed after the tasks.
 
     By default the local cluster has one worker per core, but no more than tasks.
-
-    Raises:
-        AllanjaxError: Dask is not installed, or the scheduler does not answer.
     """
     try:
         from dask.system import CPU_COUNT
@@ -430,16 +428,10 @@ def _result_of(future: Any) -> Any:
 
 
 def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-    """Make a call in a worker process."""
-    _prepare_worker()
-    return function(*arguments)
-
-
-@functools.cache
-def _prepare_worker() -> None:
-    """Let the workers share compiled programs, and limit JAX's threads to this worker's cores."""
+    """Make a call in a worker process, which shares compiled programs and has JAX use its own cores only."""
     from distributed import get_worker
 
     # Number of threads of XLA, which reads it when it first computes, after this.
     os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
     enable_compilation_cache()
+    return function(*arguments)

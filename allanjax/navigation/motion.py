@@ -18,9 +18,6 @@ from allanjax.calibration.result import AxisCalibration, Calibration, place_of
 from allanjax.navigation.likely import in_si
 from allanjax.record.units import SI, Sensor, convert, parse_quantity
 
-# Turn beyond which the directions of errors are not those at its start.
-_SHORT = math.radians(30.0)
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Profile(ByValue):
@@ -62,10 +59,6 @@ class Profile(ByValue):
         ]
         end = f" for {duration(self.duration)}" if parts and math.isfinite(self.duration) else ""
         return (" and ".join(parts) or "at rest") + end
-
-    def is_long(self, seconds: float) -> bool:
-        """Whether after this time the craft has turned so far that the directions of errors matter."""
-        return math.hypot(*self.turn_rate) * min(self.duration, seconds) > _SHORT
 
     def to_dict(self) -> dict[str, Any]:
         """The motion as plain dictionaries and lists, in SI; None for a duration without end."""

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import equinox as eqx
 import numpy as np
@@ -255,14 +255,6 @@ def bias_response(
     return np.where(np.abs(x) < _SMALL, series * time**order, far[order - 1])
 
 
-class _Functional(NamedTuple):
-    """An error as a sum of phases: products of weights by lag, weights, and that of the bias."""
-
-    products: Float[np.ndarray, " lags"]
-    weights: Float[np.ndarray, " phases"]
-    bias: float
-
-
 class ErrorVariances:
     """Variances of errors for the noise of any axis, whose common part is computed once."""
 
@@ -279,8 +271,8 @@ class ErrorVariances:
             stiffness: see `bias_response`.
         """
         self._time, self._rate, self._stiffness = steps / rate, rate, stiffness
-        self._functionals = [
-            [_functional(order, int(n), before, rate, stiffness) for n in steps]
+        self._coefficients = [
+            [_coefficients(order, int(n), before, rate, stiffness) for n in steps]
             for order in range(1, orders + 1)
         ]
         whole = np.arange(steps.max() + 1)
@@ -300,13 +292,23 @@ class ErrorVariances:
                 return variance
         # One call, since G is known up to c0 + c1·t², which each call may choose.
         near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
-        variance = np.array([[_variance(f, near, far) for f in row] for row in self._functionals])
+        # Not `@`: BLAS would start threads for each of many short products.
+        sums = [
+            [np.einsum("i,i", a, near[: len(a)]) + np.einsum("i,i", b, far[: len(b)]) for a, b in row]
+            for row in self._coefficients
+        ]
+        variance = np.maximum(np.array(sums), 0.0)
         self._known.append((one, variance))
         return variance
 
 
-def _functional(order: int, n: int, before: int, rate: float, stiffness: float) -> _Functional:
-    """The error after n samples."""
+def _coefficients(
+    order: int, n: int, before: int, rate: float, stiffness: float
+) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
+    """Factors of G in the variance of the error after n samples.
+
+    The first are those at lags among phases since the start, the second at lags to the first sample at rest.
+    """
     response = bias_response(np.arange(n + 1) / rate, order, stiffness)
     of_samples = np.diff(response)[::-1] * rate
     weights = -np.diff(of_samples, prepend=0.0, append=0.0)
@@ -315,17 +317,12 @@ def _functional(order: int, n: int, before: int, rate: float, stiffness: float) 
     size = 2 ** math.ceil(math.log2(2 * n + 2))
     products = np.fft.irfft(np.abs(np.fft.rfft(weights, size)) ** 2, size)[: n + 1]
     products[1:] *= 2.0
-    return _Functional(products, weights, float(bias))
+    products[0] += bias**2
+    return products, 2.0 * bias * weights
 
 
-def _variance(f: _Functional, near: Float[np.ndarray, " lags"], far: Float[np.ndarray, " lags"]) -> float:
-    """Variance of an error, from G at the lags of phases among each other and to the first sample at rest."""
-    n = len(f.weights)
-    # Not `@`: BLAS would start threads for each of many short products.
-    within = np.einsum("i,i", f.products, near[:n]) + f.bias**2 * near[0]
-    return max(float(within + 2.0 * f.bias * np.einsum("i,i", f.weights, far[:n])), 0.0)
-
-
+# Turn beyond which the directions of errors are not those at its start [rad].
+_SHORT_TURN = math.radians(30.0)
 # Most samples from the start to the last time: their covariances are held in memory.
 _MOST = 2**21
 
@@ -389,7 +386,7 @@ def navigate(
     Raises:
         FitError: no axis has a measurement.
         AllanjaxError, UnitError: a time, rate or bias is out of range or cannot be read; no axis can be used;
-            more than two million samples.
+            more than two million samples; a model without terms or values.
     """
     sensors, biases = sensors_of(data, rate, seed), biases_of(gyro_bias, accel_bias)
     if not 0.0 < gravity < np.inf:
@@ -519,7 +516,8 @@ def _notes(result: Navigation, sensors: Sensors) -> Iterator[str]:
     pairs = ((p, g.of(c)) for g in result.growths for c, of in g.causes.items() for p in of.values())
     if any((part > 1.01 * error).any() for part, error in pairs):
         yield "some errors that the calibration leaves cancel each other in part: shares exceed 100 %"
-    if result.profile is not None and result.profile.is_long(last):
+    moves = result.profile
+    if moves is not None and math.hypot(*moves.turn_rate) * min(moves.duration, last) > _SHORT_TURN:
         yield (
             "the turn is long: it spreads errors from misalignment over both level directions, in which "
             "together they are smaller than given"
