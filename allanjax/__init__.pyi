@@ -58,9 +58,9 @@ from allanjax.kalman.filtering import kalman_filter as kalman_filter
 from allanjax.navigation.alignment import Alignment as Alignment
 from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
 from allanjax.navigation.alignment import align as align
-from allanjax.navigation.motion import Profile as Profile
 from allanjax.navigation.navigator import ErrorGrowth as ErrorGrowth
 from allanjax.navigation.navigator import Navigation as Navigation
+from allanjax.navigation.navigator import Profile as Profile
 from allanjax.navigation.navigator import navigate as navigate
 from allanjax.navigation.rates import AxisRates as AxisRates
 from allanjax.navigation.rates import SampleRates as SampleRates

@@ -7,7 +7,7 @@ nothing that is not used.
 
 import ast
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -29,10 +29,10 @@ def late_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
     ]
     sources = {public: (module, name) for name, public, module in taken if name != "*"}
 
-    def starred() -> Iterator[tuple[str, str]]:
-        """Names in the `__all__` of modules, with the modules."""
-        for module in (module for name, _, module in taken if name == "*"):
-            yield from ((name, module) for name in import_module(module).__all__)
+    def starred() -> dict[str, str]:
+        """Modules by the names in their `__all__`."""
+        modules = [module for name, _, module in taken if name == "*"]
+        return {name: module for module in modules for name in import_module(module).__all__}
 
     def load(name: str) -> Any:
         """Object with this name, e.g. "fit"; "__all__" is the list of all names."""
@@ -42,14 +42,13 @@ def late_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
             module, own = sources[name]
             defined = vars(import_module(module))
             return defined[own] if own in defined else import_module(f"{module}.{own}")
-        if not name.startswith("_") and (module := dict(starred()).get(name, "")):
+        if not name.startswith("_") and (module := starred().get(name, "")):
             return getattr(import_module(module), name)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     def names() -> list[str]:
         """All names: constants, then classes, then lower-case names, each in alphabetical order."""
-        every = {*sources, *dict(starred())}
-        return sorted(every, key=lambda name: (not name.isupper(), name[0].islower(), name))
+        return sorted({*sources, *starred()}, key=lambda name: (not name.isupper(), name[0].islower(), name))
 
     return load, names
 

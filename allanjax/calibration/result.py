@@ -421,12 +421,7 @@ def place_of(axis: Axis) -> int:
 
 
 def estimate(
-    axis: Axis,
-    label: str,
-    value: float,
-    std: float,
-    remark: str,
-    ends: Sequence[tuple[float, float]],
+    axis: Axis, label: str, value: float, std: float, remark: str, ends: Sequence[tuple[float, float]]
 ) -> Estimate:
     """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
     return Estimate(

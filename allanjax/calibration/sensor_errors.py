@@ -70,9 +70,9 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     return tuple((1.0, process) for process in model.sampled(rate).processes)
 
 
-def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
+def parts_of_fit(fit: Fit, axis: str) -> tuple[Part, ...]:
     """The terms of an axis's fit, with their powers averaged over intervals and likely sets of terms."""
-    likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(seed)))
+    likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(0)))
     parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
     known = np.flatnonzero(likely.detected).tolist()
     return tuple((float(likely.power[:, k].mean()), parts[k][1]) for k in known)

@@ -22,14 +22,7 @@ from allanjax.calibration.result import (
     orientation_in,
     place_of,
 )
-from allanjax.calibration.sensor_errors import (
-    Part,
-    Setting,
-    World,
-    errors_of,
-    parts_of_fit,
-    parts_of_model,
-)
+from allanjax.calibration.sensor_errors import Part, Setting, World, errors_of, parts_of_fit, parts_of_model
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect

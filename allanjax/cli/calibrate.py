@@ -6,7 +6,7 @@ from pathlib import Path
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
+from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage
 from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -61,36 +61,35 @@ def calibrate(
     from allanjax.calibration.static_positions import calibrate, world_of
     from allanjax.presentation.files import write_document
 
-    with user_errors():
-        named = [*((None, file) for file in files or ()), *map(_split, position or ())]
-        if not named:
-            raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
-        local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
-        world_of(latitude, height, local)
-        with stage("reading"):
-            recordings = [read_recording(Path(file), reading, file) for _, file in named]
-            told = [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
-            noise = None if fit is None else saved_fit(fit)
-        with stage("calibrating (without --fit the noise is fitted first)"):
-            result = calibrate(
-                recordings,
-                told if position else None,
-                latitude=latitude,
-                height=height,
-                gravity=local,
-                fit=noise,
-                starts=None if starts is None else _numbers("--starts", starts, "0,620,1240"),
-                second_order=second_order,
-                orientation_error=math.radians(orientation_error),
-                as_is=as_is,
-            )
-        paths = []
-        if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
-            write_document(result.to_dict(), paths[0])
-            result.plot(path=paths[1])
-        print_result(result, as_json, paths)
+    named = [*((None, file) for file in files or ()), *map(_split, position or ())]
+    if not named:
+        raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
+    local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
+    world_of(latitude, height, local)
+    with stage("reading"):
+        recordings = [read_recording(Path(file), reading, file) for _, file in named]
+        told = [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
+        noise = None if fit is None else saved_fit(fit)
+    with stage("calibrating (without --fit the noise is fitted first)"):
+        result = calibrate(
+            recordings,
+            told if position else None,
+            latitude=latitude,
+            height=height,
+            gravity=local,
+            fit=noise,
+            starts=None if starts is None else _numbers("--starts", starts, "0,620,1240"),
+            second_order=second_order,
+            orientation_error=math.radians(orientation_error),
+            as_is=as_is,
+        )
+    paths = []
+    if directory is not None:
+        directory.mkdir(parents=True, exist_ok=True)
+        paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
+        write_document(result.to_dict(), paths[0])
+        result.plot(path=paths[1])
+    print_result(result, as_json, paths)
 
 
 def _split(text: str) -> tuple[str, str]:

@@ -44,8 +44,7 @@ Files = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json."),
+    Path | None, typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json.")
 ]
 Vibrating = Annotated[
     bool,
@@ -210,6 +209,9 @@ def user_errors() -> Iterator[None]:
     """End the program with a message if the input is bad or a file fails; other exceptions pass."""
     try:
         yield
+    except BrokenPipeError:
+        # Nobody reads any more.
+        raise
     except FAILURES as failure:
         print_error(reason(failure, "allanjax"))
         raise typer.Exit(1) from failure

@@ -14,7 +14,6 @@ from allanjax.cli.common import (
     print_result,
     saved_fit,
     stage,
-    user_errors,
 )
 from allanjax.cli.options import FigureFormat, command
 from allanjax.cli.recordings import read_and_fit
@@ -58,24 +57,20 @@ def compare(
     from allanjax.comparison.compare import compare as compared
     from allanjax.record.io.formats import name_of
 
-    with user_errors():
-        data = [
-            *(_opened(name, options) for name in sensors),
-            *(_curve(text, options) for text in curve or ()),
-        ]
-        with stage("comparing"):
-            files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
-            names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
-            result = compared(*data, labels=names, reference=0 if reference is None else reference)
-            for path in out or ():
-                if path.suffix == ".csv":
-                    result.to_dataframe().to_csv(path, index=False)
-                elif path.suffix in (".html", ".htm"):
-                    from allanjax.presentation.page.report import report
+    data = [*(_opened(name, options) for name in sensors), *(_curve(text, options) for text in curve or ())]
+    with stage("comparing"):
+        files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
+        names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
+        result = compared(*data, labels=names, reference=0 if reference is None else reference)
+        for path in out or ():
+            if path.suffix == ".csv":
+                result.to_dataframe().to_csv(path, index=False)
+            elif path.suffix in (".html", ".htm"):
+                from allanjax.presentation.page.report import report
 
-                    report(result, path)
-                else:
-                    result.plot(path)
+                report(result, path)
+            else:
+                result.plot(path)
     print_result(result, as_json, out or ())
 
 
@@ -134,7 +129,7 @@ def repeat(
     prepare(directory)
     from allanjax.comparison.joint import joint_fit
 
-    with user_errors(), inputs(files, directory) as given:
+    with inputs(files, directory) as given:
         if len(given) < 2:
             raise AllanjaxError("repeat compares at least two recordings: give more files")
         fits = list[Any]()

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from allanjax.cli.common import (
-    RESULTS,
-    exit_if_failed,
-    prepare,
-    print_error,
-    print_result,
-    stage,
-    user_errors,
-)
+from allanjax.cli.common import RESULTS, exit_if_failed, prepare, print_error, print_result, stage
 from allanjax.cli.options import FigureFormat, command
 from allanjax.cli.pages import Html, fleet_page
 from allanjax.fleet.options import FitOptions
@@ -62,7 +54,7 @@ def fleet(
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
-    with user_errors(), _progress_bar() as progress:
+    with _progress_bar() as progress:
         result = characterize_fleet(
             patterns,
             out,

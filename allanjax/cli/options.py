@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import Vibrating
+from allanjax.cli.common import Vibrating, user_errors
 from allanjax.cli.interrupt import INTERRUPTED
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io.options import ReadOptions
@@ -51,7 +51,8 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
 
         @functools.wraps(function)
         def called(**values: Any) -> None:
-            _call(function, values)
+            with user_errors():
+                _call(function, values)
 
         called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
         called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}

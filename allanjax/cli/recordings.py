@@ -23,7 +23,6 @@ from allanjax.cli.common import (
     print_written,
     saved_fit,
     stage,
-    user_errors,
     work_through,
     worked_through,
 )
@@ -120,8 +119,7 @@ def characterize(
 
     if spec is not None:
         # A wrong file ends the command before it reads recordings.
-        with user_errors():
-            read_spec(spec)
+        read_spec(spec)
     verdicts: list[str] = []
 
     if (stream and curve) or (duration and not curve):

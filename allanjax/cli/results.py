@@ -18,7 +18,6 @@ from allanjax.cli.common import (
     print_written,
     saved_fit,
     stage,
-    user_errors,
 )
 from allanjax.cli.options import command
 from allanjax.record.io import ReadOptions, read_recording
@@ -69,20 +68,19 @@ def export(
         raise typer.BadParameter("give a target, e.g. kalibr; --list shows them all", param_hint="--to")
     from allanjax.presentation.export.exporting import converted, exported
 
-    with user_errors():
-        if source is None:
-            made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate, force=force)
-        elif result is None:
-            raise AllanjaxError("give the file to convert")
-        else:
-            made = converted(_text(result), source, to, axes=axes, rate=rate, name=str(result))
-        if out is None:
-            print(made.text, end="")
-        else:
-            out.write_text(made.text, encoding="ascii")
-            print(f"wrote {out}")
-        for words in made.left_out:
-            print(f"warning: {words}", file=sys.stderr)
+    if source is None:
+        made = exported(fit_or_sheet(result, sheet), to, axes=axes, rate=rate, force=force)
+    elif result is None:
+        raise AllanjaxError("give the file to convert")
+    else:
+        made = converted(_text(result), source, to, axes=axes, rate=rate, name=str(result))
+    if out is None:
+        print(made.text, end="")
+    else:
+        out.write_text(made.text, encoding="ascii")
+        print(f"wrote {out}")
+    for words in made.left_out:
+        print(f"warning: {words}", file=sys.stderr)
 
 
 def _text(path: Path) -> str:
@@ -122,9 +120,8 @@ def horizon(
     prepare()
     from allanjax.estimate.horizon import horizon
 
-    with user_errors():
-        fit = fit_or_sheet(result, sheet)
-        noise = horizon(fit, seconds, process=process, axes=axis, probability=probability)
+    fit = fit_or_sheet(result, sheet)
+    noise = horizon(fit, seconds, process=process, axes=axis, probability=probability)
     print_result(noise, as_json)
 
 
@@ -177,21 +174,19 @@ def navigate(
     prepare()
     from allanjax.calibration.result import load_calibration
     from allanjax.navigation.alignment import align
-    from allanjax.navigation.motion import Profile
-    from allanjax.navigation.navigator import navigate
+    from allanjax.navigation.navigator import Profile, navigate
 
-    with user_errors():
-        fit = fit_or_sheet(result, sheet)
-        biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
-        aligned = align(fit, latitude, azimuth, **biases)
-        known = None if calibration is None else load_calibration(calibration)
-        moving = {"turn_rate": turn_rate, "acceleration": acceleration, "duration": lasting}
-        given = {name: text for name, text in moving.items() if text is not None}
-        profile = Profile(**given) if given else None
-        of: dict[str, Any] = {"calibration": known, "corrected": not uncorrected, "profile": profile}
-        growth = navigate(fit, time, at_rest=at_rest, schuler=schuler, **biases, **of)
-        if out is not None:
-            growth.plot(out)
+    fit = fit_or_sheet(result, sheet)
+    biases: dict[str, Any] = {"gyro_bias": gyro_bias, "accel_bias": accel_bias}
+    aligned = align(fit, latitude, azimuth, **biases)
+    known = None if calibration is None else load_calibration(calibration)
+    moving = {"turn_rate": turn_rate, "acceleration": acceleration, "duration": lasting}
+    given = {name: text for name, text in moving.items() if text is not None}
+    profile = Profile(**given) if given else None
+    of: dict[str, Any] = {"calibration": known, "corrected": not uncorrected, "profile": profile}
+    growth = navigate(fit, time, at_rest=at_rest, schuler=schuler, **biases, **of)
+    if out is not None:
+        growth.plot(out)
     if as_json:
         print_json({"navigation": growth.to_dict(), "alignment": aligned.to_dict()})
     else:
@@ -224,20 +219,19 @@ def statespace(
         form (--format): NumPy file, MATLAB script or C header.
     """
     prepare()
-    with user_errors():
-        fit = saved_fit(result)
-        measured = fit[axis]
-        if not measured.measured:
-            raise AllanjaxError(f"{result}: {axis}: {measured.verdict}")
-        # A filter that precedes sampling depends on the recording's rate.
-        length = fit.curve.n / fit.curve.rate if duration is None else duration
-        rate = fit.curve.rate if rate is None else rate
-        space = measured.model.state_space(rate, duration=length, sensor=measured.axis.sensor)
-        if form == "npz":
-            space.to_numpy(out)
-        else:
-            text = space.to_matlab() if form == "matlab" else space.to_c_header()
-            out.write_text(text, encoding="utf-8")
+    fit = saved_fit(result)
+    measured = fit[axis]
+    if not measured.measured:
+        raise AllanjaxError(f"{result}: {axis}: {measured.verdict}")
+    # A filter that precedes sampling depends on the recording's rate.
+    length = fit.curve.n / fit.curve.rate if duration is None else duration
+    rate = fit.curve.rate if rate is None else rate
+    space = measured.model.state_space(rate, duration=length, sensor=measured.axis.sensor)
+    if form == "npz":
+        space.to_numpy(out)
+    else:
+        text = space.to_matlab() if form == "matlab" else space.to_c_header()
+        out.write_text(text, encoding="utf-8")
     print_result(space, as_json=False, written=[out])
 
 
@@ -269,17 +263,16 @@ def kalman(
     prepare()
     from allanjax.kalman.filtering import kalman_filter
 
-    with user_errors():
-        if (fit is None) == (terms is None):
-            raise AllanjaxError("give the noise model, either with --fit RESULT.json or with --terms")
-        models = str(terms) if fit is None else saved_fit(fit)
-        with stage(f"{file}: filtering"):
-            result = kalman_filter(read_recording(file, reading, str(file)), models, smooth=smooth)
-        for path in out or ():
-            if path.suffix == ".csv":
-                result.to_dataframe().to_csv(path, index=False)
-            else:
-                result.plot(path=path)
+    if (fit is None) == (terms is None):
+        raise AllanjaxError("give the noise model, either with --fit RESULT.json or with --terms")
+    models = str(terms) if fit is None else saved_fit(fit)
+    with stage(f"{file}: filtering"):
+        result = kalman_filter(read_recording(file, reading, str(file)), models, smooth=smooth)
+    for path in out or ():
+        if path.suffix == ".csv":
+            result.to_dataframe().to_csv(path, index=False)
+        else:
+            result.plot(path=path)
     print_result(result, as_json, out or ())
 
 
@@ -302,10 +295,9 @@ def spec(result: Path, limits: Path, out: Path | None = None, as_json: bool = Fa
     prepare()
     from allanjax.comparison.specification import check_spec
 
-    with user_errors():
-        judged = check_spec(saved_fit(result), limits)
-        if out is not None:
-            out.write_text(judged.to_junit(), encoding="utf-8")
+    judged = check_spec(saved_fit(result), limits)
+    if out is not None:
+        out.write_text(judged.to_junit(), encoding="utf-8")
     print_result(judged, as_json, () if out is None else (out,))
     exit_by([judged.verdict])
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from allanjax.cli.common import Input, Sheet, prepare, print_result, print_written, stage, user_errors
+from allanjax.cli.common import Input, Sheet, prepare, print_result, print_written, stage
 from allanjax.cli.options import command, parsed_model
 from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
@@ -87,7 +87,7 @@ def simulate(
     from allanjax.record.recording import Recording
 
     recordings: tuple[Recording, ...]
-    with user_errors(), stage("simulating"):
+    with stage("simulating"):
         if model is not None or sheet is not None:
             models: Any = datasheet(str(sheet)) if model is None else {sensor: model}
             recordings = (simulate_recording(models, round(duration * rate), rate, seed, name=out.stem),)
@@ -114,18 +114,17 @@ def demo(out: Path = Path("allanjax-demo")) -> None:
         from allanjax.noise.simulate import simulate_recording
         from allanjax.presentation.files import write_results
         from allanjax.record.io import write
-    with user_errors():
-        out.mkdir(parents=True, exist_ok=True)
-        file = out / "demo.csv"
-        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
-            models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
-            gravity = {"accel_z": STANDARD_GRAVITY}
-            recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
-            write(recording, file)
-        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
-        with stage("writing results"):
-            paths = write_results(fit, spectrum, out, file.stem, check)
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "demo.csv"
+    with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+        models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
+        gravity = {"accel_z": STANDARD_GRAVITY}
+        recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
+        write(recording, file)
+    print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+    _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+    with stage("writing results"):
+        paths = write_results(fit, spectrum, out, file.stem, check)
     table, inside, count = _compare(fit, models)
     print(table)
     print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
@@ -200,15 +199,13 @@ def convert(
     if sheet is not None:
         from allanjax.noise.datasheet import datasheet
 
-        with user_errors():
-            values = datasheet(sheet)
+        values = datasheet(sheet)
         print_result(values, as_json)
         return
     if unit is None or to is None or as_json:
         raise typer.BadParameter("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
-    with user_errors():
-        for line in _converted(float(value or 0.0), unit, to, sided):
-            print(line)
+    for line in _converted(float(value or 0.0), unit, to, sided):
+        print(line)
 
 
 def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | None) -> list[str]:

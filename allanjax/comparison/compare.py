@@ -28,7 +28,7 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, format_range, plain, significant
 from allanjax.comparison.specification import least_deviation
@@ -41,7 +41,7 @@ from allanjax.navigation.likely import NoiseLike, Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
 from allanjax.noise.datasheet import LEAST, MINIMUM, DataSheet, datasheet, datasheets
 from allanjax.noise.estimate import Estimate, usual_unit
-from allanjax.noise.model import Model
+from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
 from allanjax.noise.terms import AngleRandomWalk, BiasInstability
@@ -127,24 +127,23 @@ def _of_preset(preset: SensorPreset, label: str) -> Compared:
     """A unit with the values and errors of its tables."""
     values = {}
     for axis in preset.axes:
-        own = Axis(axis.name, axis.name.partition("_")[0], SI[axis.name.partition("_")[0]]["rate"])  # type: ignore[arg-type, index]
-        parameters = {p.label: p for p in axis.model.parameters if p.parameter.is_amplitude}
-        pairs = zip(parameters.items(), axis.coefficients.values(), strict=True)
-        values[axis.name] = _with_least(
-            {label: _tabulated(own, label, p, known) for (label, p), known in pairs}
-        )
+        sensor: Any = axis.name.partition("_")[0]
+        own = Axis(axis.name, sensor, SI[sensor]["rate"])
+        amplitudes = [p for p in axis.model.parameters if p.parameter.is_amplitude]
+        pairs = zip(amplitudes, axis.coefficients.values(), strict=True)
+        values[axis.name] = _with_least({p.label: _tabulated(own, p, known) for p, known in pairs})
     models = {axis.name: axis.model for axis in preset.axes}
     rate = preset.axes[0].rate
     return Compared(label or preset.name, preset.description, values, models, models, rate)
 
 
-def _tabulated(axis: Axis, label: str, parameter: Any, known: Any) -> Estimate:
+def _tabulated(axis: Axis, p: ModelParameter, known: Any) -> Estimate:
     """A coefficient of a table with its error as the standard deviation."""
     value, std = known.si, known.error * unit_scale(known.unit)
-    ends = {share: (max(value - share * std, 0.0), value + share * std) for share in (1.96, 0.994)}
-    about: dict[str, Any] = {"axis": axis, "label": label, "parameter": parameter.parameter}
-    about |= {"term": parameter.term_label, "usual_unit": known.unit}
-    return Estimate(value=value, std=std, interval=ends[1.96], interval_68=ends[0.994], **about)
+    outer, inner = ((max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
+    numbers: dict[str, Any] = {"value": value, "std": std, "interval": outer, "interval_68": inner}
+    about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
+    return Estimate(axis=axis, label=p.label, **numbers, **about)
 
 
 def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
@@ -517,11 +516,7 @@ def _shown(name: str, value: float, low: float, high: float) -> str:
     return f"{significant(value / size)}{ends} {unit}"
 
 
-def compare(
-    *data: Comparable,
-    labels: Sequence[str] | None = None,
-    reference: int | str = 0,
-) -> Comparison:
+def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: int | str = 0) -> Comparison:
     """Compare sensors of any grade: recordings, fits, data sheets, presets and published curves.
 
     Coefficients that each sensor has are compared with those of the reference, with intervals, ratios and a

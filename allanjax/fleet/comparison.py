@@ -356,11 +356,7 @@ def _split(x: Numbers, s: Numbers, prior: Widths) -> tuple[float, Int[np.ndarray
 
 
 def _weighed(
-    x: Numbers,
-    s: Numbers,
-    parts: Sequence[Int[np.ndarray, " _"]],
-    smallest: int,
-    prior: Widths,
+    x: Numbers, s: Numbers, parts: Sequence[Int[np.ndarray, " _"]], smallest: int, prior: Widths
 ) -> tuple[float, float, Int[np.ndarray, " units"]]:
     """Log evidence of one group and of several, the parts being groups or odd units, and the labels."""
     sizes = np.array([len(part) for part in parts])

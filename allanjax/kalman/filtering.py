@@ -150,9 +150,7 @@ class BiasTracks(ByValue, PerAxis[_T]):
 
     @presented
     def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
+        self, axes: Sequence[str] | str | None = None, path: str | os.PathLike[str] | None = None
     ) -> Figure:
         """Draw the bias with its 95 % band over the samples, and innovations or models below.
 
