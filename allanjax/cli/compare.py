@@ -1,7 +1,7 @@
 """The commands `allanjax compare` and `repeat`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
@@ -16,7 +16,6 @@ from allanjax.cli.common import (
     stage,
 )
 from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -98,10 +97,18 @@ def _opened(name: str, options: FitOptions) -> "str | Fit":
     path = Path(name)
     if path.suffix in (".json", ".toml", "") or not path.exists():
         return name
-    found = read_and_fit(Input(path, name, name_of(path)), options)[-1]
+    found = _fitted(Input(path, name, name_of(path)), options)
     if not any(result.converged for result in found.results):
         raise AllanjaxError(f"{name}: no axis has a result; allanjax characterize prints the reasons")
     return found
+
+
+def _fitted(file: Input, options: FitOptions) -> "Fit":
+    """The fit of a recording with these options."""
+    with stage(f"{file.label}: reading"):
+        recording = file.read(options.reading)
+    with fitting(file, recording):
+        return options.fit(recording)
 
 
 @command(
@@ -132,15 +139,9 @@ def repeat(
     with inputs(files, directory) as given:
         if len(given) < 2:
             raise AllanjaxError("repeat compares at least two recordings: give more files")
-        fits = list[Any]()
-        for file in given:
-            if file.path.suffix == ".json":
-                fits.append(saved_fit(file.path))
-                continue
-            with stage(f"{file.label}: reading"):
-                recording = file.read(options.reading)
-            with fitting(file, recording):
-                fits.append(options.fit(recording))
+        fits = [
+            saved_fit(file.path) if file.path.suffix == ".json" else _fitted(file, options) for file in given
+        ]
         with stage("joint fit"):
             result = joint_fit(fits, options.model, names=[file.name for file in given])
         written = [] if directory is None else [directory / f"repeat.{figure_format}"]

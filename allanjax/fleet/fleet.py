@@ -43,9 +43,9 @@ from allanjax.fleet.table import (
     rows_of,
     structures,
     table_of,
+    table_schema,
     tables,
     why_not_measured,
-    write_table,
 )
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -324,6 +324,8 @@ def _reason(path: Path, error: Exception) -> str:
 
 def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figure_format: str) -> FleetResult:
     """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
+    import pyarrow.parquet
+
     # In the order of the recordings, whatever the order they ended in.
     rows = [row for name in done.recordings for row in done.rows.get(name, ())]
     table, more = judged(table_of(rows), done.structures)
@@ -333,7 +335,8 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         for message in done.errors.get(name, ())
     )
     result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
-    write_table(table, out / "fleet.parquet")
+    columns = pyarrow.Table.from_pandas(table, table_schema(), preserve_index=False)
+    pyarrow.parquet.write_table(columns, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()

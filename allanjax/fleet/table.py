@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -152,14 +151,6 @@ def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
         found = outlying(family.axes, FALSE_ALARMS / len(judged), family.coefficient)
         marked[family.rows[found]] = True
     return table.assign(outlying=marked[:-1])
-
-
-def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
-    """Write the table to a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.Table.from_pandas(table, table_schema(), preserve_index=False), path)
 
 
 class Remark(NamedTuple):
