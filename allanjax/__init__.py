@@ -10,11 +10,10 @@ fit.plot()
 
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 from allanjax import presentation  # noqa: F401 - gives results their methods, wherever these are imported from
-from allanjax.base.late import LateNames
+from allanjax.base.late import late_names
 
 # Allan variances of a long record span ten decades: single precision cannot hold them. Importing JAX takes
 # half a second, so if it is not there yet, it is only set to start in double precision.
@@ -25,7 +24,7 @@ if "jax" in sys.modules:
     jax.config.update("jax_enable_x64", True)
 
 # Public names and the modules that define them are listed in `__init__.pyi`.
-_PUBLIC = LateNames(__name__, Path(__file__).with_suffix(".pyi"))
+_load, __dir__ = late_names(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
@@ -34,9 +33,5 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version(__name__)
-    public = globals()[name] = _PUBLIC.load(name)
+    public = globals()[name] = _load(name)
     return public
-
-
-def __dir__() -> list[str]:
-    return _PUBLIC.all()

@@ -12,8 +12,8 @@ from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError
 from allanjax.base.errors import RecordingError as RecordingError
 from allanjax.base.errors import UnitError as UnitError
-from allanjax.calibration.loading import load_calibration as load_calibration
 from allanjax.calibration.result import Calibration as Calibration
+from allanjax.calibration.result import load_calibration as load_calibration
 from allanjax.calibration.static_positions import calibrate as calibrate
 from allanjax.comparison.compare import Comparison as Comparison
 from allanjax.comparison.compare import compare as compare
@@ -58,9 +58,9 @@ from allanjax.kalman.filtering import kalman_filter as kalman_filter
 from allanjax.navigation.alignment import Alignment as Alignment
 from allanjax.navigation.alignment import AxisAlignment as AxisAlignment
 from allanjax.navigation.alignment import align as align
-from allanjax.navigation.motion import Profile as Profile
 from allanjax.navigation.navigator import ErrorGrowth as ErrorGrowth
 from allanjax.navigation.navigator import Navigation as Navigation
+from allanjax.navigation.navigator import Profile as Profile
 from allanjax.navigation.navigator import navigate as navigate
 from allanjax.navigation.rates import AxisRates as AxisRates
 from allanjax.navigation.rates import SampleRates as SampleRates

@@ -7,7 +7,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from allanjax.base.errors import AllanjaxWarning
@@ -62,17 +62,13 @@ def _usual() -> Path | None:
 
     A missing or read-only home directory is usual in containers and is not an error.
     """
-    try:
-        path = _user_cache() / "allanjax" / "jax"
-        if not _problem(path):
-            return path
-    except RuntimeError:
-        # There is no home directory.
-        pass
-    try:
-        return _temporary()
-    except OSError:
-        return None
+    for place in (_user_cache, _temporary):
+        # There may be no home directory.
+        with suppress(OSError, RuntimeError):
+            path = place()
+            if path is not None and not _problem(path):
+                return path
+    return None
 
 
 def _temporary() -> Path | None:
@@ -85,16 +81,18 @@ def _temporary() -> Path | None:
     path.mkdir(mode=0o700, exist_ok=True)
     status = path.lstat()
     own = not posix or (status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
-    return path if stat.S_ISDIR(status.st_mode) and own and not _problem(path) else None
+    return path if stat.S_ISDIR(status.st_mode) and own else None
 
 
 def _user_cache() -> Path:
-    """The user's cache directory, by the convention of the operating system."""
+    """Directory in the user's cache directory, by the convention of the operating system."""
     if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        users = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        users = Path.home() / "Library" / "Caches"
+    else:
+        users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return users / "allanjax" / "jax"
 
 
 _compiled: set[Hashable] = set()
@@ -119,19 +117,14 @@ def release_programs(share: float) -> None:
     process that fits recordings of many lengths would fail after some dozens of them. Programs that are
     needed again are loaded from the cache or compiled.
     """
-    used, limit = _mapped()
+    try:
+        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
+        with open("/proc/self/maps", "rb") as file:
+            used = sum(1 for _ in file)
+    except OSError:
+        # Only Linux has this limit.
+        return
     if used > share * limit:
         import jax
 
         jax.clear_caches()
-
-
-def _mapped() -> tuple[int, float]:
-    """Number of memory mappings of this process, and the largest number allowed."""
-    try:
-        limit = int(Path("/proc/sys/vm/max_map_count").read_text())
-        with open("/proc/self/maps", "rb") as file:
-            return sum(1 for _ in file), limit
-    except OSError:
-        # Only Linux has this limit.
-        return 0, float("inf")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.arrays import namespace, special_functions
+from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 
 if TYPE_CHECKING:
@@ -53,41 +53,33 @@ def cube_root_score(ratio: Float[ArrayLike, ...], variance: Float[ArrayLike, ...
     """Normal score of the ratio of a χ² (or gamma) variate to its mean, given the variance of the ratio.
 
     Uses the approximate moments of the cube root, mean 1 − variance/9 and variance/9; for few degrees of
-    freedom see `exact_cube_root_score`.
+    freedom see `normal_score`.
     """
     xp = namespace(ratio, variance)
     g = xp.asarray(variance) / 9.0
     return (xp.cbrt(ratio) - 1.0 + g) / xp.sqrt(g)
 
 
-def exact_cube_root_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[Array, ...]:
-    """Normal score of the ratio of a χ² variate to its mean, with the exact moments of the cube root.
+def normal_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+    """Normal score of the ratio of a χ² variate to its mean; in the far tails that of the cube root.
 
-    They are E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2). The usual approximation is 15 % off at one degree of
-    freedom and accurate enough beyond a thousand.
+    The cube root has its exact moments there, E (χ²)^p = 2^p Γ(dof/2 + p)/Γ(dof/2). The usual approximation
+    is 15 % off at one degree of freedom and accurate enough beyond a thousand.
     """
-    xp = namespace(ratio, dof)
-    gammaln = special_functions(xp).gammaln
-    nu = xp.maximum(xp.asarray(dof), 1e-3)
-    few = xp.minimum(nu, 1e3) / 2.0
+    from scipy.special import gammainc, gammaincc, gammaln, ndtri
+
+    nu = np.maximum(np.asarray(dof, float), 1e-3)
+    x = nu / 2.0 * np.asarray(ratio)
+    below, above = gammainc(nu / 2.0, x), gammaincc(nu / 2.0, x)
+    few = np.minimum(nu, 1e3) / 2.0
     first, second = (
-        xp.exp(gammaln(few + p) - gammaln(few) - p * xp.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
+        np.exp(gammaln(few + p) - gammaln(few) - p * np.log(few)) for p in (1.0 / 3.0, 2.0 / 3.0)
     )
     g = 2.0 / (9.0 * nu)
-    mean = xp.where(nu < 1e3, first, 1.0 - g)
-    return (xp.cbrt(xp.asarray(ratio)) - mean) / xp.sqrt(xp.where(nu < 1e3, second - first**2, g))
-
-
-def normal_score(ratio: Float[ArrayLike, ...], dof: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-    """Normal score of the ratio of a χ² variate to its mean; exact except in the far tails (cube root)."""
-    from scipy.special import gammainc, gammaincc, ndtri
-
-    shape = np.maximum(np.asarray(dof, float), 1e-3) / 2.0
-    x = shape * np.asarray(ratio)
-    below, above = gammainc(shape, x), gammaincc(shape, x)
+    mean, variance = np.where(nu < 1e3, [first, second - first**2], [1.0 - g, g])
+    far = (np.cbrt(np.asarray(ratio)) - mean) / np.sqrt(variance)
     central = np.minimum(below, above) > _SMALLEST_TAIL
-    score = np.where(below < above, ndtri(below), -ndtri(above))
-    return np.where(central, score, np.asarray(exact_cube_root_score(ratio, dof)))
+    return np.where(central, np.where(below < above, ndtri(below), -ndtri(above)), far)
 
 
 def beyond_doubt(dof: Float[ArrayLike, ""]) -> Float[Array, ""]:

@@ -7,59 +7,50 @@ nothing that is not used.
 
 import ast
 import functools
-import importlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 
-class LateNames:
-    """Public names of a package with the modules that define them.
+def late_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package, which load a public name at its first use.
 
     Args:
         package: name of the package, e.g. "allanjax".
-        stub: its stub, with a line `from package.module import name as public` for each name; and lines
-            `from package.module import *` for modules whose `__all__` lists public names.
+        file: its `__init__.py`. The stub beside it has a line `from package.module import name as public`
+            for each name; and lines `from package.module import *` for modules whose `__all__` lists public
+            names.
     """
+    lines = ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    imports = [line for line in lines if isinstance(line, ast.ImportFrom) and line.module]
+    taken = [
+        (alias.name, alias.asname or alias.name, str(line.module)) for line in imports for alias in line.names
+    ]
+    sources = {public: (module, name) for name, public, module in taken if name != "*"}
 
-    def __init__(self, package: str, stub: Path) -> None:
-        lines = ast.parse(stub.read_text(encoding="utf-8")).body
-        imports = [line for line in lines if isinstance(line, ast.ImportFrom) and line.module]
-        taken = [(alias, str(line.module)) for line in imports for alias in line.names]
-        self._package = package
-        self._starred = [module for alias, module in taken if alias.name == "*"]
-        self._sources = {
-            alias.asname or alias.name: (module, alias.name) for alias, module in taken if alias.name != "*"
-        }
+    def starred() -> dict[str, str]:
+        """Modules by the names in their `__all__`."""
+        modules = [module for name, _, module in taken if name == "*"]
+        return {name: module for module in modules for name in import_module(module).__all__}
 
-    def load(self, name: str) -> Any:
-        """Object with this name, e.g. "fit"; "__all__" is the list of all names.
-
-        Raises:
-            AttributeError: there is no such name.
-        """
+    def load(name: str) -> Any:
+        """Object with this name, e.g. "fit"; "__all__" is the list of all names."""
         if name == "__all__":
-            return self.all()
-        if name in self._sources:
-            module, own = self._sources[name]
+            return names()
+        if name in sources:
+            module, own = sources[name]
             defined = vars(import_module(module))
             return defined[own] if own in defined else import_module(f"{module}.{own}")
-        if not name.startswith("_"):
-            for module, names in self._lists():
-                if name in names:
-                    return getattr(import_module(module), name)
-        raise AttributeError(f"module {self._package!r} has no attribute {name!r}")
+        if not name.startswith("_") and (module := starred().get(name, "")):
+            return getattr(import_module(module), name)
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    def all(self) -> list[str]:
+    def names() -> list[str]:
         """All names: constants, then classes, then lower-case names, each in alphabetical order."""
-        names = {*self._sources, *(name for _, names in self._lists() for name in names)}
-        return sorted(names, key=lambda name: (not name.isupper(), name[0].islower(), name))
+        return sorted({*sources, *starred()}, key=lambda name: (not name.isupper(), name[0].islower(), name))
 
-    def _lists(self) -> Iterator[tuple[str, list[str]]]:
-        """Modules of which all public names are imported, with these names."""
-        for module in self._starred:
-            yield module, import_module(module).__all__
+    return load, names
 
 
 # Methods of results that draw, print or export: declared with the result, implemented in `report`.
@@ -80,7 +71,11 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 
     @functools.wraps(method)
     def call(*args: _P.args, **kwargs: _P.kwargs) -> _T:
-        return _function(method, args[:1])(*args, **kwargs)
+        # If classes share the method, it is that of the result's class.
+        own = (f"{owner.__name__}.{method.__name__}" for of in args[:1] for owner in type(of).__mro__)
+        name = next(name for name in (method.__qualname__, *own) if name in _FUNCTIONS)
+        module, _, function = _FUNCTIONS[name].rpartition(".")
+        return getattr(import_module(module), function)(*args, **kwargs)
 
     return call
 
@@ -88,11 +83,3 @@ def presented(method: Callable[_P, _T]) -> Callable[_P, _T]:
 def present(functions: Mapping[str, str]) -> None:
     """Register functions as methods of results, e.g. {"Fit.plot": "package.module.function"}."""
     _FUNCTIONS.update(functions)
-
-
-def _function(method: Callable[..., Any], of: tuple[Any, ...]) -> Callable[..., Any]:
-    """Function registered for a method, or, if classes share the method, for the class of the result."""
-    own = (f"{owner.__name__}.{method.__name__}" for result in of for owner in type(result).__mro__)
-    name = next(name for name in (method.__qualname__, *own) if name in _FUNCTIONS)
-    module, _, function = _FUNCTIONS[name].rpartition(".")
-    return getattr(importlib.import_module(module), function)

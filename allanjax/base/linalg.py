@@ -45,17 +45,6 @@ def whiten(
     return CholeskyWhitened(done[:, m:], log_det)
 
 
-def inverse(C: Float[Array, "m m"]) -> Float[Array, "m m"]:
-    """Inverse of a positive definite matrix."""
-    half = whiten(C, jnp.eye(C.shape[0])).values
-    return half.T @ half
-
-
-def solve(C: Float[Array, "m m"], b: Float[Array, " m"]) -> Float[Array, " m"]:
-    """Solution C⁻¹b of a positive definite system."""
-    return inverse(C) @ b
-
-
 def non_negative_least_squares(
     A: Float[Array, "m terms"], b: Float[Array, " m"], allowed: Bool[Array, " terms"]
 ) -> Float[Array, " terms"]:
@@ -79,7 +68,8 @@ def non_negative_least_squares(
     ) -> Float[Array, " terms"]:
         both = positive[:, None] & positive
         system = jnp.where(both, normal, 0.0) + jnp.diag(jnp.where(positive, 1e-12, 1.0))
-        return solve(system, jnp.where(positive, target, 0.0))
+        half = whiten(system, jnp.eye(len(system))).values
+        return half.T @ (half @ jnp.where(positive, target, 0.0))
 
     def offenders(positive: Bool[Array, " terms"]) -> Bool[Array, " terms"]:
         x = solution(positive, still_normal, still_target)

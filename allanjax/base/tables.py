@@ -248,13 +248,13 @@ def as_html(title: str, tables: Sequence[Sequence[Column]], lines: Iterable[str]
     for columns in tables:
         shown = [c for c in columns if any(c.cells)]
         heads = "".join(f"<th>{html.escape(c.head)}</th>" for c in shown)
-        rows = ("".join(map(_html_cell, row)) for row in zip(*(c.cells for c in shown), strict=True))
-        parts.append(f"<table><tr>{heads}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>")
+        cells = [
+            [f"<td style='text-align:left'>{html.escape(text.strip())}</td>" for text in c.cells]
+            for c in shown
+        ]
+        rows = "".join(f"<tr>{''.join(row)}</tr>" for row in zip(*cells, strict=True))
+        parts.append(f"<table><tr>{heads}</tr>{rows}</table>")
     return "".join([*parts, *(f"<p>{html.escape(line)}</p>" for line in lines)])
-
-
-def _html_cell(text: str) -> str:
-    return f"<td style='text-align:left'>{html.escape(text.strip())}</td>"
 
 
 class Tabled:

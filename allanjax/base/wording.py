@@ -73,9 +73,9 @@ def record_size(n: int, rate: float) -> str:
     return f"{n:,} samples at {rate:g} Hz ({duration(n / rate)})"
 
 
-def format_p_value(p: float, digits: int = 2) -> str:
+def format_p_value(p: float) -> str:
     """p-value in words, e.g. "p = 0.66"."""
-    return f"p = {plain(p, digits)}" if p > 1e-300 else "p < 10⁻³⁰⁰"
+    return f"p = {plain(p, 2)}" if p > 1e-300 else "p < 10⁻³⁰⁰"
 
 
 def chi_squared(chi2: float, dof: int, p_value: float) -> str:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -17,12 +18,11 @@ from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.base.late import presented
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import chi_squared, plain, significant
-from allanjax.calibration.least_squares import Triad
-from allanjax.estimate.as_json import in_json
+from allanjax.estimate.as_json import document_in, in_json, read
 from allanjax.estimate.result import AxisEstimates
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import Sensor
+from allanjax.record.units import Sensor, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -97,11 +97,7 @@ def as_orientation(given: OrientationLike) -> Orientation:
 
 
 def orientation_in(text: str) -> Orientation | None:
-    """Orientation in a text such as "x up, y north" or "imu_x_up"; None if there is none.
-
-    Raises:
-        AllanjaxError: an axis points in two directions.
-    """
+    """Orientation in a text such as "x up, y north" or "imu_x_up"; None if there is none."""
     words = text.lower()
     vertical, heading = _UP.search(words), _NORTH.search(words)
     if vertical is None:
@@ -139,6 +135,9 @@ def _written(vector: Float[np.ndarray, 3]) -> str:
 
 
 SCHEMA_VERSION = 1
+# What a file of a calibration is, and the numbers of a parameter in it.
+_WANTED = "a calibration.json of allanjax calibrate"
+_NUMBERS = ("value", "std", "lower_95", "upper_95", "lower_68", "upper_68")
 # Keys of a parameter in JSON.
 _ROW = (
     *("axis", "parameter", "value", "std", "lower_68", "upper_68", "lower_95", "upper_95", "unit"),
@@ -273,6 +272,24 @@ class Misfit(ByValue):
         )
 
 
+class Triad(NamedTuple):
+    """Errors of three axes: I = M·f + b + q·f² + e, by axis (2.22, 2.23)."""
+
+    M: Float[np.ndarray, "3 3"]
+    b: Float[np.ndarray, 3]
+    q: Float[np.ndarray, 3]
+
+    def inputs(self, readings: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """The inputs f that give these readings."""
+        inverse = np.linalg.inv(self.M).T
+        f = (readings - self.b) @ inverse
+        if self.q.any():
+            # Each round gains as many digits as the second-order part is small.
+            for _ in range(8):
+                f = (readings - self.b - self.q * f**2) @ inverse
+        return f
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration(ByValue, PerAxis[AxisCalibration]):
     """Calibration of gyros and accelerometers from positions at rest.
@@ -401,3 +418,63 @@ class Calibration(ByValue, PerAxis[AxisCalibration]):
 def place_of(axis: Axis) -> int:
     """Place of an axis among x, y, z; that of z for a single axis without a letter."""
     return max("xyz".find(axis.name[-1]), -1) % 3
+
+
+def estimate(
+    axis: Axis, label: str, value: float, std: float, remark: str, ends: Sequence[tuple[float, float]]
+) -> Estimate:
+    """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
+    return Estimate(
+        axis=axis,
+        label=label,
+        value=value,
+        std=std,
+        interval=ends[0],
+        interval_68=ends[1],
+        usual_unit=UNITS[axis.sensor][label],
+        source="calibration",
+        # Zero by convention, or by the definition of the axes.
+        held=std == 0.0,
+        remark=remark if math.isnan(value) else "",
+    )
+
+
+def load_calibration(path: str | os.PathLike[str]) -> Calibration:
+    """Load a calibration from the JSON file that `allanjax calibrate` writes, or prints with `--json`.
+
+    Raises:
+        AllanjaxError: the file does not exist, holds no calibration, or is damaged or older than these files.
+    """
+    document = document_in(path, _WANTED)
+    try:
+        return read(
+            Calibration,
+            document,
+            results=tuple(_axis(axis, document["parameters"]) for axis in document["axes"]),
+            positions=tuple(map(_position, document["positions"])),
+            misfit={sensor: read(Misfit, of) for sensor, of in document["sensors"].items()},
+            gravity=document["gravity_m_s2"],
+            gravity_std=document["gravity_std_m_s2"],
+            latitude=document["latitude_deg"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise AllanjaxError(
+            f"{path}: not a calibration, damaged, or of an earlier allanjax ({error!r}); give {_WANTED}"
+        ) from error
+
+
+def _axis(of: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> AxisCalibration:
+    axis, found, widening = read(Axis, of), {}, {}
+    for row in (row for row in rows if row["axis"] == axis.name):
+        label, numbers = row["parameter"], np.array([row[key] for key in _NUMBERS], float)
+        value, std, *ends = (unit_scale(row["unit"]) * numbers).tolist()
+        intervals = (ends[0], ends[1]), (ends[2], ends[3])
+        found[label] = estimate(axis, label, value, std, row["remark"], intervals)
+        widening[label] = float(np.array(row["over_white_noise"], float))
+    return AxisCalibration(axis, found, widening, np.array(of["covariance_si"], float))
+
+
+def _position(of: Mapping[str, Any]) -> Position:
+    up, north = (None if of[key] is None else np.array(of[key], float) for key in ("up", "north"))
+    orientation = None if up is None else Orientation(of["orientation"], up, north)
+    return Position(of["name"], orientation, of["start_s"], of["duration_s"], of["gravity_m_s2"])

@@ -7,39 +7,38 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from allanjax.base.chi_squared import upper_tail
 from allanjax.base.earth import EARTH_RATE
-from allanjax.base.errors import AllanjaxError, RecordingError
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
 from allanjax.base.normal import TWO_SIDED_68, TWO_SIDED_95
-from allanjax.calibration.least_squares import (
-    KNOWN,
-    Solution,
-    by_norm,
-    determined_directions,
-    is_determined,
-    least_squares,
-)
 from allanjax.calibration.result import (
-    UNITS,
     AxisCalibration,
     Misfit,
     Orientation,
     Position,
+    Triad,
+    estimate,
     place_of,
     six_positions,
 )
 from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import Fit
-from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.process import Process
 from allanjax.noise.terms import AngleRandomWalk
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.recording import Axis
 from allanjax.record.units import Sensor
+
+# Least singular value, relative to the largest, of a direction that the positions determine: for known
+# orientations, beyond rounding; for estimated ones, beyond what errors of scale and alignment may simulate.
+KNOWN, FREE = 1e-6, 2e-2
+# Part of a parameter in undetermined directions above which it counts as undetermined itself.
+_PART = 1e-6
+_ITERATIONS = 50
 
 # Covariance of the means of segments of a record, from the phase covariance G(t) of its noise.
 #
@@ -63,11 +62,7 @@ Part: TypeAlias = tuple[float, Process]
 
 
 def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
-    """The terms of a model at a sample rate [Hz].
-
-    Raises:
-        AllanjaxError: a parameter without a value; a step or a warm-up, which are not noise.
-    """
+    """The terms of a model at a sample rate [Hz]."""
     model.check_complete()
     for term in model.terms:
         if isinstance(term, Transient):
@@ -75,14 +70,9 @@ def parts_of_model(model: Model, rate: float) -> tuple[Part, ...]:
     return tuple((1.0, process) for process in model.sampled(rate).processes)
 
 
-def parts_of_fit(fit: Fit, axis: str, seed: int = 0) -> tuple[Part, ...]:
-    """The terms of an axis's fit, with their powers averaged over intervals and likely sets of terms.
-
-    Raises:
-        AllanjaxError: the axis is not in the fit; a step or a warm-up.
-        FitError: the axis has no result.
-    """
-    likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(seed)))
+def parts_of_fit(fit: Fit, axis: str) -> tuple[Part, ...]:
+    """The terms of an axis's fit, with their powers averaged over intervals and likely sets of terms."""
+    likely = side_by_side(likely_models(fit, axis, _DRAWS, np.random.default_rng(0)))
     parts = [part for term in likely.terms for part in parts_of_model(term, fit.curve.rate)]
     known = np.flatnonzero(likely.detected).tolist()
     return tuple((float(likely.power[:, k].mean()), parts[k][1]) for k in known)
@@ -105,7 +95,8 @@ def covariance_of_means(
         lags = np.abs(edges[:, None, :, None] - edges[None, :, None, :])
         far = _FAR * (end - begin)
         G = np.asarray(process.phase_covariance(np.append(lags.ravel(), far)))  # type: ignore[arg-type]
-        stationary = _is_stationary(process, end - begin)
+        low, high = np.asarray(process.psd(np.array([0.25e-5, 1e-5]) / (end - begin)))
+        stationary = not low > _GROWTH * high
         curvature = G[-1] / far**2 if stationary else 0.0
         at = G[:-1].reshape(lags.shape) - curvature * lags**2
         C = (at[0, 0] + at[1, 1] - at[0, 1] - at[1, 0]) / np.outer(size, size)
@@ -122,13 +113,6 @@ def white_covariance(parts: Sequence[Part], length: Float[np.ndarray, " k"]) -> 
     return covariance_of_means(white, np.zeros(len(length)), length) * np.eye(len(length))
 
 
-def _is_stationary(process: Process, duration: float) -> bool:
-    """Whether the process has a mean: its PSD does not grow towards frequency zero."""
-    f = 1e-5 / duration
-    low, high = np.asarray(process.psd(np.array([f / 4.0, f])))
-    return not low > _GROWTH * high
-
-
 _QUANTILES = (TWO_SIDED_95, TWO_SIDED_68)
 # Below this p-value the positions that fit worst are named.
 _DOUBT = 1e-3
@@ -136,6 +120,145 @@ _DOUBT = 1e-3
 _TIE = 0.02
 # An axis is vertical if the cosine of its tilt is one to within this.
 _VERTICAL = 1e-6
+
+
+class Solution(NamedTuple):
+    """Parameters with their covariance.
+
+    Attributes:
+        values: the parameters; meaningless where not determined.
+        covariance: covariance of the parameters.
+        determined: which of them the observations determine.
+        residuals: observations less fitted values.
+        residual_covariance: covariance of the residuals.
+        weight: Q with residuals'·Q·residuals = χ².
+        dof: observations less determined directions.
+    """
+
+    values: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    determined: Bool[np.ndarray, " p"]
+    residuals: Float[np.ndarray, " m"]
+    residual_covariance: Float[np.ndarray, "m m"]
+    weight: Float[np.ndarray, "m m"]
+    dof: int
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the weighted squares of the residuals."""
+        return float(self.residuals @ self.weight @ self.residuals)
+
+    def gain_without(self, rows: Bool[np.ndarray, " m"]) -> float:
+        """How much χ² falls if these observations are left out."""
+        pull, Q = (self.weight @ self.residuals)[rows], self.weight[np.ix_(rows, rows)]
+        return float(pull @ np.linalg.pinv(Q, 1e-9, hermitian=True) @ pull)
+
+
+def determined_directions(X: Float[np.ndarray, "m p"], tolerance: float) -> Float[np.ndarray, "r p"]:
+    """Orthonormal directions of the parameters that the rows of X, in equal units, determine."""
+    _, size, directions = np.linalg.svd(X, full_matrices=False)
+    return directions[size > tolerance * size.max(initial=1e-300)]
+
+
+def is_determined(directions: Float[np.ndarray, "r p"]) -> Bool[np.ndarray, " p"]:
+    """Which parameters lie entirely in these directions."""
+    return 1.0 - (directions**2).sum(axis=0) < _PART
+
+
+def least_squares(
+    X: Float[np.ndarray, "m p"],
+    y: Float[np.ndarray, " m"],
+    C: Float[np.ndarray, "m m"],
+    unit: Float[np.ndarray, " p"],
+    bias: Bool[np.ndarray, " p"],
+    tolerance: float = KNOWN,
+) -> Solution:
+    """Parameters β of y = Xβ + e with the least variance, for noise e of covariance C.
+
+    Args:
+        X: the design.
+        y: observations.
+        C: their covariance; may be singular along the columns of biases.
+        unit: size of each column of X, by which it is divided.
+        bias: which parameters are biases: adding their columns to C does not change the estimate.
+        tolerance: see `determined_directions`.
+    """
+    V = determined_directions(X / unit, tolerance)
+    Z = X / unit @ V.T
+    level = X[:, bias]
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(C + C.diagonal().max() * level @ level.T))
+    except np.linalg.LinAlgError as error:
+        raise FitError(
+            "some combination of the means has no noise under the noise model: add white noise (N) to it"
+        ) from error
+    P = inverse.T @ inverse
+    estimator = np.linalg.solve(Z.T @ P @ Z, Z.T @ P)
+    W = V.T @ estimator / unit[:, None]
+    left = np.eye(len(y)) - Z @ estimator
+    return Solution(
+        values=W @ y,
+        covariance=W @ C @ W.T,
+        determined=is_determined(V),
+        residuals=left @ y,
+        residual_covariance=left @ C @ left.T,
+        weight=left.T @ P @ left,
+        dof=len(y) - len(V),
+    )
+
+
+def by_norm(
+    readings: Float[np.ndarray, "k 3"],
+    noise: Float[np.ndarray, "3 k k"],
+    g: Float[np.ndarray, " k"],
+    unit: Float[np.ndarray, "3 p"],
+) -> Solution:
+    """Errors of three axes from positions of unknown orientation: the norm of the inputs is g.
+
+    The axes of reference are those of the sensor: the first is the sensor's x, and the sensor's y is in the
+    plane of the first two. So the misalignments of x towards y and z and of y towards z are zero.
+
+    Args:
+        readings: means of the three axes in each position [m/s²].
+        noise: covariance of the means of each axis.
+        g: gravity in each position [m/s²].
+        unit: see `least_squares`; the parameters of each axis: bias, row of M − 1, and, perhaps, q.
+    """
+    p = unit.shape[1]
+    free = np.array([[True, *(j <= i for j in range(3)), *(True for _ in range(p - 4))] for i in range(3)])
+    bias = np.zeros((3, p), bool)
+    bias[:, 0] = True
+    values = np.zeros((3, p))
+    for _ in range(_ITERATIONS):
+        M, b, q = np.eye(3) + values[:, 1:4], values[:, 0], values[:, 4] if p > 4 else np.zeros(3)
+        f = Triad(M, b, q).inputs(readings)
+        size = np.linalg.norm(f, axis=1)
+        # How the norm of the inputs depends on each reading.
+        slopes = [M + np.diag(2.0 * q * x) for x in f]
+        n = np.stack([np.linalg.solve(D.T, x / s) for D, x, s in zip(slopes, f, size, strict=True)])
+        columns = np.concatenate([np.ones((len(f), 1)), f], axis=1)
+        rows = n[:, :, None] * np.repeat(columns[:, None, :], 3, axis=1)
+        if p > 4:
+            rows = np.concatenate([rows, (n * f**2)[:, :, None]], axis=2)
+        C = np.einsum("ki,li,ikl->kl", n, n, noise)
+        solution = least_squares(rows[:, free], size - g, C, unit[free], bias[free], FREE)
+        values[free] += solution.values
+        if np.all(np.abs(solution.values * unit[free]) < 1e-9 * g.mean()):
+            break
+        if not np.all(np.abs(values * unit) < g.mean()):
+            values[:] = np.nan
+            break
+    else:
+        values[:] = np.nan
+    if not np.isfinite(values).all():
+        raise FitError(
+            "the orientations could not be estimated: check the unit and that each position is different and "
+            "at rest, or give the orientations"
+        )
+    covariance, determined = np.zeros((3 * p, 3 * p)), np.ones(3 * p, bool)
+    covariance[np.ix_(free.ravel(), free.ravel())] = solution.covariance
+    determined[free.ravel()] = solution.determined
+    return solution._replace(values=values.ravel(), covariance=covariance, determined=determined)
 
 
 class World(NamedTuple):
@@ -147,10 +270,6 @@ class World(NamedTuple):
     gravity: float
     gravity_std: float
     latitude: float | None
-
-    def size(self, sensor: Sensor) -> float:
-        """Size of the input [rad/s or m/s²]."""
-        return self.gravity if sensor == "accel" else EARTH_RATE
 
     def input(self, sensor: Sensor, orientation: Orientation) -> Float[np.ndarray, 3]:
         """Input along the sensor's axes; nan if it depends on an unknown heading.
@@ -198,7 +317,7 @@ class Setting(NamedTuple):
     @property
     def units(self) -> Float[np.ndarray, " p"]:
         """Sizes of the columns of a design."""
-        size = self.world.size(self.sensor)
+        size = self.world.gravity if self.sensor == "accel" else EARTH_RATE
         return np.array([1.0, size, size, size, size**2][: 5 if self.second_order else 4])
 
     @property
@@ -240,11 +359,6 @@ def errors_of(
     """Errors of a sensor's axes from their means [rad/s or m/s²] in each position, and how well they fit.
 
     `noise` are the terms of the noise of each axis.
-
-    Raises:
-        RecordingError: the positions determine bias and scale factor of no axis; an accelerometer points
-            down in a position that is given as up.
-        FitError: a model without noise; orientations that could not be estimated.
     """
     axes, p = setting.axes, len(setting.units)
     start, length = np.array([(x.start, x.duration) for x in setting.positions]).T
@@ -280,7 +394,13 @@ def errors_of(
         for label, x, error in zip(places, value.tolist(), std.tolist(), strict=True):
             ends = [(x - z * error, x + z * error) for z in quantiles]
             estimates[label] = estimate(axis, label, x, error, remark, ends)
-        _check_direction(estimates["scale_factor"])
+        scale = estimates["scale_factor"]
+        # Two places of nearly the same gravity may leave the scale factor nearly undetermined.
+        if setting.sensor == "accel" and scale.value + 4.0 * scale.std < -0.5:
+            raise RecordingError(
+                f"{axis.name} reads {1.0 + scale.value:.3g} times the expected value (an axis that points up "
+                "reads +g): exchange up and down if the sensor outputs gravity, or correct its unit"
+            )
         factors = dict(zip(places, widening.tolist(), strict=True))
         results.append(AxisCalibration(axis, estimates, factors, C))
     return tuple(results), _misfit(solution, setting, wider)
@@ -332,40 +452,6 @@ def _by_scatter(solution: Solution) -> tuple[float, tuple[float, float]]:
         return 1.0, _QUANTILES
     outer, inner = stdtrit(solution.dof, [0.975, 0.84])
     return math.sqrt(solution.chi2 / solution.dof), (float(outer), float(inner))
-
-
-def estimate(
-    axis: Axis,
-    label: str,
-    value: float,
-    std: float,
-    remark: str,
-    ends: Sequence[tuple[float, float]],
-) -> Estimate:
-    """A parameter with the ends of its 95 % and 68 % intervals; if it is nan, with a remark on what to do."""
-    return Estimate(
-        axis=axis,
-        label=label,
-        value=value,
-        std=std,
-        interval=ends[0],
-        interval_68=ends[1],
-        usual_unit=UNITS[axis.sensor][label],
-        source="calibration",
-        # Zero by convention, or by the definition of the axes.
-        held=std == 0.0,
-        remark=remark if math.isnan(value) else "",
-    )
-
-
-def _check_direction(scale: Estimate) -> None:
-    """Raise RecordingError if up and down are exchanged."""
-    # Two places of nearly the same gravity may leave the scale factor nearly undetermined.
-    if scale.axis.sensor == "accel" and scale.value + 4.0 * scale.std < -0.5:
-        raise RecordingError(
-            f"{scale.axis.name} reads {1.0 + scale.value:.3g} times the expected value (an axis that points "
-            "up reads +g): exchange up and down if the sensor outputs gravity, or correct its unit"
-        )
 
 
 def _remedy(setting: Setting, axis: Axis) -> str:

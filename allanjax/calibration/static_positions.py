@@ -22,14 +22,7 @@ from allanjax.calibration.result import (
     orientation_in,
     place_of,
 )
-from allanjax.calibration.sensor_errors import (
-    Part,
-    Setting,
-    World,
-    errors_of,
-    parts_of_fit,
-    parts_of_model,
-)
+from allanjax.calibration.sensor_errors import Part, Setting, World, errors_of, parts_of_fit, parts_of_model
 from allanjax.estimate.fit import fit as fit_noise
 from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
@@ -93,8 +86,10 @@ def calibrate(
     Raises:
         RecordingError: a recording cannot be read or was not at rest; recordings without a common axis;
             positions that do not determine the errors; up and down exchanged.
-        FitError: no noise model from the recordings; orientations that could not be estimated.
-        AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap.
+        FitError: no noise model from the recordings, or one with too little noise; orientations that could
+            not be estimated.
+        AllanjaxError: an unknown orientation; neither latitude nor gravity; starts that overlap; a model
+            with a parameter without a value, or with a step or a warm-up, which are not noise.
     """
     if isinstance(positions, Mapping):
         orientations = list(positions) if orientations is None else orientations

@@ -12,17 +12,7 @@ import typer
 
 from allanjax.base.errors import AllanjaxWarning
 from allanjax.base.tables import speak_plainly
-from allanjax.cli import (  # noqa: F401
-    calibrate,
-    compare,
-    convert,
-    fleet,
-    recordings,
-    repeat,
-    report,
-    results,
-    simulate,
-)
+from allanjax.cli import calibrate, compare, fleet, recordings, results, simulate  # noqa: F401
 from allanjax.cli.interrupt import end_on_interrupt
 from allanjax.cli.options import COMMANDS, epilog
 
@@ -81,23 +71,11 @@ def _show_own(message: Warning | str, category: type[Warning], *_: object, **__:
 
 # In the order of `allanjax --help`.
 _ORDER = (
-    *("check", "characterize", "critique", "report", "compare", "spec", "fleet", "repeat"),
-    *(
-        "export",
-        "horizon",
-        "navigate",
-        "statespace",
-        "kalman",
-        "calibrate",
-        "simulate",
-        "convert",
-        "schema",
-        "demo",
-    ),
+    "check characterize critique report compare spec fleet repeat export horizon navigate statespace kalman "
+    "calibrate simulate convert schema demo"
 )
-for _name in _ORDER:
+for _name in _ORDER.split():
     _command, _epilog = COMMANDS[_name]
-    _help = " ".join((_command.__doc__ or "").split())
     # In the list of commands: the first sentence, without its enumeration.
-    _short = re.split("[.:] ", _help)[0].removesuffix(".")
-    app.command(_name, help=_help, short_help=_short, epilog=_epilog)(_command)
+    _short = re.split("[.:] ", _command.__doc__ or "")[0].removesuffix(".")
+    app.command(_name, help=_command.__doc__, short_help=_short, epilog=_epilog)(_command)

@@ -2,43 +2,13 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, user_errors
+from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage
 from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
-
-Recordings = Annotated[
-    list[str] | None,
-    typer.Argument(
-        help="Recordings in time order. File names give the axis that points up or down: imu_x_up.csv, or "
-        "down.csv for z. If no name does, the orientations are estimated (accelerometers only, nine "
-        "positions or more).",
-        metavar="FILE",
-    ),
-]
-Positions = Annotated[
-    list[str] | None,
-    typer.Option(help="A recording with its orientation: x+=FILE, 'z down=FILE' or 'x up, y north=FILE'."),
-]
-Starts = Annotated[
-    str | None,
-    typer.Option(
-        help="Start time of each recording in s, e.g. 0,620,1240. By default each starts where the one "
-        "before ends."
-    ),
-]
-FittedNoise = Annotated[
-    Path | None,
-    typer.Option(
-        help="Noise model: result of allanjax characterize for a long recording of the same sensor. By "
-        "default the longest position is fitted.",
-        metavar="RESULT.json",
-    ),
-]
 
 
 @command(
@@ -49,76 +19,77 @@ FittedNoise = Annotated[
 )
 def calibrate(
     reading: ReadOptions,
-    files: Recordings = None,
-    position: Positions = None,
-    latitude: Annotated[
-        float | None,
-        typer.Option(help="Latitude in deg, for normal gravity and (gyros) the Earth's rotation rate."),
-    ] = None,
-    height: Annotated[float, typer.Option(help="Height in m, for normal gravity.")] = 0.0,
-    gravity: Annotated[
-        str | None,
-        typer.Option(
-            help="Local gravity in m/s^2, if known; of recordings at several places that of each, e.g. "
-            "9.8082,9.7726."
-        ),
-    ] = None,
-    starts: Starts = None,
-    second_order: Annotated[
-        bool, typer.Option("--second-order", help="Estimate the second-order scale factor of accelerometers.")
-    ] = False,
-    orientation_error: Annotated[
-        float,
-        typer.Option(help="Standard deviation of the orientations in deg, about each transverse axis."),
-    ] = 0.0,
-    fit: FittedNoise = None,
-    as_is: Annotated[
-        bool, typer.Option("--as-is", help="Use the whole recordings, including disturbed parts.")
-    ] = False,
+    files: list[str] | None = None,
+    position: list[str] | None = None,
+    latitude: float | None = None,
+    height: float = 0.0,
+    gravity: str | None = None,
+    starts: str | None = None,
+    second_order: bool = False,
+    orientation_error: float = 0.0,
+    fit: Path | None = None,
+    as_is: bool = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of the table.")] = False,
+    as_json: bool = False,
 ) -> None:
     """Calibrate gyros and accelerometers from recordings at rest in several orientations, as in a
     six-position test. Estimates the bias, scale factor and misalignment of each axis; the intervals follow
     from the noise model and include drift between the positions. Writes calibration.json and
     calibration.png.
+
+    Args:
+        files (FILE): Recordings in time order. File names give the axis that points up or down: imu_x_up.csv,
+            or down.csv for z. If no name does, the orientations are estimated (accelerometers only, nine
+            positions or more).
+        position: A recording with its orientation: x+=FILE, 'z down=FILE' or 'x up, y north=FILE'.
+        latitude: Latitude in deg, for normal gravity and (gyros) the Earth's rotation rate.
+        height: Height in m, for normal gravity.
+        gravity: Local gravity in m/s^2, if known; of recordings at several places that of each, e.g.
+            9.8082,9.7726.
+        starts: Start time of each recording in s, e.g. 0,620,1240. By default each starts where the one
+            before ends.
+        second_order: Estimate the second-order scale factor of accelerometers.
+        orientation_error: Standard deviation of the orientations in deg, about each transverse axis.
+        fit (--fit RESULT.json): Noise model: result of allanjax characterize for a long recording of the same
+            sensor. By default the longest position is fitted.
+        as_is: Use the whole recordings, including disturbed parts.
+        as_json (--json): Print JSON instead of the table.
     """
     directory = out if as_json else out or RESULTS
     prepare(directory)
     from allanjax.calibration.static_positions import calibrate, world_of
     from allanjax.presentation.files import write_document
 
-    with user_errors():
-        named = [*((None, file) for file in files or ()), *map(_split, position or ())]
-        if not named:
-            raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
-        local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
-        world_of(latitude, height, local)
-        with stage("reading"):
-            recordings = [read_recording(Path(file), reading, file) for _, file in named]
-            told = [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
-            noise = None if fit is None else saved_fit(fit)
-        with stage("calibrating (without --fit the noise is fitted first)"):
-            result = calibrate(
-                recordings,
-                told if position else None,
-                latitude=latitude,
-                height=height,
-                gravity=local,
-                fit=noise,
-                starts=None if starts is None else _numbers("--starts", starts, "0,620,1240"),
-                second_order=second_order,
-                orientation_error=math.radians(orientation_error),
-                as_is=as_is,
-            )
-        paths = []
-        if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
-            write_document(result.to_dict(), paths[0])
-            result.plot(path=paths[1])
-        print_result(result, as_json, paths)
+    named = [*((None, file) for file in files or ()), *map(_split, position or ())]
+    if not named:
+        raise typer.BadParameter("give recordings, as FILE or as --position x+=FILE")
+    local = None if gravity is None else _numbers("--gravity", gravity, "9.8082,9.7726")
+    world_of(latitude, height, local)
+    with stage("reading"):
+        recordings = [read_recording(Path(file), reading, file) for _, file in named]
+        told = [o or r.name for (o, _), r in zip(named, recordings, strict=True)]
+        noise = None if fit is None else saved_fit(fit)
+    with stage("calibrating (without --fit the noise is fitted first)"):
+        result = calibrate(
+            recordings,
+            told if position else None,
+            latitude=latitude,
+            height=height,
+            gravity=local,
+            fit=noise,
+            starts=None if starts is None else _numbers("--starts", starts, "0,620,1240"),
+            second_order=second_order,
+            orientation_error=math.radians(orientation_error),
+            as_is=as_is,
+        )
+    paths = []
+    if directory is not None:
+        directory.mkdir(parents=True, exist_ok=True)
+        paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
+        write_document(result.to_dict(), paths[0])
+        result.plot(path=paths[1])
+    print_result(result, as_json, paths)
 
 
 def _split(text: str) -> tuple[str, str]:

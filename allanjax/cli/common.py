@@ -14,7 +14,7 @@ from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from allanjax.noise.datasheet import DataSheet
     from allanjax.record.recording import Recording
 
+_T = TypeVar("_T")
+
 RESULTS = Path("allanjax-results")
 _STDIN = "-"
 
@@ -42,8 +44,7 @@ Files = Annotated[
     ),
 ]
 Out = Annotated[
-    Path | None,
-    typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json."),
+    Path | None, typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json.")
 ]
 Vibrating = Annotated[
     bool,
@@ -103,17 +104,7 @@ def work_through(
     documents: list[dict[str, Any]] = []
     errors: list[dict[str, str]] = []
     with inputs(files, directory) as given:
-        pending = deque(given)
-        while pending:
-            file = pending.popleft()
-            try:
-                done = work(file, directory)
-            except MixedRatesError as mixed:
-                pending.extendleft(reversed(file.of(mixed.sensors)))
-                continue
-            except FAILURES as failure:
-                errors.append(reported(file, reason(failure, file.label)))
-                continue
+        for file, done in worked_through(given, lambda file: work(file, directory), errors):
             if as_json:
                 documents.append({"file": file.label, **done.document})
             else:
@@ -123,6 +114,26 @@ def work_through(
     if as_json:
         print_json({**document(documents, len(given)), "errors": errors})
     exit_if_failed(errors, len(given))
+
+
+def worked_through(
+    given: Sequence[Input], work: Callable[[Input], _T], errors: list[dict[str, str]]
+) -> Iterator[tuple[Input, _T]]:
+    """Yield each file with what the work makes of it; what fails is printed and added to the errors.
+
+    Sensors of a file are files of their own if they have different rates.
+    """
+    pending = deque(given)
+    while pending:
+        file = pending.popleft()
+        try:
+            done = work(file)
+        except MixedRatesError as mixed:
+            pending.extendleft(reversed(file.of(mixed.sensors)))
+        except FAILURES as failure:
+            errors.append(reported(file, reason(failure, file.label)))
+        else:
+            yield file, done
 
 
 @contextmanager
@@ -198,6 +209,9 @@ def user_errors() -> Iterator[None]:
     """End the program with a message if the input is bad or a file fails; other exceptions pass."""
     try:
         yield
+    except BrokenPipeError:
+        # Nobody reads any more.
+        raise
     except FAILURES as failure:
         print_error(reason(failure, "allanjax"))
         raise typer.Exit(1) from failure

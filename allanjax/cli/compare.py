@@ -1,14 +1,21 @@
-"""The command `allanjax compare`."""
+"""The commands `allanjax compare` and `repeat`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import Input, prepare, print_result, stage, user_errors
-from allanjax.cli.options import command
-from allanjax.cli.recordings import read_and_fit
+from allanjax.cli.common import (
+    RESULTS,
+    Files,
+    Input,
+    fitting,
+    inputs,
+    prepare,
+    print_result,
+    saved_fit,
+    stage,
+)
+from allanjax.cli.options import FigureFormat, command
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -23,63 +30,46 @@ if TYPE_CHECKING:
     "allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s --accel-unit m/s²",
 )
 def compare(
-    sensors: Annotated[
-        list[str],
-        typer.Argument(
-            help="Recordings, results of characterize (NAME.json), data sheets (.toml, or a name listed by "
-            "allanjax convert --list), or presets: cimu, hg1700, motionpak2.",
-            metavar="SENSOR",
-        ),
-    ],
+    sensors: list[str],
     options: FitOptions,
-    curve: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A sensor of which only an Allan curve is known: its file, and the rate and length of the "
-            "record; repeat for more.",
-            metavar="'FILE, RATE, LENGTH'",
-        ),
-    ] = None,
-    label: Annotated[
-        list[str] | None, typer.Option(help="What to call a sensor; repeat for each, in their order.")
-    ] = None,
-    reference: Annotated[
-        str | None, typer.Option(help="Sensor that the others are compared with. Default: the first.")
-    ] = None,
-    out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--out", "-o", help="Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more."
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    curve: list[str] | None = None,
+    label: list[str] | None = None,
+    reference: str | None = None,
+    out: list[Path] | None = None,
+    as_json: bool = False,
 ) -> None:
     """Compare sensors of any grade: coefficients with intervals, ratios and whether they differ, Allan
     deviations over one another, drift after 1 min, 10 min and 1 h, and growth of heading and position errors.
     Two recordings of one sensor, before and after a change of the setup, are compared in the same way.
+
+    Args:
+        sensors (SENSOR): Recordings, results of characterize (NAME.json), data sheets (.toml, or a name
+            listed by allanjax convert --list), or presets: cimu, hg1700, motionpak2.
+        curve (--curve 'FILE, RATE, LENGTH'): A sensor of which only an Allan curve is known: its file, and
+            the rate and length of the record; repeat for more.
+        label: What to call a sensor; repeat for each, in their order.
+        reference: Sensor that the others are compared with. Default: the first.
+        out (--out, -o): Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.
+        as_json (--json): Print JSON instead of tables.
     """
     prepare()
     from allanjax.comparison.compare import compare as compared
     from allanjax.record.io.formats import name_of
 
-    with user_errors():
-        data = [
-            *(_opened(name, options) for name in sensors),
-            *(_curve(text, options) for text in curve or ()),
-        ]
-        with stage("comparing"):
-            files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
-            names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
-            result = compared(*data, labels=names, reference=0 if reference is None else reference)
-            for path in out or ():
-                if path.suffix == ".csv":
-                    result.to_dataframe().to_csv(path, index=False)
-                elif path.suffix in (".html", ".htm"):
-                    from allanjax.presentation.page.report import report
+    data = [*(_opened(name, options) for name in sensors), *(_curve(text, options) for text in curve or ())]
+    with stage("comparing"):
+        files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
+        names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
+        result = compared(*data, labels=names, reference=0 if reference is None else reference)
+        for path in out or ():
+            if path.suffix == ".csv":
+                result.to_dataframe().to_csv(path, index=False)
+            elif path.suffix in (".html", ".htm"):
+                from allanjax.presentation.page.report import report
 
-                    report(result, path)
-                else:
-                    result.plot(path)
+                report(result, path)
+            else:
+                result.plot(path)
     print_result(result, as_json, out or ())
 
 
@@ -107,7 +97,55 @@ def _opened(name: str, options: FitOptions) -> "str | Fit":
     path = Path(name)
     if path.suffix in (".json", ".toml", "") or not path.exists():
         return name
-    found = read_and_fit(Input(path, name, name_of(path)), options)[-1]
+    found = _fitted(Input(path, name, name_of(path)), options)
     if not any(result.converged for result in found.results):
         raise AllanjaxError(f"{name}: no axis has a result; allanjax characterize prints the reasons")
     return found
+
+
+def _fitted(file: Input, options: FitOptions) -> "Fit":
+    """The fit of a recording with these options."""
+    with stage(f"{file.label}: reading"):
+        recording = file.read(options.reading)
+    with fitting(file, recording):
+        return options.fit(recording)
+
+
+@command(
+    "allanjax repeat monday.csv tuesday.csv wednesday.csv --rate 100 --gyro-unit deg/s --accel-unit g",
+    "allanjax repeat results/day*.json --out together",
+    "allanjax repeat 'logs/*.parquet' --terms 'N + B + K' --json > repeat.json",
+)
+def repeat(
+    files: Files,
+    options: FitOptions,
+    out: Path | None = None,
+    figure_format: FigureFormat = "png",
+    as_json: bool = False,
+) -> None:
+    """Fit recordings of one unit on several days, or of units of one type, jointly: one set of terms per
+    axis, the common value of each coefficient, the scatter between recordings beyond what their intervals
+    explain, and which recording is the odd one out. Takes recordings or results NAME.json of characterize.
+    Prints a table per axis and writes repeat.png.
+
+    Args:
+        out: Folder for the figure. Default: allanjax-results, or none with --json.
+        as_json (--json): Print JSON instead of tables.
+    """
+    directory = None if as_json and out is None else out or RESULTS
+    prepare(directory)
+    from allanjax.comparison.joint import joint_fit
+
+    with inputs(files, directory) as given:
+        if len(given) < 2:
+            raise AllanjaxError("repeat compares at least two recordings: give more files")
+        fits = [
+            saved_fit(file.path) if file.path.suffix == ".json" else _fitted(file, options) for file in given
+        ]
+        with stage("joint fit"):
+            result = joint_fit(fits, options.model, names=[file.name for file in given])
+        written = [] if directory is None else [directory / f"repeat.{figure_format}"]
+        for path in written:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            result.plot(path=path)
+        print_result(result, as_json, written)

@@ -8,23 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from allanjax.cli.common import (
-    RESULTS,
-    exit_if_failed,
-    prepare,
-    print_error,
-    print_result,
-    stage,
-    user_errors,
-)
+from allanjax.cli.common import RESULTS, exit_if_failed, prepare, print_error, print_result, stage
 from allanjax.cli.options import FigureFormat, command
 from allanjax.cli.pages import Html, fleet_page
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
     from allanjax.fleet.fleet import Progress
-
-_WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
 
 
 @command(
@@ -34,48 +24,37 @@ _WRITTEN = ("fleet.parquet", "fleet.png", "errors.csv", "notes.txt")
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
 def fleet(
-    patterns: Annotated[
-        list[str],
-        typer.Argument(
-            help="Recordings, or quoted patterns with * (any name) and ** (any folders).",
-            metavar="PATTERN",
-        ),
-    ],
+    patterns: list[str],
     options: FitOptions,
-    group: Annotated[
-        str | None,
-        typer.Option(
-            help=r"Which units are compared with each other: a regular expression whose parentheses match "
-            r"the group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group."
-        ),
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder for the results; a later run continues from it.")
-    ] = RESULTS,
+    group: str | None = None,
+    out: Path = RESULTS,
     figure_format: FigureFormat = "png",
     html: Html = False,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
-    piece: Annotated[
-        int, typer.Option(help="Samples per piece: longer recordings are read and processed in pieces.")
-    ] = 20_000_000,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
-    ] = None,
+    piece: int = 20_000_000,
+    scheduler: str | None = None,
 ) -> None:
-    """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
+    r"""Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
     writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each
     coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and outlying units;
     read it first), and recordings/NAME.json as soon as each recording is fitted. If one file fails, the
     others are still processed. A later run with the same --out only fits recordings without a result; the
     table covers only the files given.
+
+    Args:
+        patterns (PATTERN): Recordings, or quoted patterns with * (any name) and ** (any folders).
+        group: Which units are compared with each other: a regular expression whose parentheses match the
+            group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group.
+        out: Folder for the results; a later run continues from it.
+        piece: Samples per piece: longer recordings are read and processed in pieces.
+        scheduler: Address of a running Dask scheduler to use, e.g. tcp://cluster:8786.
     """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
-    with user_errors(), _progress_bar() as progress:
+    with _progress_bar() as progress:
         result = characterize_fleet(
             patterns,
             out,

@@ -1,10 +1,10 @@
-"""The commands `allanjax check`, `characterize` and `critique`, for one or more recordings."""
+"""The commands `allanjax check`, `characterize`, `critique` and `report`, for one or more recordings."""
 
 import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,13 +16,18 @@ from allanjax.cli.common import (
     Outcome,
     Vibrating,
     exit_by,
+    exit_if_failed,
     fitting,
+    inputs,
+    prepare,
+    print_written,
+    saved_fit,
     stage,
-    user_errors,
     work_through,
+    worked_through,
 )
 from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.pages import Html, write_page
+from allanjax.cli.pages import Html, origin, write_page
 from allanjax.fleet.options import FitOptions
 from allanjax.record.io import ReadOptions
 
@@ -30,6 +35,7 @@ if TYPE_CHECKING:
     from allanjax.critic.result import Critique
     from allanjax.estimate.check import Check
     from allanjax.estimate.result import Fit
+    from allanjax.presentation.page.report import Reported
     from allanjax.record.recording import Recording
     from allanjax.spectrum.psd import PowerSpectrum
 
@@ -39,17 +45,13 @@ if TYPE_CHECKING:
     "allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
     "allanjax check *.csv --json > checks.json",
 )
-def check(
-    files: Files,
-    reading: ReadOptions,
-    vibrating: Vibrating = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}.")
-    ] = False,
-) -> None:
+def check(files: Files, reading: ReadOptions, vibrating: Vibrating = False, as_json: bool = False) -> None:
     """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
     resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
     line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
+
+    Args:
+        as_json (--json): Print JSON instead of tables: {schema_version, checks, errors}.
     """
     from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
 
@@ -69,10 +71,8 @@ def check(
             stopped.append(file.label)
         return Outcome(str(result), result.to_dict(), (), ())
 
-    def document(checks: list[dict[str, Any]], _: int) -> dict[str, Any]:
-        return {"schema_version": SCHEMA_VERSION, "checks": checks}
-
-    work_through(files, None, as_json, work, document, writes=False)
+    document = {"schema_version": SCHEMA_VERSION}
+    work_through(files, None, as_json, work, lambda checks, _: document | {"checks": checks}, writes=False)
     if stopped:
         raise typer.Exit(1)
 
@@ -89,54 +89,37 @@ def check(
 def characterize(
     files: Files,
     options: FitOptions,
-    stream: Annotated[
-        bool,
-        typer.Option(
-            "--stream",
-            help="Read in chunks, for recordings that do not fit into memory. The Allan variances are "
-            "estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
-        ),
-    ] = False,
-    spec: Annotated[
-        Path | None,
-        typer.Option(
-            help="Check the coefficients against the limits in this file (help(allanjax.check_spec)), and "
-            "write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is undecided.",
-            metavar="LIMITS.yaml",
-        ),
-    ] = None,
-    curve: Annotated[
-        bool,
-        typer.Option(
-            "--curve",
-            help="The files are Allan curves (cluster times and a column per axis) without their recordings; "
-            "needs --rate and --duration of these for intervals. NAME_psd.png is not written.",
-        ),
-    ] = False,
-    duration: Annotated[
-        str | None,
-        typer.Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
-    ] = None,
+    stream: bool = False,
+    spec: Path | None = None,
+    curve: bool = False,
+    duration: str | None = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
-    ] = False,
-    verbose: Annotated[
-        bool, typer.Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
-    ] = False,
+    as_json: bool = False,
+    verbose: bool = False,
 ) -> None:
     """Estimate the noise coefficients of static recordings. Prints one table per file and writes NAME.json,
     NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
     still processed.
+
+    Args:
+        stream: Read in chunks, for recordings that do not fit into memory. The Allan variances are estimated
+            at octaves by the pyramid estimator; NAME_psd.png is not written.
+        spec (--spec LIMITS.yaml): Check the coefficients against the limits in this file
+            (help(allanjax.check_spec)), and write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met;
+            3: none, but one is undecided.
+        curve: The files are Allan curves (cluster times and a column per axis) without their recordings;
+            needs --rate and --duration of these for intervals. NAME_psd.png is not written.
+        duration: Length of the recording of a curve: 3h, 20 min, or a number of seconds.
+        as_json (--json): Print JSON instead of tables: {schema_version, fits, errors}.
+        verbose: Print all coefficients with 95 % intervals, limits and χ².
     """
     from allanjax.comparison.specification import check_spec, read_spec
 
     if spec is not None:
         # A wrong file ends the command before it reads recordings.
-        with user_errors():
-            read_spec(spec)
+        read_spec(spec)
     verdicts: list[str] = []
 
     if (stream and curve) or (duration and not curve):
@@ -225,13 +208,13 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
             show(f"{file.label}: reading, {done:,} samples{share}")
 
         accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
-        inspection = options.inspect(accumulator)
+        inspection = accumulator.inspect(as_is=options.as_is, vibrating=options.vibrating)
         if inspection.longest_part is not None:
             # Disturbed parts cannot be removed from the sums, so the file is read again without them.
             reading = reading.within(inspection.longest_part)
             accumulator = accumulate(open_chunks(file.path, reading, label=file.label), progress=progress)
     with fitting(file, accumulator):
-        return options.fit_accumulated(accumulator, inspection)
+        return accumulator.fit_inspected(inspection, options.model, options.objective)
 
 
 @command(
@@ -243,32 +226,31 @@ def critique(
     files: Files,
     reading: ReadOptions,
     vibrating: Vibrating = False,
-    refit: Annotated[
-        bool,
-        typer.Option("--refit", help="Also print the coefficients after correction for the findings."),
-    ] = False,
+    refit: bool = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: Annotated[
-        bool,
-        typer.Option(
-            "--json",
-            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, errors, "
-            "...} for one file, {schema_version, critiques, errors} for several.",
-        ),
-    ] = False,
+    as_json: bool = False,
 ) -> None:
     """Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers,
     filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per
     finding. If one file fails, the others are still processed. With --json (schema: allanjax schema
     critique), the output for one file is its document; with several files, or if none could be read, it is
     {schema_version, critiques, errors}.
+
+    Args:
+        refit: Also print the coefficients after correction for the findings.
+        as_json (--json): Print JSON instead: {schema_version, recording, findings, axes, shared_findings,
+            errors, ...} for one file, {schema_version, critiques, errors} for several.
     """
     from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
-        result = _read_and_criticize(file, reading, vibrating)
+        with stage(f"{file.label}: loading allanjax"):
+            import allanjax.critic.critique  # noqa: F401
+        with stage(f"{file.label}: reading"):
+            recording = file.read(reading)
+        result = _criticize(file, recording, vibrating)
         paths = [] if directory is None else _write(result, directory, file, figure_format)
         if directory is not None and html:
             with stage(f"{file.label}: writing the page"):
@@ -286,11 +268,9 @@ def critique(
     work_through(files, out, as_json, work, document)
 
 
-def _read_and_criticize(file: Input, reading: ReadOptions, vibrating: bool) -> "Critique":
-    with stage(f"{file.label}: loading allanjax"):
-        from allanjax.critic.critique import critique
-    with stage(f"{file.label}: reading"):
-        recording = file.read(reading)
+def _criticize(file: Input, recording: "Recording", vibrating: bool) -> "Critique":
+    from allanjax.critic.critique import critique
+
     with fitting(file, recording) as show:
         return critique(recording, vibrating=vibrating, progress=lambda text: show(f"{file.label}: {text}"))
 
@@ -307,3 +287,44 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
         paths = [directory / f"{file.name}_critique.json"]
         write_document(to_dict(critique), paths[0])
         return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]
+
+
+@command(
+    "allanjax report imu.csv --out report.html",
+    "allanjax report imu.csv --quick --out report.html",
+    "allanjax report allanjax-results/imu.json --out report.html",
+)
+def report(files: Files, options: FitOptions, out: Path = Path("report.html"), quick: bool = False) -> None:
+    """Write one page of HTML about static recordings or saved results: verdict, coefficients with
+    intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
+    The page needs no network, and prints to PDF.
+
+    Args:
+        out (--out, -o): Page to write.
+        quick: Without the critique, which takes longer than all the rest.
+    """
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")
+    prepare(out.parent)
+    errors: list[dict[str, str]] = []
+    with inputs(files, out.parent) as given:
+        done = worked_through(given, lambda file: _reported(file, options, quick), errors)
+        parts = [part for _, part in done]
+    if parts:
+        from allanjax.presentation.page.report import page_about
+
+        with stage("writing the page"):
+            page_about(parts).save(out)
+        print_written([out])
+    exit_if_failed(errors, len(given))
+
+
+def _reported(file: Input, options: FitOptions, quick: bool) -> "Reported":
+    """What is shown of a file: of a result its fit, of a recording everything."""
+    from allanjax.presentation.page.report import Reported
+
+    if file.path.suffix == ".json":
+        return Reported(saved_fit(file.path), origin=origin(file))
+    recording, check, spectrum, fit = read_and_fit(file, options)
+    critique = None if quick else _criticize(file, recording, options.vibrating)
+    return Reported(fit, critique, recording, spectrum, check, origin(file))

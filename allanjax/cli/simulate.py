@@ -1,14 +1,14 @@
-"""The commands `allanjax simulate` and `demo`."""
+"""The commands that need no recording: `allanjax simulate`, `demo` and `convert`."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from allanjax.cli.common import Input, Sheet, prepare, print_written, stage, user_errors
+from allanjax.cli.common import Input, Sheet, prepare, print_result, print_written, stage
 from allanjax.cli.options import command, parsed_model
 from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
@@ -38,28 +38,29 @@ _TRUTH = {
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
 def simulate(
-    preset: Annotated[str | None, typer.Argument(help="Sensor listed by --list.", metavar="SENSOR")] = None,
-    terms: Annotated[
-        str | None,
-        typer.Option(help="Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots."),
-    ] = None,
+    preset: str | None = None,
+    terms: str | None = None,
     sheet: Sheet = None,
-    sensor: Annotated[Literal["gyro", "accel"], typer.Option(help="Kind of sensor, with --terms.")] = "gyro",
-    duration: Annotated[float, typer.Option(help="Length in s.")] = 3600.0,
-    rate: Annotated[
-        float, typer.Option(help="Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.")
-    ] = 100.0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same recording.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per "
-            "rate is written, with the rate in its name."
-        ),
-    ] = None,
-    show_list: Annotated[bool, typer.Option("--list", help="List the sensors and exit.")] = False,
+    sensor: Literal["gyro", "accel"] = "gyro",
+    duration: float = 3600.0,
+    rate: float = 100.0,
+    seed: int = 0,
+    out: Path | None = None,
+    show_list: bool = False,
 ) -> None:
-    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file."""
+    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file.
+
+    Args:
+        preset (SENSOR): Sensor listed by --list.
+        terms: Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.
+        sensor: Kind of sensor, with --terms.
+        duration: Length in s.
+        rate: Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.
+        seed: The same seed gives the same recording.
+        out: File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per rate is
+            written, with the rate in its name.
+        show_list (--list): List the sensors and exit.
+    """
     from allanjax.noise.simulate import SENSORS
 
     if show_list:
@@ -86,7 +87,7 @@ def simulate(
     from allanjax.record.recording import Recording
 
     recordings: tuple[Recording, ...]
-    with user_errors(), stage("simulating"):
+    with stage("simulating"):
         if model is not None or sheet is not None:
             models: Any = datasheet(str(sheet)) if model is None else {sensor: model}
             recordings = (simulate_recording(models, round(duration * rate), rate, seed, name=out.stem),)
@@ -100,12 +101,12 @@ def simulate(
 
 
 @command()
-def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the recording and the results.")] = Path(
-        "allanjax-demo"
-    ),
-) -> None:
-    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients."""
+def demo(out: Path = Path("allanjax-demo")) -> None:
+    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients.
+
+    Args:
+        out: Folder for the recording and the results.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.base.earth import STANDARD_GRAVITY
@@ -113,18 +114,17 @@ def demo(
         from allanjax.noise.simulate import simulate_recording
         from allanjax.presentation.files import write_results
         from allanjax.record.io import write
-    with user_errors():
-        out.mkdir(parents=True, exist_ok=True)
-        file = out / "demo.csv"
-        with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
-            models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
-            gravity = {"accel_z": STANDARD_GRAVITY}
-            recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
-            write(recording, file)
-        print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
-        _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
-        with stage("writing results"):
-            paths = write_results(fit, spectrum, out, file.stem, check)
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / "demo.csv"
+    with stage("simulating 25 minutes of a six-axis sensor at 100 Hz"):
+        models = {a: parse_model(text, "gyro" if "gyro" in a else "accel") for a, text in _TRUTH.items()}
+        gravity = {"accel_z": STANDARD_GRAVITY}
+        recording = simulate_recording(models, 150_000, 100.0, _SEED, bias=gravity, name="demo")
+        write(recording, file)
+    print(f"wrote {file}: {recording.n:,} samples of {', '.join(recording.names)}")
+    _, check, spectrum, fit = read_and_fit(Input(file, str(file), file.stem), FitOptions())
+    with stage("writing results"):
+        paths = write_results(fit, spectrum, out, file.stem, check)
     table, inside, count = _compare(fit, models)
     print(table)
     print(f"{inside} of {count} 95 % intervals contain the true value; on average one in twenty does not.")
@@ -157,3 +157,70 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
             rows.append((c.axis.name, c.title, shown.describe(), true, "inside" if holds else "OUTSIDE"))
     headings = ("axis", "coefficient", "estimate", "true", "95 %")
     return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)
+
+
+@command(
+    "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
+    "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
+    "allanjax convert --sheet BMI088",
+    "allanjax convert --sheet my-sensor.toml",
+    "allanjax convert --list",
+)
+def convert(
+    value: float | None = None,
+    unit: str | None = None,
+    to: str | None = None,
+    sided: Literal["one", "two"] | None = None,
+    sheet: str | None = None,
+    show_list: bool = False,
+    as_json: bool = False,
+) -> None:
+    """Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write
+    roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results
+    are printed.
+
+    Args:
+        value (VALUE): The number.
+        unit (UNIT): Its unit.
+        to: Unit to convert to.
+        sided: Whether a density per √Hz is one-sided, as in data sheets, or two-sided.
+        sheet: Data sheet to convert to noise coefficients: a sensor listed by --list, or a TOML file.
+        show_list (--list): List the sensors with a built-in data sheet and exit.
+        as_json (--json): Print JSON; needs --sheet.
+    """
+    if show_list:
+        from allanjax.noise.datasheet import known_sheets
+
+        for name, figures in known_sheets().items():
+            print(f"{name:12} {figures['source']}")
+        return
+    if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, or --sheet SHEET")
+    if sheet is not None:
+        from allanjax.noise.datasheet import datasheet
+
+        values = datasheet(sheet)
+        print_result(values, as_json)
+        return
+    if unit is None or to is None or as_json:
+        raise typer.BadParameter("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
+    for line in _converted(float(value or 0.0), unit, to, sided):
+        print(line)
+
+
+def _converted(value: float, unit: str, to: str, sided: Literal["one", "two"] | None) -> list[str]:
+    """Lines with the value in the other unit: one, or one per kind of density if that is not given."""
+    from allanjax.record.units import convert, density_power
+
+    number = convert(value, unit, to)
+    power = density_power(unit) - density_power(to)
+    if power == 0.0:
+        return [f"{value:g} {unit} = {number:.6g} {to}"]
+    one = f"{value:g} {unit} = {number / math.sqrt(2.0) ** (2.0 * power):.6g} {to}"
+    two = f"{value:g} {unit} = {number:.6g} {to}"
+    if sided is not None:
+        return [f"{one if sided == 'one' else two} ({sided}-sided density)"]
+    return [
+        f"{one} if the density is one-sided, as usual in data sheets (--sided one)",
+        f"{two} if it is two-sided, as in IEEE 952 and in allanjax (--sided two)",
+    ]

@@ -14,29 +14,39 @@ import functools
 import itertools
 import math
 import os
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtr
 
+from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
-from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_95
+from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
-from allanjax.base.wording import duration, finite_or_none, format_range, plain, significant
-from allanjax.comparison.grades import grade, grades
-from allanjax.comparison.sensors import Comparable, Compared, compared
-from allanjax.estimate.result import detail
-from allanjax.navigation.likely import Sensors, sensors_of
+from allanjax.base.wording import duration, format_range, plain, significant
+from allanjax.comparison.specification import least_deviation
+from allanjax.critic.result import Critique
+from allanjax.estimate.as_json import in_json, load
+from allanjax.estimate.fit import fit
+from allanjax.estimate.result import Fit, detail
+from allanjax.navigation.likely import NoiseLike, Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
-from allanjax.noise.datasheet import LEAST
+from allanjax.noise.datasheet import LEAST, MINIMUM, DataSheet, datasheet, datasheets
 from allanjax.noise.estimate import SYMBOLS, Estimate, usual_unit
-from allanjax.noise.model import Model
-from allanjax.noise.terms import AngleRandomWalk
-from allanjax.record.units import SENSORS, Sensor
+from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.simulate import SENSORS as PRESETS
+from allanjax.noise.simulate import SensorPreset
+from allanjax.noise.terms import AngleRandomWalk, BiasInstability
+from allanjax.record.io.given import RecordingLike, as_recording
+from allanjax.record.recording import Axis
+from allanjax.record.units import SENSORS, SI, Sensor, parse_quantity, unit_scale
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +59,163 @@ _SHORT = {LEAST: "min σ"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
 # Nodes of the mean over a normal law.
 _NODES = 40
+
+
+#: What can be compared: fits, critiques, recordings, data sheets, presets, curves, and their files or names.
+Comparable: TypeAlias = Fit | Critique | DataSheet | SensorPreset | AllanDeviation | RecordingLike
+
+
+class Compared(NamedTuple):
+    """A sensor of a comparison.
+
+    Attributes:
+        label: what it is called.
+        source: what is known of it, in words.
+        coefficients: estimates by axis and label [SI]; a data sheet has those of "gyro" and "accel". Beside
+            the amplitudes it is the least Allan deviation, `LEAST`.
+        noise: its noise, for the growth of errors; None if no axis is a measurement.
+        models: noise model of each axis that has one.
+        rate: sample rate [Hz].
+        curve: measured Allan deviations, if there are any.
+    """
+
+    label: str
+    source: str
+    coefficients: Mapping[str, Mapping[str, Estimate]]
+    noise: NoiseLike | None
+    models: Mapping[str, Model]
+    rate: float
+    curve: AllanDeviation | None = None
+
+    @property
+    def rate_of_models(self) -> float | None:
+        """Sample rate of noise that is given as models [Hz]; None of other noise, which has its own."""
+        return self.rate if isinstance(self.noise, dict) else None
+
+    def of(self, axis: str) -> Mapping[str, Estimate]:
+        """Coefficients of an axis, those of its sensor for a data sheet; empty if there are none."""
+        return self.coefficients.get(axis) or self.coefficients.get(axis.partition("_")[0]) or {}
+
+    def model(self, axis: str) -> Model | None:
+        """Noise model of an axis, that of its sensor for a data sheet."""
+        return self.models.get(axis) or self.models.get(axis.partition("_")[0])
+
+
+def compared(data: Comparable, label: str = "") -> Compared:
+    """A sensor in the form of comparisons; recordings are read and fitted."""
+    data = _opened(data)
+    if isinstance(data, DataSheet):
+        values = {str(sensor): _with_least(data.coefficients(sensor)) for sensor in data.models}
+        models = {str(sensor): model for sensor, model in data.models.items()}
+        source = f"data sheet: {data.source}" if data.source else "data sheet"
+        return Compared(label or data.name, source, values, data, models, 100.0)
+    if isinstance(data, SensorPreset):
+        return _of_preset(data, label)
+    found = data if isinstance(data, Fit) else data.fit if isinstance(data, Critique) else fit(data)
+    measured = {r.axis.name: r for r in found.results if r.measured}
+    values = {name: {**r.coefficients, LEAST: least_deviation(found, r)[0]} for name, r in measured.items()}
+    models = {name: r.model for name, r in measured.items()}
+    noise, hours = (found if values else None), found.curve.n / found.curve.rate / 3600.0
+    source = f"fit of {hours:.2g} h at {found.curve.rate:g} Hz"
+    if not values:
+        source += "; not a measurement of the sensor"
+    return Compared(label or found.name, source, values, noise, models, found.curve.rate, found.curve)
+
+
+def _of_preset(preset: SensorPreset, label: str) -> Compared:
+    """A unit with the values and errors of its tables."""
+    values = {}
+    for axis in preset.axes:
+        sensor: Any = axis.name.partition("_")[0]
+        own = Axis(axis.name, sensor, SI[sensor]["rate"])
+        amplitudes = [p for p in axis.model.parameters if p.parameter.is_amplitude]
+        pairs = zip(amplitudes, axis.coefficients.values(), strict=True)
+        values[axis.name] = _with_least({p.label: _tabulated(own, p, known) for p, known in pairs})
+    models = {axis.name: axis.model for axis in preset.axes}
+    rate = preset.axes[0].rate
+    return Compared(label or preset.name, preset.description, values, models, models, rate)
+
+
+def _tabulated(axis: Axis, p: ModelParameter, known: Any) -> Estimate:
+    """A coefficient of a table with its error as the standard deviation."""
+    value, std = known.si, known.error * unit_scale(known.unit)
+    outer, inner = ((max(value - z * std, 0.0), value + z * std) for z in (TWO_SIDED_95, TWO_SIDED_68))
+    numbers: dict[str, Any] = {"value": value, "std": std, "interval": outer, "interval_68": inner}
+    about: dict[str, Any] = {"parameter": p.parameter, "term": p.term_label, "usual_unit": known.unit}
+    return Estimate(axis=axis, label=p.label, **numbers, **about)
+
+
+def _with_least(coefficients: dict[str, Estimate]) -> dict[str, Estimate]:
+    """Coefficients with the least Allan deviation that follows from bias instability, 0.664 B."""
+    if (c := coefficients.get(BiasInstability.name())) is None:
+        return coefficients
+    least = dataclasses.replace(c.times(MINIMUM), label=LEAST, parameter=None, unit=c.unit)
+    return coefficients | {LEAST: least}
+
+
+def _opened(data: Comparable) -> Any:
+    """What a path or a name stands for; anything else is returned as it is."""
+    if isinstance(data, Fit | Critique | DataSheet | SensorPreset | AllanDeviation):
+        return data
+    if not isinstance(data, str | os.PathLike):
+        return as_recording(data)
+    path, name = Path(data), str(data)
+    if path.exists() and path.suffix == ".json":
+        found = load(path)
+        if isinstance(found, Fit):
+            return found
+        raise AllanjaxError(f"{path}: has {len(found)} fits ({', '.join(found)}); give files with one each")
+    if path.exists() and path.suffix == ".toml":
+        return datasheet(path)
+    if path.exists():
+        return as_recording(path)
+    if name in PRESETS:
+        return PRESETS[name]
+    if path.suffix:
+        raise AllanjaxError(f"{name}: no such file; check the path")
+    try:
+        return datasheet(name)
+    except AllanjaxError as error:
+        presets = f"presets are {', '.join(PRESETS)}; data sheets are {', '.join(datasheets())}"
+        raise AllanjaxError(f"{name!r} is neither a file nor a known sensor; {presets}") from error
+
+
+#: Grade of what is beyond the limits of all others.
+LAST = "consumer"
+
+
+@functools.cache
+def grades() -> tuple[Mapping[str, Mapping[tuple[str, str], float]], str]:
+    """Limits [SI] of each grade by sensor and coefficient, the best grade first, and their source."""
+    tables = tomllib.loads(files(__package__).joinpath("grades.toml").read_text(encoding="utf-8"))
+    source, found = str(tables.pop("source")), {}
+    for name, of_sensor in tables.items():
+        limits = {}
+        for sensor, quantities in of_sensor.items():
+            for label, text in quantities.items():
+                value, unit = parse_quantity(text) or (float("nan"), "")
+                limits[sensor, label] = float(value) * unit_scale(unit, sensor)
+        found[name] = limits
+    return found, source
+
+
+def grade(estimates: Iterable[Estimate], sensor: Sensor, label: str) -> str:
+    """Grade of a sensor by the largest of its axes, e.g. "tactical" or "navigation to tactical".
+
+    It is the first whose limit is not exceeded, at both ends of the 95 % interval; "" without a limit.
+    """
+    known = [e for e in estimates if e.detected or e.held or e.upper_limit is not None]
+    limits = [(name, of[sensor, label]) for name, of in grades()[0].items() if (sensor, label) in of]
+    if not known or not limits:
+        return ""
+
+    def first(size: float) -> str:
+        return next((name for name, limit in limits if size <= limit), LAST)
+
+    high = max((e.interval[1] if e.detected else e.upper_limit or e.value) for e in known)
+    low = max((e.interval[0] if e.detected else 0.0) for e in known)
+    best, worst = first(low), first(high)
+    return best if best == worst else f"{best} to {worst}"
 
 
 class Difference(NamedTuple):
@@ -150,10 +317,8 @@ class Row(NamedTuple):
     def unit(self) -> str:
         """Unit in which all are shown: their own if it is the same, else the usual one."""
         known = [c for c in self.estimates if c is not None]
-        own, parameter = {c.usual_unit for c in known}, known[0].parameter
-        if len(own) > 1 and parameter is not None:
-            return usual_unit(parameter, self.sensor)
-        return known[0].usual_unit if len(own) > 1 else own.pop()
+        parameter, differ = known[0].parameter, len({c.usual_unit for c in known}) > 1
+        return usual_unit(parameter, self.sensor) if differ and parameter else known[0].usual_unit
 
     def cells(self, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
         """Row of the printed table for each sensor that has the coefficient."""
@@ -202,8 +367,12 @@ class Comparison(ByValue, Tabled):
     @functools.cached_property
     def drifts(self) -> tuple[Growth, ...]:
         """Predicted error of the integrated rate of each axis after the `HORIZONS`."""
-        known = [(k, _noise_of(one)) for k, one in enumerate(self.sensors) if one.noise is not None]
-        found = [drift for k, noise in known for drift in _drifts(k, noise)]
+        found = []
+        for k, one in enumerate(self.sensors):
+            if one.noise is not None:
+                own = sensors_of(one.noise, one.rate_of_models, 0)
+                each = own.axes.items()
+                found += [Growth(k, name, *drift(own, noise, np.array(HORIZONS))) for name, noise in each]
         # Of a data sheet, the drift of any axis stands below those of the axes.
         found.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
         return tuple(found)
@@ -211,8 +380,8 @@ class Comparison(ByValue, Tabled):
     @functools.cached_property
     def growths(self) -> tuple[Growth, ...]:
         """Heading and position errors of a navigator at rest after the `HORIZONS`, see `navigate`."""
-        known = [(k, one) for k, one in enumerate(self.sensors) if one.noise is not None]
-        return tuple(sorted((g for k, one in known for g in _growths(k, one)), key=lambda g: g.name))
+        every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
+        return tuple(sorted(every, key=lambda g: g.name))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -230,6 +399,9 @@ class Comparison(ByValue, Tabled):
         """One row per axis, coefficient and sensor, in usual units."""
         import pandas as pd
 
+        return pd.DataFrame(self._records())
+
+    def _records(self) -> list[dict[str, Any]]:
         rows = []
         for row in self.rows:
             for label, c, d in zip(self.labels, row.estimates, row.differences, strict=True):
@@ -241,31 +413,26 @@ class Comparison(ByValue, Tabled):
                         | {"ratio_lower_95": ends[0], "ratio_upper_95": ends[1]}
                         | {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
                     )
-        return pd.DataFrame(rows)
+        return rows
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as plain dictionaries and lists, for JSON; growth in SI."""
-        table = self.to_dataframe().astype(object)
-        columns = [name for name in table.columns if name not in ("median", "lower_68", "upper_68")]
-        records = [
-            {
-                name: finite_or_none(x) if isinstance(x, float) else x
-                for name, x in zip(columns, of, strict=True)
-            }
-            for of in table[columns].itertuples(index=False)
-        ]
+        left_out = ("median", "lower_68", "upper_68")
         growths = [
             {"sensor": self.labels[g.sensor], "of": g.name}
-            | {name: [finite_or_none(x) for x in getattr(g, name)] for name in ("value", "lower", "upper")}
+            | {name: getattr(g, name) for name in ("value", "lower", "upper")}
             for g in (*self.drifts, *self.growths)
         ]
         return {
             "sensors": [{"name": one.label, "source": one.source} for one in self.sensors],
             "reference": self.labels[self.reference],
-            "coefficients": records,
+            "coefficients": [
+                in_json({name: x for name, x in row.items() if name not in left_out})
+                for row in self._records()
+            ],
             "horizons_s": list(HORIZONS),
             "grades": [dict(zip(_GRADES, row, strict=True)) for row in self.grades],
-            "growth": growths,
+            "growth": in_json(growths),
         }
 
     @presented
@@ -305,16 +472,14 @@ class Comparison(ByValue, Tabled):
         """Sensor, what it is called, and its grades by random walk and by least Allan deviation."""
         found = []
         for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            of = {label: self._of_sensor(kind, k, label) for label in (AngleRandomWalk.name(), LEAST)}
-            graded = [grade(estimates, kind, label) for label, estimates in of.items()]
+            own = [row for row in self.rows if row.sensor == kind]
+            graded = [
+                grade([c for row in own if row.label == label and (c := row.estimates[k])], kind, label)
+                for label in (AngleRandomWalk.name(), LEAST)
+            ]
             if any(graded):
                 found.append((str(kind), name, *graded))
         return found  # type: ignore[return-value]
-
-    def _of_sensor(self, kind: Sensor, k: int, label: str) -> list[Estimate]:
-        """A coefficient of a sensor on all axes of a kind."""
-        of_axes = (row.estimates[k] for row in self.rows if (row.sensor, row.label) == (kind, label))
-        return [c for c in of_axes if c is not None]
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
@@ -343,23 +508,14 @@ SHOWN = {
 }
 
 
-def shown_unit(name: str) -> tuple[str, float]:
-    """Unit of a drift or an error, and its size in SI."""
-    return next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
-
-
 def _shown(name: str, value: float, low: float, high: float) -> str:
     """A drift or an error with its interval, and its unit."""
-    unit, size = shown_unit(name)
+    unit, size = next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
     ends = f" ({format_range(low / size, high / size)})" if np.isfinite(low) else ""
     return f"{significant(value / size)}{ends} {unit}"
 
 
-def compare(
-    *data: Comparable,
-    labels: Sequence[str] | None = None,
-    reference: int | str = 0,
-) -> Comparison:
+def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: int | str = 0) -> Comparison:
     """Compare sensors of any grade: recordings, fits, data sheets, presets and published curves.
 
     Coefficients that each sensor has are compared with those of the reference, with intervals, ratios and a
@@ -418,7 +574,12 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
     for axis in axes:
         every = [one.of(axis) for one in sensors]
         # Terms that only one sensor has are its structure, except for the basic ones.
-        held = [n for of in every for n, c in of.items() if _compares(c) and (c.detected or c.held)]
+        held = [
+            n
+            for of in every
+            for n, c in of.items()
+            if (c.is_amplitude or n == LEAST) and (c.detected or c.held)
+        ]
         names = dict.fromkeys(n for n in held if n in (*SYMBOLS, LEAST) or held.count(n) > 1)
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):
             found = tuple(of.get(label) for of in every)
@@ -429,36 +590,12 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
             )
             sensor: Any = axis.partition("_")[0]
             rows.append(Row(axis, sensor, label, found, pairs))
-    places = [(i, j) for i, row in enumerate(rows) for j, d in enumerate(row.differences) if d is not None]
-    corrected = holm([rows[i].differences[j].p_value for i, j in places])  # type: ignore[union-attr]
-    by_place = dict(zip(places, corrected, strict=True))
+    tested = [d for row in rows for d in row.differences if d is not None]
+    corrected = iter(holm([d.p_value for d in tested]))
     return tuple(
-        row._replace(
-            differences=tuple(
-                None if d is None else d._replace(corrected=by_place[i, j])
-                for j, d in enumerate(row.differences)
-            )
-        )
-        for i, row in enumerate(rows)
+        row._replace(differences=tuple(d and d._replace(corrected=next(corrected)) for d in row.differences))
+        for row in rows
     )
-
-
-def _compares(c: Estimate) -> bool:
-    """Whether sensors are compared in a quantity: an amplitude, or the least Allan deviation."""
-    return c.is_amplitude or c.label == LEAST
-
-
-def _noise_of(one: Compared) -> Sensors:
-    """Noise of a sensor's axes with draws."""
-    assert one.noise is not None
-    return sensors_of(one.noise, one.rate if isinstance(one.noise, dict) else None, 0)
-
-
-def _drifts(k: int, sensors: Sensors) -> Iterator[Growth]:
-    """Drift of each axis of a sensor."""
-    t = np.array(HORIZONS)
-    for name, noise in sensors.axes.items():
-        yield Growth(k, name, *drift(sensors, noise, t))
 
 
 def drift(
@@ -476,11 +613,10 @@ def drift(
 
 def _growths(k: int, one: Compared) -> Iterator[Growth]:
     """Heading and position errors of a sensor, as far as its axes allow."""
-    assert one.noise is not None
+    if one.noise is None:
+        return
     try:
-        grown = navigate(
-            one.noise, HORIZONS, rate=one.rate if isinstance(one.noise, dict) else None, schuler=True
-        )
+        grown = navigate(one.noise, HORIZONS, rate=one.rate_of_models, schuler=True)
     except AllanjaxError:
         # Its axes make no navigator.
         return

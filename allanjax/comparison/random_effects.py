@@ -140,12 +140,6 @@ class Laws:
             return float(upper_tail(q, self.dof))
         return float((1 + np.sum(self.fitted(self.simulated(0.0), 0.0)[2] >= q)) / (1 + _DRAWS))
 
-    def q_quantile(self, p: float, tau: float) -> float:
-        """Quantile of Q if this is the true scatter."""
-        if self.normal:
-            return float(quantile(p, self.dof))
-        return float(np.quantile(self.fitted(self.simulated(tau), tau)[2], p))
-
     def t_quantiles(self, p: Sequence[float], tau: float) -> Float[np.ndarray, " p"]:
         """Quantiles of the mean's distance from the common value, in its standard errors."""
         if self.normal:
@@ -160,7 +154,11 @@ class Laws:
         from scipy.optimize import brentq
 
         def excess(tau: float) -> float:
-            usual = self.dof if p is None else self.q_quantile(p, tau)
+            usual: Any = self.dof
+            if p is not None and self.normal:
+                usual = quantile(p, self.dof)
+            elif p is not None:
+                usual = np.quantile(self.fitted(self.simulated(tau), tau)[2], p)
             return float(np.log(self.fitted(self.x, tau)[2] / usual))
 
         high = float(np.ptp(self.x))

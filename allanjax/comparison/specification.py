@@ -119,16 +119,12 @@ def _limits(section: str, sensor: Sensor, given: Any, where: str) -> Iterator[Li
                 f"{where} {key} needs meaning: maximum (of this unit) or meaning: typical (of many units, so "
                 f"reported only), not {meaning!r}"
             )
-        name = _label(str(key), sensor)
+        # A usual name of the coefficient, such as N or VRW.
+        usual = (x for x in _exponents() if SYMBOLS.get(x) == key or is_called(str(key), x, sensor))
+        name = next(usual, str(key))
         label, size = Figures(sensor, {**own, name: limit}, where, _exponents()).one(name)
         unit = default_coefficient_unit(sensor, _exponents().get(label, 0.0))
         yield Limit(str(key), section, label, size, unit, meaning)
-
-
-def _label(key: str, sensor: Sensor) -> str:
-    """Label of the coefficient with a usual name, such as N or VRW; other keys as they are."""
-    known = (label for label in _exponents() if SYMBOLS.get(label) == key or is_called(key, label, sensor))
-    return next(known, key)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

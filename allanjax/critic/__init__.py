@@ -9,19 +9,7 @@ candidate's parameters are `Estimate`s made by `View.estimate`, `time_estimate`,
 sense. `critic.search` has the rule by which a candidate becomes a finding.
 """
 
-from pathlib import Path
-from typing import Any
-
-from allanjax.base.late import LateNames
+from allanjax.base.late import late_names
 
 # `__init__.pyi` lists the public names and where they come from.
-_PUBLIC = LateNames(__name__, Path(__file__).with_suffix(".pyi"))
-
-
-def __getattr__(name: str) -> Any:
-    """The object with this public name, loaded on first use."""
-    return _PUBLIC.load(name)
-
-
-def __dir__() -> list[str]:
-    return _PUBLIC.all()
+__getattr__, __dir__ = late_names(__name__, __file__)

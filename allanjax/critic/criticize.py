@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import dataclasses
 import traceback
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +15,6 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.base.memory import return_freed
 from allanjax.base.wording import finite_or_none, plain
 from allanjax.critic.common_mode import NAME, common_mode
 from allanjax.critic.comparison import CERTAIN, Comparison, compared, reported
@@ -114,7 +115,10 @@ def _guarded(
     def attempt(k: int) -> _T | None:
         if axes[k].name in failed:
             return None
-        return_freed()
+        # Freed arrays of several megabytes leave gaps that later ones of other lengths do not fill: glibc,
+        # where it is the C library, returns them to the system.
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL("libc.so.6").malloc_trim(0)
         try:
             return work(k)
         except (MemoryError, OSError):

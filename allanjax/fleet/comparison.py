@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -201,7 +201,12 @@ def _unlike(values: Values, probability: float, log_prior: Widths) -> Flags:
     marked = np.zeros(len(values.x), bool)
     if not values.testable:
         return marked
-    suspects, is_high = _suspects(values)
+    high, low = _distance(values, values.comparable), _distance(values, values.known)
+    is_high = high > _SUSPECT
+    distance = np.where(values.known, np.where(is_high, high, -low), 0.0)
+    order = np.argsort(-distance)
+    # The most extreme first.
+    suspects = order[distance[order] > _SUSPECT][: values.comparable.sum() // 3]
     # A limit far above the others does not describe its unit.
     comparable = values.comparable & (values.known | ~is_high)
     for k in range(len(suspects), 0, -1):
@@ -215,15 +220,6 @@ def _unlike(values: Values, probability: float, log_prior: Widths) -> Flags:
             marked[suspects[:k]] = True
             break
     return marked
-
-
-def _suspects(values: Values) -> tuple[Int[np.ndarray, " suspects"], Flags]:
-    """Units to test, the most extreme first, and whether each unit is high rather than low."""
-    high, low = _distance(values, values.comparable), _distance(values, values.known)
-    is_high = high > _SUSPECT
-    distance = np.where(values.known, np.where(is_high, high, -low), 0.0)
-    order = np.argsort(-distance)
-    return order[distance[order] > _SUSPECT][: values.comparable.sum() // 3], is_high
 
 
 def _distance(values: Values, units: Flags) -> Numbers:
@@ -244,29 +240,27 @@ def _chance(values: Values, unit: int, usual: Flags, log_prior: Widths) -> float
 
 def _tail(values: Values, unit: int, rest: Int[np.ndarray, " rest"], log_prior: Widths) -> float:
     """Probability of a value at least as far from the others on its side, integrated over centre and τ."""
-    x = values.x[rest]
-    centre = float(np.median(x))
+    centre = float(np.median(values.x[rest]))
     s = values.towards(centre)
-    precision = 1.0 / (WIDTHS[:, None] ** 2 + s[rest] ** 2)
-    total = precision.sum(axis=1)
-    mean = np.sum(precision * x, axis=1) / total
-    log_posterior = log_prior + log_evidence(precision, x, mean)
+    evidence, mean, total = by_width(values.x[rest], s[rest])
+    log_posterior = log_prior + evidence
     posterior = np.exp(log_posterior - log_posterior.max())
     deviation = abs(values.x[unit] - centre) + np.sign(centre - values.x[unit]) * (mean - centre)
     tails = ndtr(-deviation / np.sqrt(WIDTHS**2 + s[unit] ** 2 + 1.0 / total))
     return float(np.sum(posterior * tails) / np.sum(posterior))
 
 
-def log_evidence(
-    precision: Float[np.ndarray, "widths units"],
-    x: Numbers,
-    mean: Widths,
-) -> Widths:
-    """Log-likelihood of normal values, integrated over a centre of flat prior density 1."""
+def by_width(x: Numbers, s: Numbers) -> tuple[Widths, Widths, Widths]:
+    """Log-likelihood of normal values, their weighted mean, and its precision, for each scatter of units.
+
+    The likelihood is integrated over a centre of flat prior density 1.
+    """
+    precision = 1.0 / (WIDTHS[:, None] ** 2 + s**2)
     total = precision.sum(axis=1)
+    mean = np.sum(precision * x, axis=1) / total
     misfit = np.sum(precision * (x - mean[:, None]) ** 2, axis=1)
     parts = np.sum(np.log(precision), axis=1) - np.log(total) - misfit
-    return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi))
+    return 0.5 * (parts - (len(x) - 1) * np.log(2.0 * np.pi)), mean, total
 
 
 def log_prior_of(coefficient: str) -> Widths:
@@ -288,51 +282,25 @@ def median_width(distance: Numbers, s: Numbers) -> float:
     return float(np.sqrt(max(width**2 - float(np.median(s)) ** 2, 0.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class Pooled:
-    """One coefficient of all units, its axes pooled.
-
-    Attributes:
-        sensor, coefficient: sensor and label of the coefficient.
-        x, s: ln of the coefficient, up to a constant, and its standard deviation; NaN where it is unknown.
-    """
-
-    sensor: Sensor
-    coefficient: str
-    x: Numbers
-    s: Numbers
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
+class Split(NamedTuple):
     """Division of units into groups.
 
     Attributes:
-        pooled: coefficient that shows it.
+        family: coefficient that shows it.
         labels: group of each unit, in ascending order of the coefficient from 0 on.
-        log_odds: log odds against a single group.
+        ratios: ratio of each group's median to that of the group below.
     """
 
-    pooled: Pooled
+    family: Family
     labels: Int[np.ndarray, " units"]
-    log_odds: float
-
-    @property
-    def ratios(self) -> list[float]:
-        """Ratio of each group's median to that of the group below."""
-        medians = [np.nanmedian(self.pooled.x[self.labels == g]) for g in range(self.groups)]
-        return list(np.exp(np.diff(medians)))
-
-    @property
-    def groups(self) -> int:
-        """Number of groups."""
-        return int(self.labels.max()) + 1
+    ratios: list[float]
 
 
-def pooled_values(family: Family, units: Sequence[str]) -> Pooled:
-    """Coefficient of these units, pooled from its values on each axis.
+def _pooled_values(family: Family, units: Sequence[str]) -> tuple[Numbers, Numbers]:
+    """ln of a coefficient of these units, up to a constant, and its error; NaN where it is unknown.
 
-    A limit counts as a value if it is below all values: the coefficient is lower still.
+    It is pooled from its values on each axis. A limit counts as a value if it is below all values: the
+    coefficient is lower still.
     """
     values = pooled(family.axes)
     lowest = values.x[values.known].min() if values.known.any() else np.inf
@@ -341,10 +309,10 @@ def pooled_values(family: Family, units: Sequence[str]) -> Pooled:
     x, s = np.full((2, len(units)), np.nan)
     x[places] = np.where(counted, values.x, np.nan)
     s[places] = np.where(values.known, (values.below + values.above) / 2.0, _LIMIT_SCATTER)
-    return Pooled(family.sensor, family.coefficient, x, np.where(np.isfinite(x), s, np.nan))
+    return x, np.where(np.isfinite(x), s, np.nan)
 
 
-def found_split(families: Sequence[Pooled]) -> Split | None:
+def found_split(families: Sequence[Family], units: Sequence[str]) -> Split | None:
     """Groups that the units fall into, by the coefficient that shows them most clearly, or None.
 
     Each coefficient's units are put in order and parted at their widest gaps. A part is a group, whose units
@@ -357,44 +325,38 @@ def found_split(families: Sequence[Pooled]) -> Split | None:
     A unit belongs to the group that is nearest in its coefficients together, each with long tails: one bad
     coefficient does not carry it into another group.
     """
-    splits = [split for family in families if (split := _split(family)) is not None]
-    best = max(splits, key=lambda split: split.log_odds, default=None)
-    if best is None or best.log_odds < np.log(_ODDS * len(families)):
+    values = [_pooled_values(family, units) for family in families]
+    splits = [_split(*of, log_prior_of(f.coefficient)) for of, f in zip(values, families, strict=True)]
+    best = max(range(len(splits)), key=lambda k: splits[k][0], default=0)
+    if not splits or splits[best][0] < np.log(_ODDS * len(families)):
         return None
-    return Split(best.pooled, _nearest(families, best.labels), best.log_odds)
+    labels = _nearest(values, splits[best][1])
+    medians = [np.nanmedian(values[best][0][labels == g]) for g in range(int(labels.max()) + 1)]
+    return Split(families[best], labels, list(np.exp(np.diff(medians))))
 
 
-def _split(values: Pooled) -> Split | None:
-    """Division by one coefficient, in which units that are odd or unknown have the label −1."""
-    units = np.flatnonzero(np.isfinite(values.x))
-    order = units[np.argsort(values.x[units])]
+def _split(x: Numbers, s: Numbers, prior: Widths) -> tuple[float, Int[np.ndarray, " units"]]:
+    """Log odds of several groups against one, and the groups; −1 for units that are odd or unknown."""
+    units, labels = np.flatnonzero(np.isfinite(x)), np.full(len(x), -1)
+    order = units[np.argsort(x[units])]
     m = len(order)
     smallest = 2 if m <= 2 * FEWEST_UNITS else max(FEWEST_UNITS, int(np.ceil(m / 8.0)))
     if m < smallest + _FEWEST_BETTER:
-        return None
-    x, s = values.x[order], values.s[order]
+        return -np.inf, labels
+    x, s = x[order], s[order]
     gaps = np.argsort(-np.diff(x))[:_GAPS]
-    prior = log_prior_of(values.coefficient)
-    single, several, labels = -np.inf, -np.inf, None
+    single, several = -np.inf, -np.inf
     for count in range(len(gaps) + 1):
         parts = np.split(np.arange(m), np.sort(gaps[:count]) + 1)
         one, more, groups = _weighed(x, s, parts, smallest, prior)
         single = max(single, one)
         if more > several:
-            several, labels = more, groups
-    if labels is None:
-        return None
-    of_units = np.full(len(values.x), -1)
-    of_units[order] = labels
-    return Split(values, of_units, several - single)
+            several, labels[order] = more, groups
+    return several - single, labels
 
 
 def _weighed(
-    x: Numbers,
-    s: Numbers,
-    parts: Sequence[Int[np.ndarray, " _"]],
-    smallest: int,
-    prior: Widths,
+    x: Numbers, s: Numbers, parts: Sequence[Int[np.ndarray, " _"]], smallest: int, prior: Widths
 ) -> tuple[float, float, Int[np.ndarray, " units"]]:
     """Log evidence of one group and of several, the parts being groups or odd units, and the labels."""
     sizes = np.array([len(part) for part in parts])
@@ -403,9 +365,8 @@ def _weighed(
     for k, part in enumerate(parts):
         # Two units that are far better than the others are not both bad ones.
         if len(part) >= (smallest if k else _FEWEST_BETTER):
-            precision = 1.0 / (WIDTHS[:, None] ** 2 + np.maximum(s[part], 1e-9) ** 2)
-            mean = np.sum(precision * x[part], axis=1) / precision.sum(axis=1)
-            group[k] = log_evidence(precision, x[part], mean) - np.log(_RANGE) + len(part) * np.log1p(-_ODD)
+            evidence = by_width(x[part], np.maximum(s[part], _ROUNDING))[0]
+            group[k] = evidence - np.log(_RANGE) + len(part) * np.log1p(-_ODD)
     gain = group - odd[:, None]
     one = logsumexp(prior + odd.sum() + gain.max(axis=0))
     # Assignment of the other units to groups: all shares of the groups are equally likely.
@@ -422,19 +383,21 @@ def _weighed(
     return float(one), float(logsumexp(total)), labels
 
 
-def _nearest(families: Sequence[Pooled], labels: Int[np.ndarray, " units"]) -> Int[np.ndarray, " units"]:
+def _nearest(
+    values: Sequence[tuple[Numbers, Numbers]], labels: Int[np.ndarray, " units"]
+) -> Int[np.ndarray, " units"]:
     """Group that each unit is nearest to, in all coefficients together."""
     groups = int(labels.max()) + 1
     cost = np.zeros((len(labels), groups))
-    for family in families:
-        is_known = np.isfinite(family.x)
+    for x, s in values:
+        is_known = np.isfinite(x)
         for g in range(groups):
             members = is_known & (labels == g)
             if not members.any():
                 continue
-            centre = np.median(family.x[members])
-            width = median_width(abs(family.x - centre)[members], family.s[members])
-            z = (family.x - centre) / np.hypot(max(width, _LEAST_WIDTH), family.s)
+            centre = np.median(x[members])
+            width = median_width(abs(x - centre)[members], s[members])
+            z = (x - centre) / np.hypot(max(width, _LEAST_WIDTH), s)
             cost[:, g] += np.where(is_known, (_FREEDOM + 1.0) / 2.0 * np.log1p(z**2 / _FREEDOM), 0.0)
     nearest = np.argmin(cost, axis=1)
     return nearest if len(np.unique(nearest)) == groups else np.where(labels >= 0, labels, nearest)

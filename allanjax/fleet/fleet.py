@@ -43,9 +43,9 @@ from allanjax.fleet.table import (
     rows_of,
     structures,
     table_of,
+    table_schema,
     tables,
     why_not_measured,
-    write_table,
 )
 from allanjax.noise.notation import ModelLike, as_model
 from allanjax.record.completion import rows_between
@@ -181,7 +181,15 @@ def characterize_fleet(
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
             scheduler does not answer; `workers` below one or with `scheduler`; a `piece` below 10⁵ samples.
     """
-    _check_arguments(workers, scheduler, piece)
+    if piece < _SHORTEST_PIECE:
+        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
+    if workers is not None and workers < 1:
+        raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
+    if workers is not None and scheduler is not None:
+        raise AllanjaxError(
+            "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
+            "its own workers; leave out one of the two"
+        )
     out = Path(out)
     paths = matching_files(files, out)
     model = None if model is None else as_model(model)
@@ -232,30 +240,6 @@ class _Done:
     def counts(self) -> tuple[int, int]:
         """How many recordings are done, and how many of these failed."""
         return len(self.errors), sum(map(bool, self.errors.values()))
-
-    def table(self) -> pd.DataFrame:
-        """Table in the order of the recordings, whatever the order they ended in."""
-        return table_of([row for name in self.recordings for row in self.rows.get(name, ())])
-
-    def failures(self) -> tuple[dict[str, str], ...]:
-        """Files and axes without a result, and why, in the order of the recordings."""
-        return tuple(
-            {"file": str(path), "message": message}
-            for name, path in self.recordings.items()
-            for message in self.errors.get(name, ())
-        )
-
-
-def _check_arguments(workers: int | None, scheduler: str | None, piece: int) -> None:
-    if piece < _SHORTEST_PIECE:
-        raise AllanjaxError(f"piece= (--piece) must be at least {_SHORTEST_PIECE} samples, not {piece}")
-    if workers is not None and workers < 1:
-        raise AllanjaxError(f"workers= (--workers) must be at least 1, not {workers}")
-    if workers is not None and scheduler is not None:
-        raise AllanjaxError(
-            "workers= (--workers) is for a local cluster, but the cluster at scheduler= (--scheduler) has "
-            "its own workers; leave out one of the two"
-        )
 
 
 def _characterize(path: Path, options: FitOptions) -> list[dict[str, Any]]:
@@ -309,7 +293,8 @@ def _accumulate(path: Path, reading: ReadOptions, first: int) -> AllanAccumulato
 
 def _characterize_pieces(pieces: Sequence[AllanAccumulator], options: FitOptions) -> list[dict[str, Any]]:
     """Task of a worker: all pieces of a recording together."""
-    return [to_dict(options.fit_accumulated(functools.reduce(AllanAccumulator.merge, pieces)))]
+    whole, how = functools.reduce(AllanAccumulator.merge, pieces), (options.model, options.objective)
+    return [to_dict(whole.fit(*how, as_is=options.as_is, vibrating=options.vibrating))]
 
 
 def _axes_without_result(fit: Mapping[str, Any]) -> list[str]:
@@ -339,10 +324,19 @@ def _reason(path: Path, error: Exception) -> str:
 
 def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figure_format: str) -> FleetResult:
     """Write table, errors, notes and figure to `out`, and return the result; these notes come first."""
-    table, more = judged(done.table(), done.structures)
-    paths = tuple(done.recordings.values())
-    result = FleetResult(table, done.failures(), paths, resumed, (*notes, *more))
-    write_table(table, out / "fleet.parquet")
+    import pyarrow.parquet
+
+    # In the order of the recordings, whatever the order they ended in.
+    rows = [row for name in done.recordings for row in done.rows.get(name, ())]
+    table, more = judged(table_of(rows), done.structures)
+    errors = tuple(
+        {"file": str(path), "message": message}
+        for name, path in done.recordings.items()
+        for message in done.errors.get(name, ())
+    )
+    result = FleetResult(table, errors, tuple(done.recordings.values()), resumed, (*notes, *more))
+    columns = pyarrow.Table.from_pandas(table, table_schema(), preserve_index=False)
+    pyarrow.parquet.write_table(columns, out / "fleet.parquet")
     with (out / "errors.csv").open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
@@ -357,9 +351,6 @@ def _connected(scheduler: str | None, workers: int | None, tasks: int) -> Iterat
     """Client of the cluster at the address `scheduler`, or of a local one that is closed after the tasks.
 
     By default the local cluster has one worker per core, but no more than tasks.
-
-    Raises:
-        AllanjaxError: Dask is not installed, or the scheduler does not answer.
     """
     try:
         from dask.system import CPU_COUNT
@@ -440,16 +431,10 @@ def _result_of(future: Any) -> Any:
 
 
 def _call(function: Callable[..., Any], arguments: Sequence[Any]) -> Any:
-    """Make a call in a worker process."""
-    _prepare_worker()
-    return function(*arguments)
-
-
-@functools.cache
-def _prepare_worker() -> None:
-    """Let the workers share compiled programs, and limit JAX's threads to this worker's cores."""
+    """Make a call in a worker process, which shares compiled programs and has JAX use its own cores only."""
     from distributed import get_worker
 
     # Number of threads of XLA, which reads it when it first computes, after this.
     os.environ.setdefault("NPROC", str(get_worker().state.nthreads))
     enable_compilation_cache()
+    return function(*arguments)

@@ -11,7 +11,6 @@ from allanjax.record.io.options import ReadOptions
 if TYPE_CHECKING:
     from allanjax.estimate.fit import Objective
     from allanjax.estimate.result import Fit
-    from allanjax.fleet.stream import AllanAccumulator
     from allanjax.inspection import Inspection
     from allanjax.noise.model import Model
     from allanjax.record.recording import Recording
@@ -47,31 +46,17 @@ class FitOptions:
         options = self.model, self.objective, self.regressors, self.plain
         return fit_inspected(recording, inspection, *options, as_is=self.as_is)
 
-    def fit_accumulated(self, accumulator: AllanAccumulator, inspection: Inspection | None = None) -> Fit:
-        """Fit of an accumulated stream, which has no channels to regress on.
-
-        It covers the recording, or the part of it that the inspection of the whole selects.
-        """
-        if inspection is None or inspection.longest_part is None:
-            return accumulator.fit(self.model, self.objective, as_is=self.as_is, vibrating=self.vibrating)
-        return accumulator.fit_inspected(inspection, self.model, self.objective)
-
-    def inspect(self, of: Recording | AllanAccumulator) -> Inspection:
-        """Inspection of a recording or of accumulated samples, as used by its fit."""
-        from allanjax.record.recording import Recording
-
-        if self.model is None and isinstance(of, Recording):
+    def inspect(self, recording: Recording) -> Inspection:
+        """Inspection of a recording, as used by its fit."""
+        if self.model is None:
             # Without the modules of fits, which may still be loading.
             from allanjax.inspection import inspect
 
             moves = bool(self.regressors)
-            return inspect(of, as_is=self.as_is, vibrating=self.vibrating, may_move=moves)
+            return inspect(recording, as_is=self.as_is, vibrating=self.vibrating, may_move=moves)
         from allanjax.estimate.fit import inspected
-        from allanjax.fleet.stream import AllanAccumulator
 
-        if isinstance(of, AllanAccumulator):
-            return of.inspect(as_is=self.as_is, vibrating=self.vibrating)
-        return inspected(of, self.model, self.regressors, self.as_is, self.vibrating)
+        return inspected(recording, self.model, self.regressors, self.as_is, self.vibrating)
 
     def to_dict(self) -> dict[str, Any]:
         """All options in types of JSON; equal if and only if the options are equal."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -23,7 +22,6 @@ from allanjax.fleet.comparison import (
     found_split,
     log_values,
     outlying,
-    pooled_values,
 )
 from allanjax.inspection.facts import listed, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, title_of
@@ -65,32 +63,20 @@ def table_schema() -> pa.Schema:
     """Columns of the Parquet file and their types, the same whatever is in it."""
     import pyarrow as pa
 
-    text, number, flag = pa.string(), pa.float64(), pa.bool_()
-    return pa.schema(
-        {
-            "recording": text,
-            "file": text,
-            "group": text,
-            "axis": text,
-            "sensor": text,
-            "coefficient": text,
-            "value": number,
-            "std": number,
-            "lower_95": number,
-            "upper_95": number,
-            "unit": text,
-            "detected": flag,
-            "upper_limit_95": number,
-            "measured": flag,
-            "p_value": number,
-            "terms": text,
-            "outlying": flag,
-            "start_s": number,
-            "stop_s": number,
-            "remarks": text,
-            "warnings": text,
-        }
-    )
+    kinds = [
+        (pa.string(), "recording file group axis sensor coefficient"),
+        (pa.float64(), "value std lower_95 upper_95"),
+        (pa.string(), "unit"),
+        (pa.bool_(), "detected"),
+        (pa.float64(), "upper_limit_95"),
+        (pa.bool_(), "measured"),
+        (pa.float64(), "p_value"),
+        (pa.string(), "terms"),
+        (pa.bool_(), "outlying"),
+        (pa.float64(), "start_s stop_s"),
+        (pa.string(), "remarks warnings"),
+    ]
+    return pa.schema({name: kind for kind, names in kinds for name in names.split()})
 
 
 def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") -> list[dict[str, Any]]:
@@ -167,14 +153,6 @@ def mark_outlying(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(outlying=marked[:-1])
 
 
-def write_table(table: pd.DataFrame, path: str | os.PathLike[str]) -> None:
-    """Write the table to a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    pq.write_table(pa.Table.from_pandas(table, table_schema(), preserve_index=False), path)
-
-
 class Remark(NamedTuple):
     """Something about an axis, e.g. a line at 7.3 Hz, for which its noise terms may have been corrected.
 
@@ -208,18 +186,16 @@ class AxisStructure(NamedTuple):
 def structures(fit: Mapping[str, Any]) -> list[AxisStructure]:
     """Terms of each axis with a result, and remarks on it, the gravest first, by a fit's JSON."""
     return [
-        AxisStructure(axis["name"], axis["sensor"], terms_of(axis), _remarks(fit, axis))
+        AxisStructure(axis["name"], axis["sensor"], _terms(axis), _remarks(fit, axis))
         for axis in fit["axes"]
         if axis["converged"]
     ]
 
 
-def terms_of(axis: Mapping[str, Any]) -> list[str]:
+def _terms(axis: Mapping[str, Any]) -> list[str]:
     """Terms that the fit chose for the axis, or was given."""
-    for s in axis["selection"] or ():
-        if s["chosen"]:
-            return list(s["terms"])
-    return list(dict.fromkeys(c["term"] for c in axis["coefficients"]))
+    chosen = next((s["terms"] for s in axis["selection"] or () if s["chosen"]), None)
+    return list(dict.fromkeys(c["term"] for c in axis["coefficients"]) if chosen is None else chosen)
 
 
 def why_not_measured(axis: Mapping[str, Any]) -> str:
@@ -233,32 +209,21 @@ def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[Remark]:
         found.append(Remark(_NOT_MEASURED))
     elif axis["discrepancy"]:
         found.append(Remark(_INCOMPLETE))
-    if (extension := axis["extension"]) is not None:
-        found += [_correction(label, axis, extension) for label in extension["further"]]
+    # Filters, resonances and lines for which the fit corrected the noise terms.
+    for label in (axis["extension"] or {"further": ()})["further"]:
+        kind = re.sub(r"_\d+$", "", label)
+        is_term = kind in {term["term"] for term in axis["extension"]["model"]}
+        name = _NAMES.get(kind, kind.replace("_", " ")) if is_term else "filter"
+        hertz = [c["value"] for c in axis["coefficients"] if c["term"] == label and c["unit"] == "Hz"]
+        found.append(Remark(name, hertz[0] if hertz else np.nan, "Hz", corrected=True))
     for fact in fit["facts"]:
-        remark = _of_fact(fact)
-        if axis["name"] in fact["axes"] and remark and not any(remark.like(other) for other in found):
-            found.append(remark)
+        if axis["name"] in fact["axes"] and fact["kind"] != "not examined":
+            sized = fact["size"] is not None and fact["unit"] in _UNITS
+            cut = sized and fact["kind"] == "disturbances"
+            name = "cut" if cut else _NAMES.get(fact["kind"], fact["kind"])
+            remark = Remark(name, *(fact["size"], fact["unit"]) if sized else ())
+            found += [] if any(remark.like(other) for other in found) else [remark]
     return found
-
-
-def _correction(label: str, axis: Mapping[str, Any], extension: Mapping[str, Any]) -> Remark:
-    """Remark on a filter, resonance or line for which a fit corrected the noise terms."""
-    kind = re.sub(r"_\d+$", "", label)
-    is_term = kind in {term["term"] for term in extension["model"]}
-    name = _NAMES.get(kind, kind.replace("_", " ")) if is_term else "filter"
-    hertz = [c["value"] for c in axis["coefficients"] if c["term"] == label and c["unit"] == "Hz"]
-    return Remark(name, hertz[0] if hertz else np.nan, "Hz", corrected=True)
-
-
-def _of_fact(fact: Mapping[str, Any]) -> Remark | None:
-    """Remark on a fact; None if the fact does not concern the unit."""
-    if fact["kind"] == "not examined":
-        return None
-    sized = fact["size"] is not None and fact["unit"] in _UNITS
-    size = (fact["size"], fact["unit"]) if sized else ()
-    cut = fact["kind"] == "disturbances" and bool(size)
-    return Remark("cut" if cut else _NAMES.get(fact["kind"], fact["kind"]), *size)
 
 
 def unlike_mates(units: Mapping[str, Sequence[AxisStructure]]) -> dict[str, str]:
@@ -334,14 +299,14 @@ def judged(
 def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
     """Table of a group, or tables of the groups that it falls into, each with notes."""
     names = list(table["recording"].unique())
-    split = found_split([pooled_values(family, names) for family in families(table)])
+    split = found_split(list(families(table)), names)
     if split is None:
         yield table, []
         return
     group = table["group"].iloc[0]
     of_rows = split.labels[[names.index(name) for name in table["recording"]]]
     words = [_split_note(split, names, group)]
-    for g in range(split.groups):
+    for g in range(len(split.ratios) + 1):
         name = f"{group}/{g + 1}" if group else str(g + 1)
         for part, more in _parted(table[of_rows == g].assign(group=name)):
             yield part, words + more
@@ -350,15 +315,15 @@ def _parted(table: pd.DataFrame) -> Iterator[tuple[pd.DataFrame, list[str]]]:
 
 def _split_note(split: Split, names: Sequence[str], group: str) -> str:
     """Note on the groups that a group falls into."""
-    title = title_of(split.pooled.coefficient, split.pooled.sensor)
+    title = title_of(split.family.coefficient, split.family.sensor)
     parts = []
-    for g in range(split.groups):
+    for g in range(len(split.ratios) + 1):
         units = [name for name, label in zip(names, split.labels, strict=True) if label == g]
         parts.append(f"{f'{group}/' if group else ''}{g + 1} ({len(units)} units: {listed(units, _NAMED)})")
     apart = " and ".join(significant(ratio, 2) for ratio in split.ratios)
-    what = f"the units{f' of group {group}' if group else ''} fall into {split.groups} groups"
+    what = f"the units{f' of group {group}' if group else ''} fall into {len(parts)} groups"
     return (
-        f"{what} in {title} ({split.pooled.sensor}), apart by a factor of {apart}: {', '.join(parts)}. Units "
+        f"{what} in {title} ({split.family.sensor}), apart by a factor of {apart}: {', '.join(parts)}. Units "
         "are compared within these; pass groups of your own with group= (--group)"
     )
 

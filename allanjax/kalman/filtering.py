@@ -150,9 +150,7 @@ class BiasTracks(ByValue, PerAxis[_T]):
 
     @presented
     def plot(
-        self,
-        axes: Sequence[str] | str | None = None,
-        path: str | os.PathLike[str] | None = None,
+        self, axes: Sequence[str] | str | None = None, path: str | os.PathLike[str] | None = None
     ) -> Figure:
         """Draw the bias with its 95 % band over the samples, and innovations or models below.
 
@@ -332,38 +330,38 @@ def kalman_filter(
 
     Raises:
         AllanjaxError: an axis without a model, a parameter without a value, a model that leaves no noise in a
-            sample, a term without a state space (see `Model.state_space`); a mask of another shape.
+            sample, a term without a state space (see `Model.state_space`); a mask of another shape, or of
+            all samples of an axis.
     """
-    recording = as_recording(recording, rate, gyro_unit, accel_unit)
+    used, lost = _prepared(recording, constant_std, missing, rate, gyro_unit, accel_unit)
+    results = (
+        _filtered(used, k, model_of(models, axis), lost[:, k], smooth, constant_std)
+        for k, axis in enumerate(used.axes)
+    )
+    return Filtered(used.name, tuple(results))
+
+
+def _prepared(
+    given: RecordingLike,
+    constant_std: float | None,
+    missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None,
+    *options: Any,
+) -> tuple[Recording, Bool[np.ndarray, "samples axes"]]:
+    """Recording, and samples that a filter does not use: those missing in it, and others that are given."""
+    recording = as_recording(given, *options)
     if constant_std is not None and not 0.0 <= constant_std < np.inf:
         raise AllanjaxError(f"constant_std must be None, or finite and at least 0, not {constant_std}")
-    lost = missing_of(recording, missing)
-    axes = enumerate(recording.axes)
-    results = (
-        _filtered(recording, k, model_of(models, axis), lost[:, k], smooth, constant_std) for k, axis in axes
-    )
-    return Filtered(recording.name, tuple(results))
-
-
-def missing_of(
-    recording: Recording, missing: Bool[np.ndarray, "samples axes"] | Bool[np.ndarray, " samples"] | None
-) -> Bool[np.ndarray, "samples axes"]:
-    """Samples that a filter does not use: those missing in the recording, and the given ones.
-
-    Raises:
-        AllanjaxError: a mask of another shape; all samples of an axis.
-    """
     shape = recording.values.shape
     lost = np.zeros(shape, bool) if recording.missing is None else recording.missing
-    given = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
-    given = given[:, None] if given.ndim == 1 else given
-    if given.shape not in (shape, (shape[0], 1)):
-        raise AllanjaxError(f"missing must have the shape {shape} or ({shape[0]},), not {given.shape}")
-    lost = lost | given
+    further = np.zeros(shape[:1], bool) if missing is None else np.asarray(missing, bool)
+    further = further[:, None] if further.ndim == 1 else further
+    if further.shape not in (shape, (shape[0], 1)):
+        raise AllanjaxError(f"missing must have the shape {shape} or ({shape[0]},), not {further.shape}")
+    lost = lost | further
     for name, of_axis in zip(recording.names, lost.T, strict=True):
         if of_axis.all():
             raise AllanjaxError(f"{name}: all samples are missing, so there is nothing to filter")
-    return lost
+    return recording, lost
 
 
 def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
@@ -527,22 +525,18 @@ def adaptive_filter(
         AllanjaxError: fewer than two models, or one that `kalman_filter` refuses; a probability that is
             negative or too large.
     """
-    recording = as_recording(recording, rate, gyro_unit, accel_unit)
+    used, lost = _prepared(recording, constant_std, missing, rate, gyro_unit, accel_unit)
     if not isinstance(models, Mapping):
         models = {f"model {k + 1}": model for k, model in enumerate(models)}
     if len(models) < 2:
         raise AllanjaxError("an adaptive filter needs at least two models; for one, use kalman_filter")
-    if not 0.0 <= switching / recording.rate < 0.5:
+    if not 0.0 <= switching / used.rate < 0.5:
         raise AllanjaxError(
             f"switching, the probability of a change per second, must be at least 0 and below half the "
-            f"sample rate, {recording.rate / 2:g}, not {switching}"
+            f"sample rate, {used.rate / 2:g}, not {switching}"
         )
-    lost = missing_of(recording, missing)
-    results = (
-        _adapted(recording, k, models, lost[:, k], switching, constant_std)
-        for k in range(len(recording.axes))
-    )
-    return Adapted(recording.name, tuple(results))
+    results = (_adapted(used, k, models, lost[:, k], switching, constant_std) for k in range(len(used.axes)))
+    return Adapted(used.name, tuple(results))
 
 
 def _adapted(

@@ -135,12 +135,6 @@ def _unchanged(new: Array, old: Array, scale: Array) -> Bool[Array, ""]:
     return jnp.all(jnp.abs(new - old) <= _SETTLED * scale)
 
 
-def _start(system: System) -> State:
-    n, rows = len(system.h), len(system.rows)
-    nothing = Gains(jnp.zeros(n), jnp.zeros(()), jnp.zeros(rows))
-    return State(jnp.zeros((n, 2)), nothing, jnp.zeros((n, n)), jnp.asarray(-1), jnp.asarray(False))
-
-
 def _updated(
     system: System, S: Float[Array, "n n"], there: Array, first: Array
 ) -> tuple[Gains, Float[Array, "n n"]]:
@@ -242,7 +236,10 @@ def run_filter(system: System, record: Record) -> tuple[Columns, Columns, State]
         rows = Columns(jnp.einsum("rn,bnc->brc", system.rows, x), gains.std)
         return end, (Columns(innovation, gains.innovation_std), rows, state)
 
-    _, (*found, states) = jax.lax.scan(block, _start(system), tuple(map(jnp.asarray, record)))
+    n, rows = len(system.h), len(system.rows)
+    nothing = Gains(jnp.zeros(n), jnp.zeros(()), jnp.zeros(rows))
+    start = State(jnp.zeros((n, 2)), nothing, jnp.zeros((n, n)), jnp.asarray(-1), jnp.asarray(False))
+    _, (*found, states) = jax.lax.scan(block, start, tuple(map(jnp.asarray, record)))
     innovations, rows = jax.tree.map(_joined, found)
     return innovations, rows, states
 
@@ -402,9 +399,6 @@ class FilterModel:
         A term is slow, that is drift, if its slowest state decays without oscillating and keeps more than 1/e
         over ten samples: walks, ramps, Gauss–Markov processes, flicker, but not white noise, quantization,
         resonances and lines. With a response, drift is taken before it.
-
-        Raises:
-            AllanjaxError: see `Model.state_space`.
         """
         space = model.state_space(rate, duration=duration, sensor=sensor)
         places = {name: k for k, name in enumerate(space.names)}

@@ -195,7 +195,7 @@ def align(
     Raises:
         FitError: no axis has a measurement.
         AllanjaxError, UnitError: a latitude within 1° of a pole or beyond it; no level axis; a record of less
-            than four samples; a value out of range or that cannot be read.
+            than four samples; a value out of range or that cannot be read; a model without terms or values.
     """
     phi = math.radians(latitude)
     if not abs(phi) <= math.pi / 2.0:
@@ -245,8 +245,12 @@ def _of_axis(
     lower, upper = (angle(end) for end in sensors.ends(drawn))
 
     def found(of: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> tuple:
-        """A property of the error, and its interval by draws of the error."""
-        return float(of(error[None])[0]), _interval(of(low), of(high), sensors.estimated)
+        """A property of the error, and its interval by draws of the error; these may be infinite."""
+        ends = (math.nan, math.nan)
+        if sensors.estimated:
+            pair = ((of(low), 0.025), (of(high), 0.975))
+            ends = tuple(float(np.quantile(x, q, method="nearest")) for x, q in pair)  # type: ignore[assignment]
+        return float(of(error[None])[0]), ends
 
     def first(errors: Float[np.ndarray, "draws t"]) -> Float[np.ndarray, " draws"]:
         """The first times at which errors are within a per cent of the least."""
@@ -281,14 +285,3 @@ def _reached(time: Float[np.ndarray, " t"], error: Float[np.ndarray, " t"], want
         return float(time[0])
     share = math.log(error[k - 1] / wanted) / math.log(error[k - 1] / error[k])
     return float(time[k - 1] * (time[k] / time[k - 1]) ** share)
-
-
-def _interval(
-    low: Float[np.ndarray, " draws"], high: Float[np.ndarray, " draws"], estimated: bool
-) -> tuple[float, float]:
-    """Ends of the central 95 % interval of draws, some of which may be infinite; nan for exact models."""
-    if not estimated:
-        return math.nan, math.nan
-    pair = ((low, 0.025), (high, 0.975))
-    lower, upper = (float(np.quantile(x, q, method="nearest")) for x, q in pair)
-    return lower, upper

@@ -139,13 +139,7 @@ NoiseLike: TypeAlias = Fit | Posterior | DataSheet | Mapping[str, ModelLike]
 
 
 def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
-    """Axes with draws of their likely models, or with given models, which are taken as exact.
-
-    Raises:
-        FitError: no axis of the fit has a measurement.
-        AllanjaxError: models without a rate, or a fit with one; a model without terms; a parameter without a
-            value.
-    """
+    """Axes with draws of their likely models, or with given models, which are taken as exact."""
     if isinstance(data, Fit | Posterior):
         if rate is not None:
             raise AllanjaxError("rate= is for models only, as a fit has its own sample rate; leave it out")
@@ -153,7 +147,10 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
         noise = {}
         for own in (data[name] for name, r in fit.items() if r.measured and name in data):
             if isinstance(own, AxisPosterior):
-                sets = _sampled(own)
+                # Draws with equal shapes are one set; terms that were not sampled are left out.
+                fixed = all(own.coefficients[label].is_amplitude for label in own.labels)
+                models = own.models(_DRAWS if fixed else _SHAPES)
+                sets = [exact_model(*models)] if fixed else list(map(exact_model, models))
             else:
                 sets = likely_models(fit, own.axis.name, _DRAWS, rng)
             noise[own.axis.name] = AxisNoise(own.axis, sets)
@@ -174,8 +171,8 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
         )
     if rate is None or not 0.0 < rate < np.inf:
         raise AllanjaxError(f"models need a sample rate: give a positive rate in Hz, not {rate}")
-    models = cast(Mapping[str, ModelLike], data)
-    exact = {axis: _exact(axis, model) for axis, model in models.items()}
+    given = cast(Mapping[str, ModelLike], data)
+    exact = {axis: _exact(axis, model) for axis, model in given.items()}
     return Sensors(name, float(rate), np.inf, exact, notes)
 
 
@@ -191,20 +188,8 @@ def _exact(name: str, model: ModelLike) -> AxisNoise:
     return AxisNoise(Axis(name, column.sensor, SI[column.sensor]["rate"]), [exact_model(complete)])
 
 
-def _sampled(posterior: AxisPosterior) -> list[Likely]:
-    """Draws of a posterior, with equal shapes in one set; terms that were not sampled are left out."""
-    if any(not posterior.coefficients[label].is_amplitude for label in posterior.labels):
-        return [exact_model(model) for model in posterior.models(_SHAPES)]
-    return [exact_model(*posterior.models(_DRAWS))]
-
-
 def in_si(value: float | str, unit: str, name: str, sensor: Sensor | None = None) -> float:
-    """Value in this SI unit, from a number in that unit or a text with a unit, e.g. "0.2 deg/h".
-
-    Raises:
-        AllanjaxError: not a number, or a negative one.
-        UnitError: a unit of another dimension.
-    """
+    """Value in this SI unit, from a number in that unit or a text with a unit, e.g. "0.2 deg/h"."""
     number, text = value, unit
     if isinstance(value, str):
         quantity = parse_quantity(value)

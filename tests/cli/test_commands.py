@@ -12,10 +12,12 @@ import bench
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 from commands import run, schema, without_progress
 from turned_sensors import at_rest
 
 import allanjax as aj
+from allanjax.cli.app import app
 
 pytestmark = pytest.mark.usefixtures("elsewhere")
 # What reads a table without stamps or units whose middle is a golden record.
@@ -57,6 +59,11 @@ def fitted(*words, given=None, code=0):
     assert done.exit_code == code, done.stderr
     (document,) = json.loads(done.stdout)["fits"]
     return document
+
+
+def test_every_option_of_every_command_is_described():
+    for name, command in typer.main.get_command(app).commands.items():
+        assert [option.name for option in command.params if not option.help] == [], name
 
 
 def test_characterize_prints_the_table_and_writes_the_results():

@@ -306,6 +306,7 @@ WRONG = [
     (WHITE, {"missing": np.zeros(3, bool)}, "missing"),
     (WHITE, {"missing": np.ones(LENGTH, bool)}, "all samples are missing"),
     ([QUIET], {}, "two models"), ([QUIET, NOISY], {"switching": 5.0}, "change"),
+    ([QUIET, NOISY], {"constant_std": -1.0}, "constant_std"),
     ([QUIET, NOISY], {"switching": -0.1}, "change"), ([QUIET, aj.AngleRandomWalk()], {}, "angle_random_walk"),
 ]  # fmt: skip
 
