@@ -1,4 +1,4 @@
-"""Critiques as plain data that follow `critique.schema.json`."""
+"""Critiques as plain data that follow `schema("critique")`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
+"""Files of a fit: JSON after `schema("fit")`, CSV tables and figures."""
 
 import csv
 import io
