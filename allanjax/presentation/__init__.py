@@ -12,7 +12,7 @@ present(
         "AxisPosterior.plot_corner": "allanjax.presentation.posterior_figure.plot_corner",
         "BiasTracks.plot": "allanjax.presentation.navigation_figure.plot_bias_tracks",
         "Calibration.plot": "allanjax.presentation.navigation_figure.plot_calibration",
-        "Comparison.plot": "allanjax.presentation.comparison_figure.plot_comparison",
+        "Comparison.plot": "allanjax.presentation.allan_figure.plot_comparison",
         "Critique.__str__": "allanjax.presentation.critique_story.story",
         "Critique.details": "allanjax.presentation.critique_story.details",
         "Critique.plot": "allanjax.presentation.critique_figure.plot_critique",
