@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.chi_squared import quantile
@@ -117,14 +117,6 @@ def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
     )
 
 
-def _times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
-    """Cluster times at which a model's curve is drawn [s].
-
-    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another.
-    """
-    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
-
-
 def _kind_of(curve: AllanDeviation) -> str:
     """Name of the curve's statistic, e.g. "Allan deviation"."""
     return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"
@@ -159,7 +151,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
     """Draw the model and its terms; returns the lines of the terms by their labels, and the model's."""
-    time = _times_to_draw(fit.curve)
+    time = draw.times_of(fit.curve)
     total, styles = np.zeros(len(time)), draw.term_styles(fit, result)
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
@@ -280,7 +272,7 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
     def fill(panel: Axes) -> None:
         for c in curves:
             if c.fit is not None and c.result(name) is not None:
-                time = _times_to_draw(c.curve)
+                time = draw.times_of(c.curve)
                 y = c.fit.model_deviation(name, time) / scale
                 panel.plot(time, y, label=f"{c.label}: model", zorder=2.5, **c.line)
         if has_legend:
