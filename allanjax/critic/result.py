@@ -207,7 +207,7 @@ class Critique(ByValue, PerAxis[AxisCritique]):
 
     @presented
     def to_dict(self) -> dict[str, Any]:
-        """The critique as plain data for JSON; see `critique.schema.json`."""
+        """The critique as plain data for JSON; see `allanjax schema critique`."""
         raise NotImplementedError
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -109,7 +109,7 @@ def _tuples(value: Any) -> Any:
 
 
 def to_dict(fit: Fit) -> dict[str, Any]:
-    """The fit as plain dictionaries, lists, numbers and strings; `fit.schema.json` describes the keys.
+    """The fit as plain dictionaries, lists, numbers and strings; `allanjax schema fit` describes the keys.
 
     Numbers that do not exist or are not finite are None. `load` restores the fit.
     """

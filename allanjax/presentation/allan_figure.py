@@ -1,4 +1,4 @@
-"""Figures of Allan deviations: of a fit with its model and terms, and of several curves over one another."""
+"""Figures of Allan deviations: of a fit with its model and terms, of several curves, and through time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex
 
 from allanjax.allan.deviation import AllanDeviation, allan_deviation
 from allanjax.base.chi_squared import quantile
@@ -19,21 +19,24 @@ from allanjax.noise.datasheet import DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import draw
-from allanjax.presentation.draw import Heading, KeyEntry, Panel, Points, Residual
+from allanjax.presentation.draw import Heading, KeyEntry, Panel, Points, Residual, Sheet
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import Sensor
+from allanjax.record.units import SI, Sensor
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+    from allanjax.allan.deviation import DynamicAllan
+    from allanjax.comparison.compare import Comparison
+    from allanjax.critic.result import Critique
     from allanjax.navigation.rates import SampleRates
 
 #: What can be drawn as an Allan deviation.
 Drawable: TypeAlias = Fit | AllanDeviation | Recording | DataSheet
-# Cluster times of a data sheet's picture [s].
-_TIMES_OF_SHEET = np.geomspace(0.01, 1e4, 200)
+# Cluster times of models without a record [s].
+_TIMES_OF_MODEL = np.geomspace(0.01, 1e4, 200)
 # Markers by which curves are distinguished in black and white.
 _MARKERS = "os^Dv*"
 
@@ -114,14 +117,6 @@ def _fit_and_curve(data: Drawable) -> tuple[Fit | None, AllanDeviation]:
     )
 
 
-def _times_to_draw(curve: AllanDeviation) -> Float[np.ndarray, " t"]:
-    """Cluster times at which a model's curve is drawn [s].
-
-    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another.
-    """
-    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], 400))) / curve.rate
-
-
 def _kind_of(curve: AllanDeviation) -> str:
     """Name of the curve's statistic, e.g. "Allan deviation"."""
     return {"allan": "Allan", "modified": "modified Allan", "hadamard": "Hadamard"}[curve.kind] + " deviation"
@@ -136,19 +131,19 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
     name, label = curve.names[k], draw.label_in(_kind_of(curve), unit)
     points = [draw.allan_points(curve, k, scale)]
     if fit is None:
-        return Panel(name, label, points, draw_slopes, ())
+        return Panel(name, label, points, _draw_slopes, ())
     result = fit.results[k]
     verdict = draw.verdict_entry(result, "s")
     if not result.converged:
-        return Panel(name, label, points, draw_slopes, [verdict])
+        return Panel(name, label, points, _draw_slopes, [verdict])
     fit = fit.as_for(name)
     absent = " (no Allan variance: not drawn)"
     entries = draw.term_entries(fit, result, lambda term: isinstance(term, Transient), absent, _HEIGHT)
 
     def fill(panel: Axes) -> None:
         lines, total = _draw_model(panel, fit, result, scale)
-        draw_slopes(panel)
-        write_values(panel, result.coefficients, lines, total)
+        _draw_slopes(panel)
+        _write_values(panel, result.coefficients, lines, total)
 
     strip = residual(fit, k)
     return Panel(name, label, points, fill, [*entries, verdict], strip, draw.worst_place(result, "s"))
@@ -156,7 +151,7 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
 
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
     """Draw the model and its terms; returns the lines of the terms by their labels, and the model's."""
-    time = _times_to_draw(fit.curve)
+    time = draw.times_of(fit.curve)
     total, styles = np.zeros(len(time)), draw.term_styles(fit, result)
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
@@ -186,7 +181,7 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     coefficients, model = sheet.coefficients(sensor), sheet[sensor]
     axis = next(iter(coefficients.values())).axis
     unit, scale = draw.unit_of(axis)
-    time = _TIMES_OF_SHEET
+    time = _TIMES_OF_MODEL
     curves = [np.sqrt(np.asarray(term.allan_variance(time))) / scale for term in model.terms]
     total, hidden = np.sqrt(np.sum(np.square(curves), axis=0)), {"marker": "none"}
     styles = [draw.line_style(k, 1.3) for k in range(len(curves))]
@@ -194,8 +189,8 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
     def fill(panel: Axes) -> None:
         lines = [panel.plot(time, y, **look)[0] for y, look in zip(curves, styles, strict=True)]
         (sum_line,) = panel.plot(time, total, **draw.model_line())
-        draw_slopes(panel)
-        write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
+        _draw_slopes(panel)
+        _write_values(panel, coefficients, dict(zip(coefficients, lines, strict=True)), sum_line)
 
     key = [
         KeyEntry(
@@ -214,19 +209,13 @@ def _panel_of_sheet(sheet: DataSheet, sensor: Sensor) -> Panel:
 
 
 class _Curve(NamedTuple):
-    """One of the curves: its label, the fit that it comes from if any, and its style."""
+    """One of the curves: its label, the fit that it comes from if any, and the styles of model and points."""
 
     label: str
     fit: Fit | None
     curve: AllanDeviation
-    colour: str
-    marker: str
-    dashes: Any
-
-    @property
-    def line(self) -> dict[str, Any]:
-        """Style of its model."""
-        return {"color": self.colour, "linestyle": self.dashes, "linewidth": 1.2}
+    line: dict[str, Any]
+    points: dict[str, Any]
 
     def result(self, name: str) -> AxisFit | None:
         """Fit of the axis of this name, if it has a result."""
@@ -283,12 +272,12 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
     def fill(panel: Axes) -> None:
         for c in curves:
             if c.fit is not None and c.result(name) is not None:
-                time = _times_to_draw(c.curve)
+                time = draw.times_of(c.curve)
                 y = c.fit.model_deviation(name, time) / scale
                 panel.plot(time, y, label=f"{c.label}: model", zorder=2.5, **c.line)
         if has_legend:
             panel.legend(frameon=False)
-        draw_slopes(panel)
+        _draw_slopes(panel)
 
     # What was measured once is drawn once, or the last would hide the others.
     points, entries = [], []
@@ -296,13 +285,20 @@ def _panel_of_several(curves: Sequence[_Curve], name: str, axis: Axis | None, ha
         same = [o for o in curves if np.array_equal(o.curve[name].deviation, c.curve[name].deviation)]
         entries.append(_entry(c, name, len(same) == 1))
         if c is same[0]:
-            own = {"color": c.colour, "marker": c.marker} if len(same) == 1 else {}
+            own = c.points if len(same) == 1 else {}
             label = ", ".join(o.label for o in same)
             points.append(
                 dataclasses.replace(draw.allan_points(c.curve[name], 0, scale), label=label, style=own)
             )
     label = draw.label_in(_kind_of(curves[0].curve), unit)
     return Panel(name, label, points, fill, entries)
+
+
+def _looks(k: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Styles of the line and of the points of the kth of several curves."""
+    colour = draw.COLOURS[k % 6]
+    line = {"color": colour, "linestyle": ("-", *draw.DASHES)[k % 6], "linewidth": 1.2}
+    return line, {"color": colour, "marker": _MARKERS[k % 6]}
 
 
 def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Curve]:
@@ -315,7 +311,7 @@ def _curves(data: Sequence[Drawable], labels: Sequence[str] | None) -> list[_Cur
     if len(kinds) > 1:
         raise AllanjaxError(f"{' and '.join(kinds)} deviations cannot be compared: draw them separately")
     return [
-        _Curve(str(label), fit, curve, draw.COLOURS[k % 6], _MARKERS[k % 6], ("-", *draw.DASHES)[k % 6])
+        _Curve(str(label), fit, curve, *_looks(k))
         for k, (label, (fit, curve)) in enumerate(zip(labels or _labels(data), pairs, strict=True))
     ]
 
@@ -348,8 +344,63 @@ def _entry(c: _Curve, name: str, own_points: bool) -> KeyEntry:
         shown = [x for x in result.coefficients.values() if x.detected and x.term not in result.further]
         values = ", ".join(f"{x.symbol} = {x.in_unit().describe()}" for x in shown) or "nothing detected"
         text += f": {values if result.measured else 'not a measurement of this sensor'}"
-    marker: dict[str, Any] = {"marker": c.marker, "markevery": [1], "markersize": 3.5} if own_points else {}
-    return KeyEntry(text, {**c.line, **marker})
+    return KeyEntry(text, c.line | c.points | {"markevery": [1], "markersize": 3.5} if own_points else c.line)
+
+
+def plot_comparison(comparison: Comparison, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw the Allan deviations of all sensors over one another, one panel per axis.
+
+    Points are measured, with 68 % intervals; lines are models. A data sheet has one line for all axes of a
+    sensor. The key has the coefficients.
+    """
+    # Here, as a comparison imports more than other pictures need.
+    from allanjax.comparison.compare import axes_of
+
+    names = axes_of(comparison.sensors)
+    sensors: list[Any] = [name.partition("_")[0] for name in names]
+    axes = [Axis(name, kind, SI[kind]["rate"]) for name, kind in zip(names, sensors, strict=True)]
+    heading = Heading("Comparison", ", ".join(comparison.labels), [draw.measured_entry(), draw.model_entry()])
+    rows = draw.rows_of(names, axes, None)
+    return draw.draw_panels(
+        heading, draw.CLUSTER_TIME, rows, lambda k: _panel_of_sensors(comparison, axes[k]), path, None
+    )
+
+
+def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
+    """Curves and models of all sensors on an axis."""
+    unit, scale = draw.unit_of(axis)
+    lines, points, key = [], [], []
+    for k, one in enumerate(comparison.sensors):
+        look, style = _looks(k)
+        has_curve = one.curve is not None and axis.name in one.curve.names
+        if has_curve:
+            assert one.curve is not None
+            own = draw.allan_points(one.curve[axis.name], 0, scale)
+            points.append(Points(own.x, own.y, own.spread, one.label, style))
+        if (model := one.model(axis.name)) is not None:
+            time = one.curve.cluster_time if has_curve and one.curve is not None else _TIMES_OF_MODEL
+            y = np.sqrt(np.asarray(model.sampled(one.rate).allan_variance(time))) / scale
+            lines.append((time, y, look))
+        if model is not None or has_curve:
+            known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]
+            values = ", ".join(_value(c) for c in known if c.symbol in "NBKQR")
+            absent = "not a measurement" if model is None else "nothing detected"
+            key.append(KeyEntry(f"{one.label}: {values or absent}", look))
+
+    def fill(panel: Axes) -> None:
+        for x, y, look in lines:
+            panel.plot(x, y, zorder=2.5, **look)
+        _draw_slopes(panel)
+
+    if not points:
+        hidden = {"marker": "none"}
+        points = [Points(x, y, np.zeros((2, len(x))), style=hidden) for x, y, _ in lines]
+    return Panel(axis.name, draw.label_in("Allan deviation", unit), points, fill, key)
+
+
+def _value(c: Estimate) -> str:
+    """Symbol and value of a coefficient in its usual unit."""
+    return f"{c.symbol} = {c.in_unit().describe().removesuffix(' (held)')}"
 
 
 SLOPES = {-1.0: "−1", -0.5: "−½", 0.0: "0", 0.5: "+½", 1.0: "+1"}
@@ -366,7 +417,7 @@ _HALF_WIDTH, _AWAY = 0.3, 0.95
 _CLEAR, _APART = 45.0, 110.0
 
 
-def draw_slopes(panel: Axes) -> None:
+def _draw_slopes(panel: Axes) -> None:
     """Draw faint lines of the slopes through the middle of a panel whose scales are set."""
     (left, right), (bottom, top) = (np.log10(ends) for ends in (panel.get_xlim(), panel.get_ylim()))
     x0, y0 = (left + right) / 2.0, (bottom + top) / 2.0
@@ -387,7 +438,7 @@ def draw_slopes(panel: Axes) -> None:
         panel.text(10.0 ** (x0 + end), 10.0 ** (y0 + slope * end), name, ha="center", va="center", **style)
 
 
-def write_values(
+def _write_values(
     panel: Axes, coefficients: Mapping[str, Estimate], drawn: Mapping[str, Line2D], total: Line2D
 ) -> None:
     """Write N, B and K with their units on the lines `drawn` of their terms, away from the other terms.
@@ -429,3 +480,61 @@ def write_values(
 def _pixels(panel: Axes, line: Line2D) -> Complex[np.ndarray, " points"]:
     """Points of a line on the screen, x + iy in pixels."""
     return panel.transData.transform(np.asarray(line.get_xydata())) @ (1.0, 1.0j)
+
+
+# --- Through time -------------------------------------------------------------------------------------------
+
+_DYNAMIC = Sheet(4.2, 2.4, right=1.1)
+# Factor from the median at which the colours end.
+_FACTOR, _TICKS = 2.0, (0.5, 0.7, 1.0, 1.4, 2.0)
+
+
+def plot_dynamic(
+    dynamic: DynamicAllan,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    critique: Critique | None = None,
+) -> Figure:
+    """Draw the Allan deviation of each window over that of the median window, one panel per axis.
+
+    Colours are the ratio on a logarithmic scale. Broken lines are the steps and the beginnings and ends of
+    changes that a critique of the record found on the axis.
+    """
+    from matplotlib.colors import LogNorm
+
+    names = dynamic.names
+    key = [draw.line_entry(**_change(), label="found by the critique")] if critique is not None else []
+    facts = f"{len(dynamic.time)} windows of {duration(dynamic.window)}"
+    heading = Heading(f"{dynamic.name}: Allan deviation through time".removeprefix(": "), facts, key)
+    across = min(3, len(names))
+    rows = [min(across, len(names) - k) for k in range(0, len(names), across)]
+    figure, panels = _DYNAMIC.draw(heading, rows, path)
+    ratio = dynamic.deviation / np.median(dynamic.deviation, axis=0)
+    edges = np.append(dynamic.time - 0.5 * dynamic.window, dynamic.time[-1] + 0.5 * dynamic.window)
+    scale = LogNorm(1.0 / _FACTOR, _FACTOR)
+    for k, panel in enumerate(panel for row in panels for panel in row):
+        draw.dress(panel, names[k], draw.TIME, draw.CLUSTER_TIME, log="y")
+        step = (dynamic.cluster_time[-1] / dynamic.cluster_time[0]) ** (0.5 / (len(dynamic.cluster_time) - 1))
+        heights = np.append(dynamic.cluster_time / step, dynamic.cluster_time[-1] * step)
+        shown = panel.pcolormesh(edges, heights, ratio[:, :, k].T, norm=scale, cmap="RdBu_r", rasterized=True)
+        for time in _changes(critique, names[k]):
+            panel.axvline(time, **_change())
+    place = panels[0][-1].get_position()
+    bar = figure.colorbar(shown, figure.add_axes((place.x1 + 0.01, place.y0, 0.012, place.height)))
+    bar.set_ticks(_TICKS, labels=[f"{tick:g}" for tick in _TICKS], minor=False)
+    bar.ax.minorticks_off()
+    bar.set_label("deviation over the median")
+    return draw.saved(figure, path)
+
+
+def _change() -> dict[str, Any]:
+    """Style of a time at which a critique found a change."""
+    return {"color": draw.ink(), "linestyle": "--", "linewidth": 0.9}
+
+
+def _changes(critique: Critique | None, axis: str) -> list[float]:
+    """Times within the record at which findings on an axis begin or end [s]."""
+    if critique is None:
+        return []
+    spans = [f.span for f in critique.findings if f.domain == "time" and axis in f.axes]
+    return sorted({float(t) for span in spans for t in span if 0.0 < t < 0.999 * critique.duration})

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import norm
@@ -236,19 +235,13 @@ def _shade(panel: Axes, span: tuple[float, float], total: float) -> None:
         panel.axvspan(*span, **draw.band(_SPAN, label="effect", zorder=0))
 
 
-def _blocks(length: int, most: int) -> tuple[Int[np.ndarray, " blocks"], Int[np.ndarray, " blocks"]]:
-    """First samples of about equal blocks, and the blocks' lengths."""
-    edges = np.unique(np.linspace(0, length, min(most, length) + 1).astype(int))
-    return edges[:-1], np.diff(edges)
-
-
 def _draw_extremes(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw mean and extremes of blocks of the whitened residuals, and single outliers."""
     duration = record.n / record.rate
     shown = _around(finding.span, duration, 0.01 * duration)
     first, last = (int(np.clip(round(t * record.rate), 0, record.n)) for t in shown)
     e = record.whitened[first:last]
-    edges, length = _blocks(len(e), _POINTS)
+    edges, length = draw.blocks(len(e), _POINTS)
     time = (first + edges + 0.5 * length) / record.rate
     low, high = np.minimum.reduceat(e, edges), np.maximum.reduceat(e, edges)
     panel.fill_between(time, low, high, color=draw.ink(0.75), linewidth=0.5, label="range of samples")
@@ -263,7 +256,7 @@ def _draw_extremes(panel: Axes, record: Stage, after: Stage, finding: Finding) -
 
 def _draw_loudness(panel: Axes, record: Stage, after: Stage, finding: Finding) -> None:
     """Draw the root mean square of the whitened residuals in blocks, and the band of simulations."""
-    edges, length = _blocks(record.n, _BLOCKS)
+    edges, length = draw.blocks(record.n, _BLOCKS)
     time = (edges + 0.5 * length) / record.rate
     rms = np.sqrt(np.add.reduceat(record.whitened**2, edges) / length)
     spread = TWO_SIDED_95 * np.sqrt(0.5 / length)
@@ -307,7 +300,7 @@ def _draw_samples(panel: Axes, record: Stage, after: Stage, finding: Finding) ->
 def _draw_path(panel: Axes, before: Stage, after: Stage, finding: Finding) -> None:
     """Draw means of blocks of samples, and the effect that was found."""
     unit, scale = draw.unit_of(before.axis)
-    edges, length = _blocks(before.n, _BLOCKS)
+    edges, length = draw.blocks(before.n, _BLOCKS)
     time = (edges + 0.5 * length) / before.rate
     x, effect = ((y - y.mean()) / scale for y in (before.x, before.x - after.x))
     name = f"means of {plain(before.n / len(edges) / before.rate, 2)} s"
@@ -325,7 +318,7 @@ def _draw_spectrum(panel: Axes, record: Stage, after: Stage, finding: Finding) -
     frequency = np.arange(1, record.n) * record.rate / (2.0 * record.n)
     near = (lowest <= frequency) & (frequency <= highest)
     power, f = record.whitened_coefficients[near] ** 2, frequency[near]
-    edges, length = _blocks(len(f), _POINTS)
+    edges, length = draw.blocks(len(f), _POINTS)
     # Where many coefficients share a point, the largest of a line: it must not be averaged away.
     line = finding.cause == "sinusoid"
     shown = np.maximum.reduceat(power, edges) if line else np.add.reduceat(power, edges) / length

@@ -1,14 +1,13 @@
-"""Critiques as plain data that follow `critique.schema.json`."""
+"""Critiques as plain data that follow `schema("critique")`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
-from allanjax.base.wording import finite_or_none
 from allanjax.critic.finding import Detail, Discrepancy, Finding, written
 from allanjax.critic.result import AxisCritique, Critique
+from allanjax.estimate.as_json import in_json
 from allanjax.noise.estimate import Estimate, usual_unit
 from allanjax.noise.model import Model
 from allanjax.record.recording import Axis
@@ -36,17 +35,8 @@ def to_dict(critique: Critique) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "allanjax_version": version("allanjax"),
         "recording": {"name": critique.name, "n": n, "rate_hz": rate, "duration_s": n / rate},
-        **_plain(results),
+        **in_json(results),
     }
-
-
-def _plain(value: Any) -> Any:
-    """Value with lists for tuples, and None for nan and infinite numbers."""
-    if isinstance(value, Mapping):
-        return {key: _plain(x) for key, x in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(x) for x in value]
-    return value if value is None or isinstance(value, str | int) else finite_or_none(value)
 
 
 def _fields(data: Any, *names: str) -> dict[str, Any]:

@@ -125,6 +125,14 @@ def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
     return Points.of(curve.cluster_time, curve.deviation[:, k], ends, scale)
 
 
+def times_of(curve: AllanDeviation, most: int = 400) -> Float[np.ndarray, " t"]:
+    """Cluster times at which a model's curve is drawn [s].
+
+    They are whole numbers of samples: between them a sinusoid above the Nyquist frequency would be another.
+    """
+    return np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], most))) / curve.rate
+
+
 class KeyEntry(NamedTuple):
     """Entry of a panel's key: a term with the style of its curve, or only a remark, and the text's colour."""
 
@@ -399,6 +407,12 @@ def extremes(y: Float[np.ndarray, " n"], most: int = 4000) -> Int[np.ndarray, " 
     parts = np.pad(y, (0, -len(y) % stretch), mode="edge").reshape(-1, stretch)
     ends = np.arange(len(parts)) * stretch + [parts.argmin(axis=1), parts.argmax(axis=1)]
     return np.unique(np.minimum([*ends.ravel(), 0, len(y)], len(y) - 1))
+
+
+def blocks(length: int, most: int) -> tuple[Int[np.ndarray, " blocks"], Int[np.ndarray, " blocks"]]:
+    """First samples of about equal blocks, and the blocks' lengths."""
+    edges = np.unique(np.linspace(0, length, min(most, length) + 1).astype(int))
+    return edges[:-1], np.diff(edges)
 
 
 def mark_off_scale(panel: Axes, x: Float[np.ndarray, " m"], y: Float[np.ndarray, " m"], colour: Any) -> None:

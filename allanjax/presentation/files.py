@@ -1,4 +1,4 @@
-"""Files of a fit: JSON after `fit.schema.json`, CSV tables and figures."""
+"""Files of a fit: JSON after `schema("fit")`, CSV tables and figures."""
 
 import csv
 import io
@@ -6,7 +6,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -127,13 +127,6 @@ def write_coefficients_csv(fit: Fit, path: str | os.PathLike[str]) -> None:
     _write(coefficients_csv(fit), path)
 
 
-#: What is written of every fit beside its JSON: the end of the file's name, and what writes it.
-FILES: tuple[tuple[str, Callable[[Fit, Path], object]], ...] = (
-    ("_allan.csv", write_curve_csv),
-    ("_coefficients.csv", write_coefficients_csv),
-)
-
-
 def write_results(
     fit: Fit,
     spectrum: PowerSpectrum | None,
@@ -157,8 +150,8 @@ def write_results(
     if spec is not None:
         paths.append(directory / f"{name}_spec.xml")
         paths[-1].write_text(spec.to_junit(), encoding="utf-8")
-    for suffix, write in FILES:
-        paths.append(directory / f"{name}{suffix}")
+    for suffix, write in (("allan", write_curve_csv), ("coefficients", write_coefficients_csv)):
+        paths.append(directory / f"{name}_{suffix}.csv")
         write(fit, paths[-1])
     paths.append(directory / f"{name}_allan.{figure_format}")
     fit.plot(path=paths[-1])

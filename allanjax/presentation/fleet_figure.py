@@ -1,9 +1,10 @@
-"""Figure of a fleet: the distribution of each coefficient over its units."""
+"""Figures of many recordings: the coefficients of a fleet's units, and those of a joint fit."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
+from allanjax.comparison.repeatability import JointCoefficient, JointFit
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import table_schema
 from allanjax.noise.estimate import title_of
@@ -50,6 +52,8 @@ _BEYOND = 2.0
 _NEAR = 8.0
 # Quantiles of the units that the bands reach from and to.
 _BAND = (0.05, 0.95)
+# Of a joint fit, inches for each recording, and for the letters of its name; most letters of a name, its end.
+_ROW, _NAME_LETTER, _LONG_NAME = 0.19, 0.075, 24
 
 
 def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -114,7 +118,12 @@ def _short_names(table: pd.DataFrame) -> dict[str, str]:
     starts = (k + 1 for k, letter in enumerate(units[0]) if not letter.isalnum())
     start = max((k for k in starts if all(name[:k] == units[0][:k] for name in units)), default=0)
     ends = {name: name[start:] for name in units}
-    return {name: end if len(end) <= _LETTERS else f"…{end[1 - _LETTERS :]}" for name, end in ends.items()}
+    return {name: _short(end, _LETTERS) for name, end in ends.items()}
+
+
+def _short(name: str, most: int) -> str:
+    """A name, or its end of so many letters."""
+    return name if len(name) <= most else f"…{name[1 - most :]}"
 
 
 def _group_colours(table: pd.DataFrame) -> list[tuple[str, str | None]]:
@@ -250,7 +259,7 @@ def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     of = of.sort_values("height")
     points = of[["x", "height"]].to_numpy()
     places = panel.transLimits.transform(panel.transScale.transform(points))
-    names = [name if len(name) <= _LONGEST else f"…{name[1 - _LONGEST :]}" for name in of["recording"]]
+    names = [_short(name, _LONGEST) for name in of["recording"]]
     if len(names) > _NAMED:
         names[_NAMED - 1 :] = [f"{names[_NAMED - 1]} and {len(names) - _NAMED} more"]
     steps = _NAME_HEIGHT / _SHEET.height * np.arange(len(names))
@@ -266,3 +275,69 @@ def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     look |= {"ha": "left" if right else "right", "textcoords": "axes fraction"}
     for name, point, y in zip(names, points, level, strict=False):
         panel.annotate(draw.literal(name), tuple(point), (at, y), **look)
+
+
+def plot_joint(
+    joint: JointFit, axes: Sequence[str] | str | None = None, path: str | os.PathLike[str] | None = None
+) -> Figure:
+    """Draw a forest plot of each coefficient: one row of panels per axis, one line per recording.
+
+    Points are the recordings' values with their 95 % intervals, hollow triangles the 95 % limits of what a
+    recording does not detect, and red is the odd one. The dark band is the 95 % interval of the common value,
+    the pale one the range in which 95 % of recordings lie if their scatter is detected.
+
+    Raises:
+        AllanjaxError: there is no such axis.
+    """
+    results = [joint.results[k] for k in draw.rows_of(joint.axes, None, axes)[0]]
+    names = [_short(name, _LONG_NAME) for name in joint.names]
+    left = 0.3 + _NAME_LETTER * max(map(len, names))
+    sheet = Sheet(2.6, _ROW * (len(names) + 1), gap=0.3, between=0.95, left=left)
+    with draw.style():
+        key = [
+            draw.points_entry("recording, 95 % interval"),
+            draw.line_entry(marker="v", mfc="none", linewidth=0.0, color=draw.ink(0.6), label="95 % limit"),
+            draw.points_entry("odd one", _OUTLYING),
+            draw.line_entry(color=_MEDIAN, linewidth=1.4, label="common value"),
+            draw.band_entry("its 95 % interval", _MEDIAN, 0.35),
+            draw.band_entry("95 % of recordings", _MEDIAN, 0.12),
+        ]
+        heading = Heading(f"{len(names)} recordings", "values of the joint fit", key)
+        figure, rows = sheet.draw(heading, [len(axis.coefficients) for axis in results], path)
+        for axis, panels in zip(results, rows, strict=True):
+            for k, (c, panel) in enumerate(zip(axis.coefficients.values(), panels, strict=True)):
+                unit = "" if c.common.usual_unit == "1" else f" [{c.common.usual_unit}]"
+                draw.dress(panel, axis.axis.name, x=f"{c.common.title}{unit}")
+                panel.set_ylim(len(names) - 0.3, -0.7)
+                panel.set_yticks(range(len(names)), [] if k else [draw.literal(name) for name in names])
+                _draw_joint(panel, c, joint.names)
+        return draw.saved(figure, path)
+
+
+def _draw_joint(panel: Axes, c: JointCoefficient, names: Sequence[str]) -> None:
+    """Draw one coefficient: bands behind, recordings in front, from the top."""
+    common, scatter = c.common.in_unit(), c.scatter.in_unit()
+    shown = [common.value, *common.interval] if common.detected else [0.0, common.upper_limit or 0.0]
+    if common.detected:
+        panel.axvspan(*common.interval, **draw.band(_MEDIAN, 0.35))
+        panel.axvline(common.value, color=_MEDIAN, linewidth=1.4)
+        if scatter.detected:
+            reach = 2.0 * np.hypot(scatter.value, common.std) / common.value
+            ends = common.value * np.exp([-reach, reach])
+            panel.axvspan(*ends, **draw.band(_MEDIAN, 0.12))
+            shown += ends.tolist()
+    for name, of in c.records.items():
+        x, y, odd = of.in_unit(), names.index(name), name == c.effects.odd_one
+        colour = _OUTLYING if odd else draw.ink(0.3)
+        if x.detected:
+            panel.plot(x.interval, [y, y], color=colour, linewidth=0.9)
+            panel.plot(x.value, y, **draw.dots(3.6, color=colour))
+        elif x.upper_limit is not None:
+            panel.plot(x.upper_limit, y, "v", color=draw.ink(0.6), mfc="none", markersize=4.0)
+        shown += x.interval if x.detected else (x.upper_limit or x.value,)
+    low, high = np.nanmin(shown), np.nanmax(shown)
+    margin = 0.08 * (high - low) or 0.1 * abs(high) or 1.0
+    values = [x.in_unit().value for x in c.records.values()]
+    # Wider intervals leave the panel.
+    reach = margin + (max(np.ptp(values), 4.0 * common.std) or high - low)
+    panel.set_xlim(max(low, min(values) - reach) - margin, min(high, max(values) + reach) + margin)

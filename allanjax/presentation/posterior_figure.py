@@ -212,8 +212,7 @@ def _draw_band(
 
 def _draw_deviation(panel: Axes, result: AxisPosterior, curve: AllanDeviation) -> None:
     unit, scale = draw.unit_of(result.axis)
-    sizes = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _CURVE_POINTS)))
-    time = sizes / curve.rate
+    time = draw.times_of(curve, _CURVE_POINTS)
     _draw_band(panel, time, result.deviation_curves(time, _DRAWS) / scale)
     points = draw.allan_points(curve[result.axis.name], 0, scale)
     points.draw(panel)

@@ -1,6 +1,10 @@
 """JSON schemas of files and of `--json`: fits, critiques, horizons, the recordings of a fleet."""
 
+import functools
 import json
+import re
+import tomllib
+from collections.abc import Mapping
 from dataclasses import fields
 from importlib.resources import files
 from typing import Any, Literal
@@ -10,20 +14,10 @@ from allanjax.fleet.options import FitOptions
 Name = Literal["check", "fit", "critique", "fleet", "horizon"]
 
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
-_FILE = {"type": "string", "description": "The file as given on the command line; stdin for -."}
-_ERRORS = {
-    "type": "array",
-    "description": "Errors by file, including axes without a result.",
-    "items": {
-        "type": "object",
-        "properties": {
-            "file": _FILE,
-            "message": {"type": "string", "description": "What is wrong, where, and what to do."},
-        },
-        "required": ["file", "message"],
-        "additionalProperties": False,
-    },
-}
+# A type of `schemas.toml`: its name, a bound of a number, and what makes lists of it.
+_TYPE = re.compile(r"(\w+)(?:(>=?)(\d+))?((?:\?|\{\}|\[\w*\+?\])*)")
+_LITERAL = re.compile(r'"[^"]*"|\d+|null')
+_PLAIN = frozenset({"string", "number", "integer", "boolean", "object"})
 
 
 def schema(name: Name) -> dict[str, Any]:
@@ -34,26 +28,22 @@ def schema(name: Name) -> dict[str, Any]:
     """
     if name == "fleet":
         return _of_fleet()
-    # A fit holds the check of its recording.
-    path = files(__package__).joinpath(f"{'fit' if name == 'check' else name}.schema.json")
-    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    tables = _tables()[name]
+    if name == "fit":
+        # A fit holds the check of its recording.
+        tables = _tables()["check"] | tables
+    definitions = {key: _definition(of) for key, of in tables.items()}
     if name == "horizon":
-        return document
-    plural = f"{name}s"
-    definitions = document.pop("$defs")
-    if name == "check":
-        document = definitions["check"]
-        definitions = {"verdict": definitions["verdict"]}
-    single = {key: value for key, value in document.items() if key not in ("$schema", "title")}
-    properties = single["properties"]
-    own = {key: value for key, value in properties.items() if key != "errors"}
-    entry = {**single, "properties": {"file": _FILE, **own}, "required": ["file", *single["required"]]}
-    about = "One entry per file, without those that failed."
-    entries = {"type": "array", "description": about, "items": entry}
-    bundle = _closed(
-        f"Output of --json: the {plural} of all files, and the errors.",
-        {"schema_version": properties["schema_version"], plural: entries, "errors": _ERRORS},
-    )
+        return {"$schema": _DRAFT, "title": "allanjax horizon", **definitions.pop(name), "$defs": definitions}
+    plural, entry = f"{name}s", {key: row for key, row in tables[name].items() if key != "errors?"}
+    bundle = {
+        "about": f"Output of --json: the {plural} of all files, and the errors.",
+        "schema_version": entry["schema_version"],
+        plural: ["entry[]", "One entry per file, without those that failed."],
+        "errors": ["error[]", "Errors by file, including axes without a result."],
+    }
+    error = _tables()["output"]["error"]
+    definitions |= {"entry": _definition({"file": error["file"], **entry}), "error": _definition(error)}
     return {
         "$schema": _DRAFT,
         "title": f"allanjax {name}",
@@ -61,46 +51,73 @@ def schema(name: Name) -> dict[str, Any]:
         "if": {"required": [plural]},
         "then": {"$ref": "#/$defs/bundle"},
         "else": {"$ref": f"#/$defs/{name}"},
-        "$defs": {name: single, "bundle": bundle, **definitions},
-    }
-
-
-def _closed(description: str, properties: dict[str, Any]) -> dict[str, Any]:
-    """Schema of an object that has these properties and no others."""
-    return {
-        "type": "object",
-        "description": description,
-        "properties": properties,
-        "required": list(properties),
-        "additionalProperties": False,
+        "$defs": definitions | {"bundle": _definition(bundle)},
     }
 
 
 def _of_fleet() -> dict[str, Any]:
     """Schema of a recording of a fleet."""
-    fit = schema("fit")
-    options = {
-        "type": "object",
-        "description": "Options of reading and fitting; numbers as text.",
-        "required": [option.name for option in fields(FitOptions)],
+    document = {
+        "about": "One recording of a fleet, as in recordings/NAME.json.",
+        "key": ["key"],
+        "fit?": ["fit"],
+        "fits?": ["entry[]", "One per sensor, if rates differ."],
     }
-    key = _closed(
-        "What the result depends on: a later run reuses it if all of this is the same.",
-        {
-            "path": {"type": "string", "description": "The file."},
-            "size": {"type": "integer", "description": "Its size in bytes."},
-            "modified_ns": {"type": "integer", "description": "Time of its last change, in UNIX ns."},
-            "options": options,
-            "allanjax_version": {"type": "string", "description": "Version of allanjax that made the fit."},
-        },
-    )
-    fits = fit["$defs"]["bundle"]["properties"]["fits"] | {"description": "One per sensor, if rates differ."}
-    properties = {"key": key, "fit": {"$ref": "#/$defs/fit"}, "fits": fits}
+    definitions = schema("fit")["$defs"] | {
+        "key": _definition(_tables()["fleet"]["key"]),
+        "options": {"type": "object", "required": [option.name for option in fields(FitOptions)]},
+    }
     return {
         "$schema": _DRAFT,
         "title": "allanjax recording of a fleet",
-        **_closed("One recording of a fleet, as in recordings/NAME.json.", properties),
-        "required": ["key"],
+        **_definition(document),
         "oneOf": [{"required": ["fit"]}, {"required": ["fits"]}],
-        "$defs": {name: part for name, part in fit["$defs"].items() if name != "bundle"},
+        "$defs": {key: of for key, of in definitions.items() if key not in ("bundle", "error")},
     }
+
+
+@functools.cache
+def _tables() -> dict[str, dict[str, Any]]:
+    """The tables of `schemas.toml` by their groups."""
+    return tomllib.loads(files(__package__).joinpath("schemas.toml").read_text(encoding="utf-8"))
+
+
+def _definition(of: Mapping[str, Any] | list[str]) -> dict[str, Any]:
+    """Schema of a row, or of an object that has the properties of a table and no others."""
+    if isinstance(of, list):
+        kind, *about = of
+        return {**({"description": about[0]} if about else {}), **_type(kind)}
+    rows = {key: row for key, row in of.items() if key != "about"}
+    return {
+        "type": "object",
+        **({"description": of["about"]} if "about" in of else {}),
+        "properties": {key.removesuffix("?"): _definition(row) for key, row in rows.items()},
+        "required": [key for key in rows if not key.endswith("?")],
+        "additionalProperties": False,
+    }
+
+
+def _type(words: str) -> dict[str, Any]:
+    """Schema of a type as `schemas.toml` writes it."""
+    either = words.split(" | ")
+    if all(map(_LITERAL.fullmatch, either)):
+        values = [json.loads(one) for one in either]
+        return {"enum": values} if len(values) > 1 else {"const": values[0]}
+    if len(either) > 1:
+        return {"anyOf": [*map(_type, either)]}
+    match = _TYPE.fullmatch(words)
+    assert match is not None, words
+    name, bound, limit, more = match.groups()
+    found: dict[str, Any] = {"type": name} if name in _PLAIN else {"$ref": f"#/$defs/{name}"}
+    if bound:
+        found["minimum" if bound == ">=" else "exclusiveMinimum"] = int(limit)
+    for end in re.findall(r"\?|\{\}|\[.*?\]", more):
+        if end == "?":
+            null = {"type": "null"}
+            found = found | {"type": [found["type"], "null"]} if "type" in found else {"anyOf": [found, null]}
+        elif end == "{}":
+            found = {"type": "object", "additionalProperties": found}
+        else:
+            limits = {"[1+]": {"minItems": 1}, "[2]": {"minItems": 2, "maxItems": 2}}
+            found = {"type": "array", "items": found, **limits.get(end, {})}
+    return found

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from allanjax.base.chi_squared import chi_squared_factors, quantile
 from allanjax.base.errors import AllanjaxError
@@ -172,7 +172,8 @@ def frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"
 
 def residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     """Mean residual of each group of points; single points of few degrees of freedom would only clutter."""
-    starts = _residual_groups(spectrum)
+    first_ordinate = np.cumsum(spectrum.count) - spectrum.count + 1
+    starts = np.unique(np.floor(_RESIDUALS_PER_OCTAVE * np.log2(first_ordinate)), return_index=True)[1]
     model = _mean_density(spectrum, result.model)
     count = np.add.reduceat(spectrum.count, starts)
     ratio = np.add.reduceat(spectrum.count * spectrum.density[:, k] / model, starts) / count
@@ -203,12 +204,6 @@ def _mean_density(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " 
     total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
     mean = np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
     return np.where(spectrum.count == 1, density[np.searchsorted(f, spectrum.frequency)], mean)
-
-
-def _residual_groups(spectrum: PowerSpectrum) -> Int[np.ndarray, " groups"]:
-    """First point of each group of the strip."""
-    first_ordinate = np.cumsum(spectrum.count) - spectrum.count + 1
-    return np.unique(np.floor(_RESIDUALS_PER_OCTAVE * np.log2(first_ordinate)), return_index=True)[1]
 
 
 def _line_of(term: Process) -> list[float]:

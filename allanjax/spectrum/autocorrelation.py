@@ -92,15 +92,15 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
         R = self.value[:, k]
         below = np.flatnonzero(math.e * R < R[0])
         labels = ("markov variance", "markov correlation time")
-        if not below.size:
-            reason = f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}"
-            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
-        i = below[0]
-        if i == 1:
-            reason = "the autocorrelation falls to 1/e within one sample, as for white noise: remove it first"
-            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reason))
+        i = below[0] if below.size else 0
+        reasons = {
+            0: f"the autocorrelation does not fall to 1/e within lags up to {duration(self.lag[-1])}",
+            1: "the autocorrelation falls to 1/e within one sample, as for white noise: remove it first",
+        }
+        if i in reasons:
+            return AxisReadings(axis, dict.fromkeys(labels), dict.fromkeys(labels, reasons[i]))
         time = float(np.interp(-R[0] / math.e, -R[[i - 1, i]], self.lag[[i - 1, i]]))
-        accuracy = markov_accuracy(time, self.n / self.rate)
+        accuracy = math.sqrt(2.0 * time / (self.n / self.rate))
         remark = f"accuracy {100.0 * accuracy:.2f} % (3.34)"
         estimates: dict[str, Estimate | None] = {}
         units = (square_unit(axis)[0], "s")
@@ -161,16 +161,6 @@ class Autocorrelation(ByValue, OfAxes, Tabled):
             f"Autocorrelation({names}; {self.n} samples at {plain(self.rate, 6)} Hz; "
             f"lags up to {duration(self.lag[-1])})"
         )
-
-
-def markov_accuracy(correlation_time: float, length: float) -> float:
-    """Accuracy √(2/(βT)) of the autocorrelation of a Gauss–Markov process, Hou (2004) eq. (3.34).
-
-    Args:
-        correlation_time: 1/β [s].
-        length: of the record, T [s].
-    """
-    return float(np.sqrt(2.0 * correlation_time / length))
 
 
 def square_unit(axis: Axis) -> tuple[str, float]:

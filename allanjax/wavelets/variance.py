@@ -55,13 +55,11 @@ class WaveletFilter:
         name: the wavelet's name in PyWavelets, e.g. "haar" or "sym4".
         low: scaling filter, of sum 1.
         high: wavelet filter, of sum 0; square sums of both are 1/2.
-        vanishing_moments: number of degrees of polynomials, from 0 on, that the wavelet filter removes.
     """
 
     name: str
     low: tuple[float, ...]
     high: tuple[float, ...]
-    vanishing_moments: int
 
     @classmethod
     def of(cls, name: str) -> WaveletFilter:
@@ -72,7 +70,7 @@ class WaveletFilter:
                 does not need it).
         """
         if name == "haar":
-            return cls(name, (0.5, 0.5), (0.5, -0.5), 1)
+            return cls(name, (0.5, 0.5), (0.5, -0.5))
         pywt = pywavelets()
         if name not in pywt.wavelist(kind="discrete") or not pywt.Wavelet(name).orthogonal:
             raise AllanjaxError(
@@ -80,7 +78,7 @@ class WaveletFilter:
             )
         wavelet = pywt.Wavelet(name)
         low, high = (tuple(np.array(f) / np.sqrt(2.0)) for f in (wavelet.dec_lo, wavelet.dec_hi))
-        return cls(name, low, high, wavelet.vanishing_moments_psi)
+        return cls(name, low, high)
 
     def length(self, level: int) -> int:
         """Samples that a coefficient at this level depends on, (2^level − 1)(L − 1) + 1."""

@@ -63,19 +63,25 @@ class Number:
 Quantities = Mapping[str, Number | str]
 
 
-def completed(of: Mapping[str, Number], why: str, no_walk: str = "") -> Quantities:
-    """All quantities of an axis of which some are given: a walk is also what drives a bias.
+def completed(
+    of: Mapping[str, Number | str], why: str = "", no_walk: str = "", duration: float = LONG
+) -> Quantities:
+    """All quantities of an axis of which some are given: a walk is also what drives a bias, if q is not.
 
     `why` says after its symbol why one is missing, and `no_walk` why there is no K beside a Markov process.
+    A walk gets the correlation time of the record's duration [s], if that is longer than others' `LONG`.
     """
-    found: dict[str, Number | str] = {s: of.get(s) or f"{s} {why}" for s in "NKqTB"}
+    found = {s: of.get(s) or f"{s} {why}" for s in "NKqTB"}
     walk = found["K"]
-    if isinstance(walk, Number):
-        found["q"], found["T"] = _driven_by(walk, LONG)
-    elif isinstance(found["q"], Number):
-        found["K"] = no_walk
-    else:
+    if "q" in of:
+        found["K"] = no_walk or walk
+    elif isinstance(walk, str):
         found["q"] = found["T"] = walk
+    else:
+        T = max(duration, LONG)
+        found["q"] = dataclasses.replace(walk, symbol="q", text=f"q = K: {walk.text}")
+        text = f"T = {significant(T, 5)} s stands for a random walk: the bias is one for times much below T"
+        found["T"] = Number("T", T, text, "s", axis=walk.axis)
     return found
 
 
@@ -87,13 +93,6 @@ def of_sheet(sheet: DataSheet, sensor: Sensor) -> Quantities:
         text = f"{c.symbol} = {amount}, {significant(shown.value)} {shown.unit}, {sensor}, by the data sheet"
         given[c.symbol] = Number(c.symbol, c.value, text, c.si_unit, axis=sensor, label=c.label)
     return completed(given, f"of the {CALLED[sensor]} is {NOT_GIVEN} by the data sheet; {REMEDY}")
-
-
-def _driven_by(walk: Number, T: float) -> tuple[Number, Number]:
-    """Density q that drives a bias that is a walk, and the correlation time [s] that it is given."""
-    q = dataclasses.replace(walk, symbol="q", text=f"q = K: {walk.text}")
-    text = f"T = {significant(T, 5)} s stands for a random walk: the bias is one for times much below T"
-    return q, Number("T", T, text, "s", axis=walk.axis)
 
 
 def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], list[str]]:
@@ -116,60 +115,46 @@ def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], l
 def quantities(result: AxisFit, duration: float) -> Quantities:
     """N, K, B, q and T of an axis of a recording of this duration [s]."""
     terms = ", ".join(dict.fromkeys(c.term for c in result.coefficients.values()))
-    found: dict[str, Number | str] = {
+    of: dict[str, Number | str] = {
         symbol: number(symbol, result.coefficients[label])
         if label in result.coefficients
         else f"no {symbol} in the fitted model ({terms}); fit one that has it"
         for symbol, label in _TERMS.items()
     }
-    found["q"], found["T"] = _drive(result, found["K"], duration)
-    return found
+    walk, process = of["K"], longest_process(result)
+    # Of a walk and a process, what drives the bias more.
+    if process and (isinstance(walk, str) or walk.is_limit or walk.value < process[0].value):
+        amplitude, time = process
+        text = f"T = {significant(time.value, 5)} s, {time.describe()}, {result.axis.name}"
+        of["q"] = number("q", amplitude)
+        of["T"] = Number("T", time.value, text, "s", axis=result.axis.name, label=time.label)
+    return completed(of, duration=duration)
 
 
 def number(symbol: str, c: Estimate) -> Number | str:
     """An amplitude, or its 95 % limit where it is not detected."""
-    if c.detected or c.held or not c.measured:
-        if not c.value > 0.0:
-            return f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement"
-        if c.held or not math.isfinite(c.std):
-            known, interval = " (held)" if c.held else "", None
-        else:
-            known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
-        amount = f"{significant(c.value, 5)} {c.si_unit}{known}"
-        text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
-        return Number(symbol, c.value, text, c.si_unit, False, c.axis.name, c.label, interval)
-    limit = c.upper_limit
-    if limit is None or not (math.isfinite(limit) and limit > 0.0):
+    is_limit = c.measured and not (c.detected or c.held)
+    value = (c.upper_limit or 0.0) if is_limit else c.value
+    if is_limit and not 0.0 < value < math.inf:
         return f"{c.title} of {c.axis.name} is not detected, and there is no limit of it"
-    amount = f"{significant(limit, 5)} {c.si_unit} (95 % upper limit)"
+    if not value > 0.0:
+        return f"{c.title} of {c.axis.name} is zero in a fit that is not a measurement"
+    known, interval = " (95 % upper limit)" if is_limit else " (held)" if c.held else "", None
+    if not known and math.isfinite(c.std):
+        known, interval = f" (95 %: {format_interval(*c.interval, c.value, c.std)})", c.interval
+    amount = f"{significant(value, 5)} {c.si_unit}{known}"
     text = f"{symbol} = {amount}, {c.in_unit().describe()}, {c.axis.name}"
-    return Number(symbol, limit, text, c.si_unit, True, c.axis.name, c.label)
+    return Number(symbol, value, text, c.si_unit, is_limit, c.axis.name, c.label, interval)
 
 
-def markov_terms(result: AxisFit) -> list[tuple[Estimate, Estimate]]:
-    """Amplitude and correlation time of each Markov process that is detected, the longest one first."""
+def longest_process(result: AxisFit) -> tuple[Estimate, Estimate] | None:
+    """Amplitude and correlation time of the longest Markov process that is detected, if there is one."""
     by_term: dict[str, dict[str, Estimate]] = {}
     for c in result.coefficients.values():
         by_term.setdefault(c.term, {})[c.symbol] = c
     pairs = [(of["q_c"], of["T_c"]) for of in by_term.values() if {"q_c", "T_c"} <= set(of)]
     found = [(q, T) for q, T in pairs if q.detected and q.value > 0.0 and math.isfinite(T.value)]
-    return sorted(found, key=lambda pair: -pair[1].value)
-
-
-def _drive(result: AxisFit, walk: Number | str, duration: float) -> tuple[Number | str, Number | str]:
-    """Density q that drives the bias, and its correlation time T: of a Markov process, or of the walk.
-
-    Where both are there, what drives the bias more.
-    """
-    name = result.axis.name
-    for amplitude, time in markov_terms(result)[:1]:
-        if isinstance(walk, str) or walk.is_limit or walk.value < amplitude.value:
-            q = number("q", amplitude)
-            text = f"T = {significant(time.value, 5)} s, {time.describe()}, {name}"
-            return q, Number("T", time.value, text, "s", axis=name, label=time.label)
-    if isinstance(walk, str):
-        return walk, walk
-    return _driven_by(walk, max(duration, LONG))
+    return max(found, key=lambda pair: pair[1].value, default=None)
 
 
 def together(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import re
 import tomllib
@@ -19,6 +20,7 @@ Of = Literal["one", "three", "matrix", "mean", "x", "y", "z"]
 Syntax = Literal["yaml", "json", "xml", "lines"]
 
 _SYMBOLS = frozenset("NKqTB")
+_AXES: tuple[Of, ...] = ("x", "y", "z")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,16 +154,26 @@ def _target(name: str, of: Mapping[str, Any], common: Mapping[str, str]) -> Targ
     return Target(name, **fields)
 
 
-def _keys(key: str = "", text: str = "", units: Sequence[str] = (), **row: Any) -> Iterator[Key | Text]:
-    """Keys of a row: a text, a key, or those of gyros and of accelerometers with the same formula."""
+def _keys(
+    key: str = "", text: str = "", units: Sequence[str] = (), each: Sequence[Any] = (), **row: Any
+) -> Iterator[Key | Text]:
+    """Keys of a row: a text, a key, those of both sensors with the same formula, or those of each axis."""
     if text:
         yield Text(text, **row)
-    elif key:
+        return
+    if key:
         yield Key(key, **row)
-    else:
-        names = [(sensor, row.pop(sensor)) for sensor in SENSORS]
-        for (sensor, name), unit in zip(names, units, strict=True):
+        return
+    names = {sensor: row.pop(sensor) for sensor in SENSORS}
+    if not each:
+        for (sensor, name), unit in zip(names.items(), units, strict=True):
             yield Key(name, sensor=sensor, unit=unit, **row)
+    for (k, sensor), axis, of in itertools.product(enumerate(SENSORS), _AXES, each):
+        place = names[sensor].format(axis)
+        if "text" in of:
+            yield Text(f"{place}/{of['text']}", of["value"], sensor=sensor)
+        else:
+            yield Key(f"{place}/{of['key']}", of["formula"], of["units"][k], sensor, axis)
 
 
 #: Targets by name.

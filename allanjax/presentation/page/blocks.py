@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Iterable, Sequence
-from typing import Any, ClassVar, TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from allanjax.base.tables import Column
 
-# Significant digits of the numbers in a page: more than a screen or a hover shows.
-_DIGITS = 5
-
 
 @dataclasses.dataclass(frozen=True)
 class Text:
     """A paragraph, with the class by which the style sheet marks a verdict or a warning."""
 
-    kind: ClassVar[str] = "text"
     text: str
     style: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Text of a cell in usual units, the same in SI, a remark below, and the target of a link."""
+    """Text of a cell in usual units, the same in SI, and a remark below."""
 
     text: str
     si: str = ""
     remark: str = ""
     si_remark: str = ""
-    link: str = ""
 
 
 @dataclasses.dataclass(frozen=True)
 class Table:
     """A table; the first column has the names of the rows."""
 
-    kind: ClassVar[str] = "table"
     heads: Sequence[Cell]
     rows: Sequence[Sequence[Cell]]
     caption: str = ""
@@ -64,25 +57,15 @@ class Units:
         marked: numbers of the rows that are marked.
     """
 
-    kind: ClassVar[str] = "units"
     heads: Sequence[str]
     rows: Sequence[Sequence[Any]]
     marked: Sequence[int] = ()
-
-    def data(self) -> dict[str, Any]:
-        """The table for the page's script."""
-        return {
-            "heads": list(self.heads),
-            "rows": [list(row) for row in self.rows],
-            "marked": list(self.marked),
-        }
 
 
 @dataclasses.dataclass(frozen=True)
 class Exports:
     """Texts to copy, by the names under which they are chosen."""
 
-    kind: ClassVar[str] = "exports"
     texts: Sequence[tuple[str, str]]
 
 
@@ -90,7 +73,6 @@ class Exports:
 class Fold:
     """Blocks that are shown at a click."""
 
-    kind: ClassVar[str] = "fold"
     title: str
     blocks: Sequence[Block]
     is_open: bool = False
@@ -100,7 +82,6 @@ class Fold:
 class Row:
     """Blocks side by side where the screen is wide enough."""
 
-    kind: ClassVar[str] = "row"
     blocks: Sequence[Block]
 
 
@@ -127,17 +108,6 @@ class Trace:
     look: str = "dots"
     labels: Sequence[int] = ()
     names: Sequence[str] = ()
-
-    def data(self) -> dict[str, Any]:
-        """The trace for the page's script."""
-        ends = {"low": self.low, "high": self.high}
-        numbers = {
-            name: rounded(v) for name, v in {"x": self.x, "y": self.y, **ends}.items() if v is not None
-        }
-        own = {"group": self.group, "layer": self.layer, "look": self.look}
-        return (
-            own | numbers | ({"labels": list(self.labels), "names": list(self.names)} if self.names else {})
-        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,15 +158,6 @@ class View:
     interval: str = "95 %"
     hidden: Sequence[str] = ()
 
-    def data(self) -> dict[str, Any]:
-        """The view for the page's script."""
-        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return own | {
-            "traces": [trace.data() for trace in self.traces],
-            "marks": [dataclasses.asdict(mark) for mark in self.marks],
-            "spans": [dataclasses.asdict(span) for span in self.spans],
-        }
-
 
 @dataclasses.dataclass(frozen=True)
 class Chart:
@@ -209,15 +170,10 @@ class Chart:
         slider: what a slider below it chooses on the x axis, e.g. "horizon"; "" for none.
     """
 
-    kind: ClassVar[str] = "chart"
     title: str
     views: Sequence[View]
     summary: str = ""
     slider: str = ""
-
-    def data(self) -> dict[str, Any]:
-        """The chart for the page's script."""
-        return {"title": self.title, "slider": self.slider, "views": [view.data() for view in self.views]}
 
 
 Block: TypeAlias = Text | Table | Units | Exports | Fold | Row | Chart
@@ -229,8 +185,3 @@ class Section:
 
     title: str
     blocks: Sequence[Block]
-
-
-def rounded(values: Iterable[float]) -> list[float | None]:
-    """Numbers to a few digits; None for those that are not finite."""
-    return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in np.asarray(values).tolist()]

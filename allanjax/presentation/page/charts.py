@@ -18,7 +18,7 @@ from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
 from allanjax.noise.process import Process
-from allanjax.presentation import allan_figure, spectrum_figure
+from allanjax.presentation import allan_figure, draw, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
 from allanjax.record.recording import Axis, Recording
@@ -54,8 +54,17 @@ def by_sensor(axes: Sequence[Axis]) -> Iterator[tuple[Sensor, list[Own]]]:
             yield sensor, [Own(k, group, axis) for group, (k, axis) in enumerate(own)]
 
 
-def _units(usual: tuple[str, float], si: str) -> tuple[tuple[str, float], ...]:
-    return (usual, (si, 1.0)) if usual[0] != si else (usual,)
+def _view(
+    own: Sequence[Own],
+    labels: tuple[str, str, str, str],
+    units: Sequence[tuple[str, float]],
+    traces: Sequence[Trace],
+    **more: Any,
+) -> View:
+    """View of axes; terms are hidden at first where there are several. SI is no second unit of itself."""
+    hidden = ["terms"] if len(own) > 1 and any(trace.layer == "terms" for trace in traces) else []
+    names = [axis.name for *_, axis in own]
+    return View(*labels, units=[*dict(units).items()], groups=names, traces=traces, hidden=hidden, **more)
 
 
 def curves(fit: Fit, spectrum: PowerSpectrum | None, findings: Sequence[Finding]) -> dict[Sensor, Chart]:
@@ -74,20 +83,14 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
     """Allan deviations with 95 % intervals, models, terms, and the points at which coefficients are read."""
     curve, axis = fit.curve, own[0].axis
     low, high = curve.confidence_interval(0.95)
-    time = np.unique(np.rint(np.geomspace(1.0, curve.cluster_size[-1], _POINTS))) / curve.rate
+    time = draw.times_of(curve, _POINTS)
     traces, marks = list[Trace](), list[Mark]()
     for k, group, _ in own:
         points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
         traces += _curve(group, fit.results[k], curve.rate, points, time, _variance, np.sqrt)
         marks += _marks(fit, k, group)
-    return View(
-        *("Allan deviation σ(τ)", "cluster time τ", "s", "σ"),
-        units=_units(rate_unit(axis), SI[axis.sensor]["rate"]),
-        groups=[a.name for *_, a in own],
-        traces=traces,
-        marks=marks,
-        hidden=[] if len(own) == 1 else ["terms"],
-    )
+    units = (rate_unit(axis), (SI[axis.sensor]["rate"], 1.0))
+    return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks)
 
 
 def _variance(term: Process, time: _Places, rate: float) -> Any:
@@ -164,14 +167,9 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
         points = (spectrum.frequency, spectrum.density[:, k], low[:, k], high[:, k])
         traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive)
     unit = SI[own[0].axis.sensor]["rate"]
-    return View(
-        *("PSD S(f)", "frequency f", "Hz", "S"),
-        units=(density_unit(own[0].axis), (f"({unit})²/Hz", 1.0)),
-        groups=names,
-        traces=traces,
-        spans=[_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)],
-        hidden=[] if len(own) == 1 else ["terms"],
-    )
+    units = (density_unit(own[0].axis), (f"({unit})²/Hz", 1.0))
+    spans = [_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)]
+    return _view(own, ("PSD S(f)", "frequency f", "Hz", "S"), units, traces, spans=spans)
 
 
 def _is_within(finding: Finding, names: Sequence[str], highest: float) -> bool:
@@ -234,8 +232,7 @@ class Series(NamedTuple):
 
 def thinned(x: Float[np.ndarray, " n"], rate: float, most: int = _BLOCKS) -> Series:
     """Least, mean and largest sample of each of some blocks, so that no sample is missed."""
-    edges = np.unique(np.linspace(0, len(x), min(most, len(x)) + 1).astype(int))
-    first, length = edges[:-1], np.diff(edges)
+    first, length = draw.blocks(len(x), most)
     x = np.ascontiguousarray(x) - np.mean(x)
     time = (first + 0.5 * (length - 1)) / rate
     return Series(
@@ -256,22 +253,12 @@ def over_time(recording: Recording, fit: Fit, critique: Critique | None) -> list
             s = thinned(recording.values[:, k], recording.rate)
             traces.append(Trace(group, "mean of blocks", s.time, s.mean, s.low, s.high, look="line"))
             marks += _outliers(findings, names[group], group, s)
-        unit = rate_unit_of(own[0].axis.unit, sensor)
-        views = [
-            View(
-                *("samples", "time since the start", "s", "samples − mean"),
-                units=_units(unit, SI[sensor]["rate"]),
-                groups=names,
-                traces=traces,
-                marks=marks,
-                spans=[
-                    *(_parts(recording, fit, names) if critique is None else ()),
-                    *_places(findings, names, recording.duration),
-                ],
-                log="",
-                interval="least … largest",
-            )
-        ]
+        labels = ("samples", "time since the start", "s", "samples − mean")
+        units = (rate_unit_of(own[0].axis.unit, sensor), (SI[sensor]["rate"], 1.0))
+        spans = [*_parts(recording, fit, names)] if critique is None else []
+        spans += _places(findings, names, recording.duration)
+        more = {"marks": marks, "spans": spans, "log": "", "interval": "least … largest"}
+        views = [_view(own, labels, units, traces, **more)]
         summary = f"Least and largest sample of each of {len(traces[0].x)} blocks."
         charts.append(Chart(f"{SENSORS[sensor].capitalize()} over time", views, summary))
     return charts
@@ -317,27 +304,18 @@ def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart
     some = np.unique(np.linspace(0, len(dynamic.cluster_time) - 1, _SHOWN).astype(int)).tolist()
     findings, total = () if critique is None else critique.findings, dynamic.window * len(dynamic.time)
     for sensor, own in by_sensor(dynamic.axes):
-        names, views = [axis.name for *_, axis in own], []
+        units, views = (rate_unit(own[0].axis), (SI[sensor]["rate"], 1.0)), []
+        spans = list(_places(findings, [axis.name for *_, axis in own], total))
         for m in some:
+            value, least, most = (y[:, m] for y in (dynamic.deviation, low, high))
             traces = [
-                Trace(
-                    group, "measured", dynamic.time, dynamic.deviation[:, m, k], low[:, m, k], high[:, m, k]
-                )
+                Trace(group, "measured", dynamic.time, value[:, k], least[:, k], most[:, k])
                 for k, group, _ in own
             ]
-            views.append(
-                View(
-                    *(f"τ = {plain(dynamic.cluster_time[m], 3)} s", "time since the start", "s", "σ"),
-                    units=_units(rate_unit(own[0].axis), SI[sensor]["rate"]),
-                    groups=names,
-                    traces=traces,
-                    spans=list(_places(findings, names, total)),
-                    log="y",
-                )
-            )
-        charts.append(
-            Chart(f"{SENSORS[sensor].capitalize()} in windows of {duration(dynamic.window)}", views)
-        )
+            labels = (f"τ = {plain(dynamic.cluster_time[m], 3)} s", "time since the start", "s", "σ")
+            views.append(_view(own, labels, units, traces, spans=spans, log="y"))
+        title = f"{SENSORS[sensor].capitalize()} in windows of {duration(dynamic.window)}"
+        charts.append(Chart(title, views))
     return charts
 
 
@@ -355,12 +333,8 @@ def drifts(fit: Fit) -> list[Chart]:
             traces.append(Trace(group, "drift", time, *drift(noise, noise.axes[axis.name], time)))
         word = "angle" if sensor == "gyro" else "velocity"
         beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
-        view = View(
-            *("drift", "horizon t", "s", f"{word} error (1σ)"),
-            units=_units(SHOWN[sensor], "rad" if sensor == "gyro" else "m/s"),
-            groups=[axis.name for *_, axis in own],
-            traces=traces,
-            spans=[beyond] if beyond.start < beyond.stop else [],
-        )
+        labels = ("drift", "horizon t", "s", f"{word} error (1σ)")
+        units = (SHOWN[sensor], ("rad" if sensor == "gyro" else "m/s", 1.0))
+        view = _view(own, labels, units, traces, spans=[beyond] if beyond.start < beyond.stop else [])
         charts.append(Chart(f"{SENSORS[sensor].capitalize()}: predicted drift", [view], slider="Horizon"))
     return charts

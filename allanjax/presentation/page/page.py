@@ -7,20 +7,24 @@ import dataclasses
 import functools
 import hashlib
 import html
-import itertools
 import json
+import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
-from allanjax.presentation.page.blocks import Block, Chart, Fold, Row, Section, Units
+from allanjax.presentation.page.blocks import Chart, Section, Units
 
 # Scripts and styles in the order in which the page has them.
 _SCRIPTS, _STYLES = ("uPlot.iife.min.js", "page.js"), ("uPlot.min.css", "page.css")
+# Significant digits of the numbers in a page: more than a screen or a hover shows.
+_DIGITS = 5
 # Height of a page in a notebook [pixels].
 _NOTEBOOK_HEIGHT = 800
 
@@ -65,31 +69,24 @@ class Page(ByValue):
 
 def page_of(title: str, sections: Sequence[Section]) -> Page:
     """The page of these sections, the first of which is what one sees first."""
-    assets = {name: _asset(name) for name in (*_SCRIPTS, *_STYLES)}
+    scripts, styles = ([_asset(name) for name in names] for names in (_SCRIPTS, _STYLES))
+    drawn: list[Chart | Units] = []
+
+    def number(block: Chart | Units) -> int:
+        """Number of the next block that the page's script draws."""
+        drawn.append(block)
+        return len(drawn) - 1
+
     text = _template().render(
         title=title,
         sections=sections,
-        # Charts are numbered as they come.
-        number=itertools.count().__next__,
-        data=_as_json([block.data() for block in _drawn(sections)]),
-        scripts=[assets[name] for name in _SCRIPTS],
-        styles=[assets[name] for name in _STYLES],
-        policy=_policy([assets[name] for name in _SCRIPTS], [assets[name] for name in _STYLES]),
+        number=number,
+        data=lambda: _as_json(drawn),
+        scripts=scripts,
+        styles=styles,
+        policy=_policy(scripts, styles),
     )
     return Page(title, text)
-
-
-def _drawn(sections: Sequence[Section]) -> Iterator[Chart | Units]:
-    """All blocks that the page's script draws, in the order of the page."""
-
-    def of(blocks: Sequence[Block]) -> Iterator[Chart | Units]:
-        for block in blocks:
-            if isinstance(block, Fold | Row):
-                yield from of(block.blocks)
-            elif isinstance(block, Chart | Units):
-                yield block
-
-    return itertools.chain.from_iterable(of(section.blocks) for section in sections)
 
 
 @functools.cache
@@ -120,7 +117,14 @@ def _policy(scripts: Sequence[str], styles: Sequence[str]) -> str:
     return f"default-src 'none'; {allowed}; base-uri 'none'; form-action 'none'"
 
 
-def _as_json(data: Any) -> str:
+def _as_json(blocks: Sequence[Chart | Units]) -> str:
     """JSON that cannot end the element of the page that holds it."""
-    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(blocks, default=_plain, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _plain(value: Any) -> Any:
+    """Fields of a block, or numbers to a few digits, None for those that are not finite."""
+    if isinstance(value, np.ndarray):
+        return [float(f"{v:.{_DIGITS}g}") if math.isfinite(v) else None for v in value.tolist()]
+    return list(value) if isinstance(value, range) else vars(value)

@@ -17,8 +17,6 @@ from allanjax.estimate.result import Fit
 from allanjax.fleet.fleet import FleetResult
 from allanjax.presentation.page import sections
 from allanjax.presentation.page.blocks import Section
-from allanjax.presentation.page.comparison import of_comparison
-from allanjax.presentation.page.fleet import of_fleet
 from allanjax.presentation.page.page import Page, page_of
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Recording
@@ -81,10 +79,10 @@ def report(
     parts, shown, names = list[Reported](), list[Section](), list[str]()
     for one in every:
         if isinstance(one, FleetResult):
-            shown += of_fleet(one, pages or {})
+            shown += sections.of_fleet(one, pages or {})
             names.append("Fleet")
         elif isinstance(one, Comparison):
-            shown += of_comparison(one)
+            shown += sections.of_comparison(one)
             names.append(" – ".join(one.labels))
         else:
             parts.append(_parts(one, critique, recording))

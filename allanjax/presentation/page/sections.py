@@ -1,4 +1,4 @@
-"""Sections of a page about one recording: verdict, coefficients, curves, the critic's story, origin."""
+"""Sections of a page about a recording, a comparison of sensors, or a fleet."""
 
 from __future__ import annotations
 
@@ -6,15 +6,22 @@ import datetime
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from allanjax.allan.deviation import dynamic_allan
+import numpy as np
+
+from allanjax.allan.deviation import dynamic_allan, rate_unit
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import record_size
+from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, AxisFit, Fit, detail
+from allanjax.fleet.fleet import FleetResult
+from allanjax.fleet.table import lines_of
+from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
-from allanjax.noise.estimate import SYMBOLS, Estimate
+from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
 from allanjax.presentation.draw import SENSORS
 from allanjax.presentation.export.exporting import exported
 from allanjax.presentation.export.targets import TARGETS
@@ -26,17 +33,26 @@ from allanjax.presentation.page.blocks import (
     Chart,
     Exports,
     Fold,
+    Mark,
     Row,
     Section,
     Table,
     Text,
+    Trace,
+    Units,
+    View,
 )
-from allanjax.record.recording import Recording
-from allanjax.record.units import Sensor
+from allanjax.record.recording import Axis, Recording
+from allanjax.record.units import SI, Sensor, unit_scale
 from allanjax.spectrum.psd import PowerSpectrum
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # Fewest samples of a record that is shown through time.
 _LONG = 10_000
+# Cluster times at which models without a record are drawn [s].
+_TIMES = np.geomspace(0.01, 1e4, 150)
 
 
 def of_record(
@@ -197,3 +213,111 @@ def made(fit: Fit, origin: Mapping[str, str]) -> Table:
         "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}",
     }
     return Table([Cell("what"), Cell("value")], [[Cell(name), Cell(text)] for name, text in known.items()])
+
+
+# --- Comparisons and fleets ---------------------------------------------------------------------------------
+
+
+def of_comparison(comparison: Comparison) -> Iterator[Section]:
+    """Curves over one another, the table of coefficients, drift and growth of errors."""
+    tested = [
+        d for row in comparison.rows for d in row.differences if d is not None and d.differs is not None
+    ]
+    different = sum(bool(d.differs) for d in tested)
+    reference = comparison.labels[comparison.reference]
+    verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
+    coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
+    names = axes_of(comparison.sensors)
+    charts = [
+        Chart(SENSORS[sensor].capitalize(), views)
+        for sensor in SENSORS
+        if (views := [_view(comparison, name, sensor) for name in names if name.startswith(sensor)])
+    ]
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(charts), coefficients, terms, graded])
+    yield Section("Drift and growth of errors", growths)
+    yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
+
+
+def _view(comparison: Comparison, name: str, sensor: Any) -> View:
+    """Measured deviations with intervals, and models, of all sensors on an axis."""
+    traces, axis = list[Trace](), Axis(name, sensor, SI[sensor]["rate"])
+    for group, one in enumerate(comparison.sensors):
+        time = _TIMES
+        if one.curve is not None and name in one.curve.names:
+            k, time = one.curve.names.index(name), one.curve.cluster_time
+            low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
+            traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
+        if (model := one.model(name)) is not None:
+            variance = np.asarray(model.sampled(one.rate).allan_variance(time))
+            traces.append(Trace(group, "model", time, np.sqrt(variance), look="line"))
+    units = (rate_unit(axis), (SI[sensor]["rate"], 1.0))
+    return View(name, "cluster time τ", "s", "σ", units=units, groups=comparison.labels, traces=traces)
+
+
+def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
+    """Sections about a fleet; `pages` are the addresses of the units' own pages by their names."""
+    table = fleet.table
+    outlying = sorted(set(fleet.outlying["recording"]))
+    style = "care" if outlying or fleet.errors else "good"
+    verdict = f"{len(outlying) or 'No'} outlying unit{'' if len(outlying) == 1 else 's'}"
+    blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
+    blocks += [Table.of(columns) for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1]
+    blocks += [Text(line, "note") for line in lines_of(table)]
+    blocks += [Text(note, "warning") for note in fleet.notes]
+    if fleet.errors:
+        errors = [Text(f"{error['file']}: {error['message']}", "warning") for error in fleet.errors]
+        blocks.append(Fold(f"{len(errors)} errors", errors))
+    yield Section("Result", blocks)
+    if charts := list(_distributions(table)):
+        yield Section("Distributions", [Row(charts)])
+    yield Section("Units", [_units(table, pages)])
+
+
+def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
+    """Values of each coefficient in ascending order, with their intervals; outlying units are named."""
+    found = table[table["detected"] & table["measured"]]
+    parts: Mapping[Any, Any] = dict(iter(found.groupby(["sensor", "coefficient"], sort=False)))
+    for (sensor, coefficient), of in parts.items():
+        traces, marks, axes = list[Trace](), list[Mark](), list(of["axis"].unique())
+        unit, si = of["unit"].iloc[0], unit_scale(of["unit"].iloc[0], sensor)
+        for group, axis in enumerate(axes):
+            own = of[of["axis"] == axis].sort_values("value")
+            share = 100.0 * (np.arange(len(own)) + 0.5) / len(own)
+            value, low, high = (own[name].to_numpy() * si for name in ("value", "lower_95", "upper_95"))
+            names, numbers = own["recording"].tolist(), range(len(own))
+            traces.append(Trace(group, "units", share, value, low, high, labels=numbers, names=names))
+            places = np.flatnonzero(own["outlying"].to_numpy()).tolist()
+            marks += [Mark(names[k], float(share[k]), float(value[k]), group) for k in places]
+        title = f"{title_of(coefficient, sensor)}, {SENSORS[sensor]}"
+        view = View(
+            *(coefficient, "units up to this value", "%", title_of(coefficient, sensor)),
+            units=[(unit, si)],
+            groups=axes,
+            traces=traces,
+            marks=marks,
+            log="y",
+        )
+        yield Chart(title.capitalize(), [view], f"Distribution over {len(of['recording'].unique())} units.")
+
+
+def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
+    """One row per unit: its coefficients, which are limits where it has a "<", and its remarks."""
+    shown = table[table["measured"]]
+    known = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
+    columns = list(dict.fromkeys(zip(known["coefficient"], known["axis"], known["unit"], strict=True)))
+    cells: dict[str, dict[tuple[str, str], Any]] = {}
+    fields = ("recording", "coefficient", "axis", "value", "detected", "upper_limit_95")
+    for name, coefficient, axis, value, detected, limit in zip(*(shown[f] for f in fields), strict=True):
+        below = None if limit is None or np.isnan(limit) else f"< {limit:.3g}"
+        cells.setdefault(name, {})[coefficient, axis] = float(f"{value:.4g}") if detected else below
+    rows, marked = list[list[Any]](), list[int]()
+    outlying = set(table.loc[table["outlying"], "recording"])
+    for name, texts in table.groupby("recording", sort=False)[["remarks", "warnings"]]:
+        own, unit = cells.get(str(name), {}), str(name)
+        remarks = dict.fromkeys(text for text in texts.to_numpy().ravel() if text)
+        marked += [len(rows)] if unit in outlying else []
+        first = [unit, pages[unit]] if unit in pages else unit
+        rows.append([first, *(own.get((c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
+    symbols = [SYMBOLS.get(label, label.replace("_", " ")) for label, *_ in columns]
+    names = [f"{axis} {symbol} [{unit}]" for symbol, (_, axis, unit) in zip(symbols, columns, strict=True)]
+    return Units(["unit", *names, "remarks"], rows, marked)

@@ -192,7 +192,7 @@
           const k = nearest(t);
           let text = `${own.length > 1 || t.layer !== "measured" ? t.layer + " " : ""}${number(t.y[k] == null ? null : t.y[k] / size)} ${unit}`;
           if (t.low && t.low[k] != null) text += ` (${view.interval}: ${number(t.low[k] / size)} … ${number(t.high[k] / size)})`;
-          if (t.names) text += `, ${t.names[t.labels[k]]}`;
+          if (t.names.length) text += `, ${t.names[t.labels[k]]}`;
           return text;
         });
         const name = make("b", {textContent: "●\u00a0"});
