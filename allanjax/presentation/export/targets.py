@@ -142,8 +142,11 @@ def _compiled(formula: str) -> Callable[[Mapping[str, float]], float]:
 def _table() -> dict[str, Target]:
     """The targets of `targets.toml` by name."""
     text = files(__package__).joinpath("targets.toml").read_text(encoding="utf-8")
-    notes, *rest = tomllib.loads(text).items()
-    return {name: _target(name, of, notes[1]) for name, of in rest}
+    tables = tomllib.loads(text)
+    notes = tables.pop("NOTES")
+    return {
+        name: _target(name, tables.get(of.pop("like", ""), {}) | of, notes) for name, of in tables.items()
+    }
 
 
 def _target(name: str, of: Mapping[str, Any], common: Mapping[str, str]) -> Target:
