@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from allanjax.base.arrays import namespace
-from allanjax.noise.numerics import averaged_lags
+from allanjax.noise.process import Poles, averaged_lags
 from allanjax.noise.response import (
     HALF_POWER,
     LARGEST_BANDWIDTH,
@@ -32,7 +32,6 @@ from allanjax.noise.response import (
     LowPass1,
     LowPass2,
     MovingAverage,
-    Poles,
     Response,
     apart_from_one,
     bilinear_poles,
