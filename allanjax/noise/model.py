@@ -20,8 +20,8 @@ from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.module import Module
 from allanjax.noise.parameter import Parameter, Parametrized
-from allanjax.noise.process import FilteredProcess, Process
-from allanjax.noise.response import Response
+from allanjax.noise.process import Process
+from allanjax.noise.response import FilteredProcess, Response
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, together
 from allanjax.record.units import Sensor
 

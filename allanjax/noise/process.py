@@ -11,24 +11,272 @@ G is known only up to c0 + c1·t², which such filters remove.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import ClassVar
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+from jax.scipy.special import erfc
+from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.module import Module
-from allanjax.noise.numerics import (
-    gaussian_sequence,
-    increment_autocovariance,
-    is_continuous,
-    linear_recurrence,
-    sampled_density,
-)
-from allanjax.noise.response import Parts, Response
+
+#: G at lags ≥ 0 [s].
+PhaseCovariance: TypeAlias = Callable[[Float[Array, "..."]], Float[Array, "..."]]
+
+# Lags that `sampled_density` sums one by one; beyond, it replaces the sum by an integral.
+_SINGLE_LAGS = 512
+
+
+def _derivative(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    """Derivative of an elementwise function, from one call so that it keeps to one gauge."""
+    return lambda x: jax.jvp(function, (x,), (jnp.ones_like(x),))[1]
+
+
+def gaussian_sequence(key: PRNGKeyArray, autocovariance: Float[Array, " half+1"]) -> Float[Array, " 2*half"]:
+    """Stationary Gaussian sequence on a circle of 2·half samples with this autocovariance.
+
+    Successive samples up to half + 1 of them are a draw of the process on a line (circulant embedding).
+    """
+    half = autocovariance.shape[0] - 1
+    circle = jnp.concatenate([autocovariance, autocovariance[-2:0:-1]])
+    # A true embedding has eigenvalues ≥ 0; rounding leaves some at −1e-16 of the largest.
+    eigenvalues = jnp.maximum(jnp.fft.rfft(circle).real, 0.0)
+    # The transform of real white noise is complex white noise, but real at its two ends.
+    real, imaginary = jax.random.normal(key, (2, half + 1))
+    ends = (jnp.arange(half + 1) % half) == 0
+    noise = jnp.where(ends, real, jax.lax.complex(real, imaginary) / jnp.sqrt(2.0))
+    return jnp.fft.irfft(jnp.sqrt(2.0 * half * eigenvalues) * noise, 2 * half)
+
+
+def in_gauge(small: Callable, large: Callable, x: Num[Array, ...]) -> Num[Array, ...]:
+    """Value of `small(x)` where all of x along its last axis is below one in magnitude, else of `large(x)`.
+
+    The two must differ by c0 + c1·x² only. Near zero that difference would swallow the digits that
+    survive the second difference, far out it would dominate them; so all of a row takes one side.
+    """
+    xp = namespace(x)
+    is_small = xp.max(xp.abs(xp.atleast_1d(x)), axis=-1, keepdims=x.ndim > 0) < 1.0
+    if xp is np and is_small.all():
+        return small(x)
+    return xp.where(is_small, small(xp.where(is_small, x, 0.0)), large(x))
+
+
+def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> Float[Array, ""]:
+    """Two-sided PSD of samples at `rate` [Hz], at a radians per sample, from their phase covariance.
+
+    Lags are taken singly at first, then as integrals over intervals that grow up to half a period. H need not
+    decay: the sum fades out smoothly over many periods, which leaves oscillations untouched.
+    """
+    h = 1.0 / rate
+
+    def fading(d: Array) -> Array:
+        return erfc(4.0 * (d * a / (12.0 * jnp.pi) - 2.0)) / 2.0
+
+    G = G_of(jnp.arange(_SINGLE_LAGS + 2) * h)
+    single = -jnp.diff(jnp.concatenate([G[1:2], G]), 2) / h**2
+    lag = jnp.arange(_SINGLE_LAGS + 1)
+    total = jnp.sum(jnp.where(lag > 0, 2.0, 1.0) * single * fading(lag) * jnp.cos(a * lag))
+
+    def summand(d: Array) -> Array:
+        # Another call may have another gauge: it is matched at the last single lag.
+        H = -_derivative(_derivative(G_of))(jnp.append(d, _SINGLE_LAGS) * h)
+        return 2.0 * (H[:-1] - H[-1] + single[-1]) * fading(d) * jnp.cos(a * d)
+
+    x, w = np.polynomial.legendre.leggauss(12)
+    growing = jnp.minimum(_SINGLE_LAGS * 1.5 ** jnp.arange(22.0), jnp.pi / a)
+    lengths = jnp.append(growing, jnp.full(36, jnp.pi / a))
+    starts = _SINGLE_LAGS + 0.5 + jnp.append(0.0, jnp.cumsum(lengths))
+    d = starts[:-1, None] + lengths[:, None] * (x + 1.0) / 2.0
+    integral = jnp.dot((lengths[:, None] / 2.0 * w).ravel(), summand(d.ravel()))
+    # The first Euler–Maclaurin correction, for a sum over the integers that starts half a step before.
+    correction = _derivative(summand)(starts[:1])[0] / 24.0
+    return (total + integral + correction) / rate
+
+
+def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Float[Array, " n"]:
+    """Autocovariance of x[k+1] − x[k] at lags 0 … n−1 samples: the fourth difference of G.
+
+    Rounding of a growing G drowns that difference at long lags. Where G is smooth over a sample, its
+    inner second difference is therefore expanded, δ²G = h²G⁽²⁾ + h⁴G⁽⁴⁾/12 + h⁶G⁽⁶⁾/360 + …, with
+    δ²G⁽⁴⁾ for h²G⁽⁶⁾, and only the outer one is taken.
+    """
+    h = 1.0 / rate
+    lag = jnp.arange(n + 2) * h
+    G = G_of(lag)
+    both_sides = jnp.concatenate([G[2:0:-1], G])
+    direct = jnp.convolve(both_sides, jnp.asarray([1.0, -4.0, 6.0, -4.0, 1.0]), mode="valid") / h**2
+
+    # From lag 1 on: G may have a kink at zero, where no derivative exists.
+    second = _derivative(_derivative(G_of))
+    G2, G4 = second(lag[1:]), _derivative(_derivative(second))(lag[1:])
+    last = jnp.diff(h**4 * G4, 2) / 360.0
+    inner = (h**2 * G2 + h**4 * G4 / 12.0)[1:-1] + last
+    expanded = jnp.pad(jnp.diff(inner, 2) / h**2, (3, 0))
+    # The truncation error is far less than the last term of the expansion.
+    error = jnp.pad(jnp.abs(jnp.diff(last, 2)) / h**2, (3, 0), constant_values=jnp.inf)
+    rounding = 64.0 * jnp.finfo(float).eps * jax.lax.cummax(jnp.abs(G))[2:] / h**2
+    return jnp.where(error <= jnp.maximum(1e-9 * jnp.abs(expanded), rounding), expanded, direct)
+
+
+def exponential_remainder(z: Num[Array, ...]) -> Num[Array, ...]:
+    """Remainder e^z − 1 − z, up to a multiple of z² common to a row (see `in_gauge`); real or complex."""
+
+    xp = namespace(z)
+
+    def series(z: Num[Array, ...]) -> Num[Array, ...]:
+        total = xp.zeros_like(z)
+        for k in range(19, 2, -1):
+            total = total * z + 1.0 / math.factorial(k)
+        return total * z**3
+
+    return in_gauge(series, lambda z: xp.expm1(z) - z, z)
+
+
+def is_continuous(sample_interval: Any) -> bool:
+    """Whether a sample interval is 0, for the continuous rate; a traced one is not."""
+    return isinstance(sample_interval, float) and sample_interval == 0.0
+
+
+def exponential_covariance(
+    pole: Num[Array, ""], weight: Num[ArrayLike, ""], lag: Float[Array, ...], sample_interval: float
+) -> Float[Array, ...]:
+    """Phase covariance G at lags [s] of R(t) = Re[weight·e^{pole·t}], pole in 1/s with a negative real part.
+
+    G is −R integrated twice, or, with a sample interval [s], summed twice: its second difference at multiples
+    of that is −sample_interval²·R exactly.
+    """
+    xp = namespace(pole, weight, lag)
+    remainder = exponential_remainder(pole * lag)
+    t0 = sample_interval
+    if is_continuous(t0):
+        return -xp.real(weight / pole**2 * remainder)
+    kappa = weight * t0**2 / (4.0 * xp.sinh(pole * t0 / 2.0) ** 2)
+    slope = xp.real(kappa * (xp.expm1(pole * t0) - pole * t0)) / t0 - t0 * xp.real(weight) / 2.0
+    return slope * lag - xp.real(kappa * remainder)
+
+
+def averaged_lags(x: Any) -> tuple[Any, Any]:
+    """Autocovariance of averages over an interval of x correlation times, at lags 0 and 1 interval.
+
+    Of R(t) = e^{−|t|}, t in correlation times; that at d intervals is the second times e^{−x(d − 1)}.
+    """
+    xp = namespace(x)
+    # (e^{-x} − 1 + x)/x², by a series where that would cancel.
+    at_zero = xp.where(
+        x < 1e-3, 1.0 - x / 3.0 + x**2 / 12.0, 2.0 * (x + xp.expm1(-x)) / xp.maximum(x, 1e-3) ** 2
+    )
+    return at_zero, (xp.expm1(-x) / x) ** 2
+
+
+def mean_lags(x: Any, M: Any) -> tuple[Any, Any, Any]:
+    """Autocovariance of means of M readings of R_k = e^{x·|k|}, at lags 0 and 1 mean; and 1 − e^{Mx}.
+
+    With q = e^x: r_0 = [M(1 + q)/(1 − q) − 2q(1 − q^M)/(1 − q)²]/M² and, from d = 1 on,
+    r_d = q^{M(d−1)}·q(1 − q^M)²/(M(1 − q))², a geometric series.
+    """
+    xp = namespace(x, M)
+    q, y, z = xp.exp(x), -xp.expm1(x), -xp.expm1(M * x)
+    # A series where the terms of r_0 would cancel.
+    series = 1.0 + x * (M**2 - 1.0) / (3.0 * M) + x**2 * (M**2 - 1.0) / 12.0
+    r_0 = xp.where(xp.abs(M * x) < 1e-3, series, ((1.0 + q) / (M * y)) - 2.0 * q * z / (M * y) ** 2)
+    return r_0, q * (z / (M * y)) ** 2, z
+
+
+def exponential_density(
+    pole: Num[ArrayLike, ""],
+    weight: Num[ArrayLike, ""],
+    frequency: Float[ArrayLike, ...],
+    rate: float,
+    sample_interval: float,
+) -> Float[Array, ...]:
+    """Two-sided PSD at frequencies [Hz] of R(t) = Re[weight·e^{pole·t}] read at the sample instants.
+
+    Samples at `rate` are means of M readings, a sample interval [s] apart, see `mean_lags`. M is 1 at the
+    readings' own rate, and for a sample interval of 0.
+    """
+    xp = namespace(pole, weight, frequency, rate, sample_interval)
+    M = 1.0 if is_continuous(sample_interval) else 1.0 / (rate * sample_interval)
+    r_0, r_1, z = mean_lags(pole / rate / M, M)
+    # Σ_d Q^{d−1}·2 cos(ad) = 2(cos a − Q)/(1 − 2Q cos a + Q²), Q = 1 − z = q^M, in terms small near Q = 1,
+    # and in real arithmetic, which is faster.
+    s = xp.sin(np.pi * xp.asarray(frequency) / rate) ** 2
+    square, slope, own = z**2, 4.0 * (1.0 - z), 2.0 * weight * r_1
+    re, im = xp.real(square) + xp.real(slope) * s, xp.imag(square) + xp.imag(slope) * s
+    first, second = own * z, -2.0 * own
+    above = (xp.real(first) + xp.real(second) * s) * re + (xp.imag(first) + xp.imag(second) * s) * im
+    return (xp.real(weight * r_0) + above / (re**2 + im**2)) / rate
+
+
+def linear_recurrence(factor: Num[ArrayLike, ""], drive: Num[Array, " n"]) -> Num[Array, " n"]:
+    """Solution of y[k] = factor·y[k−1] + drive[k], y[−1] = 0; real or complex.
+
+    The record is cut into many short blocks that are computed side by side (one vector operation per step);
+    then the blocks' last values recur, and each block receives the contribution of its predecessors.
+    """
+    n = drive.shape[0]
+    length = max(1, int(n**0.5))
+    blocks = -(-n // length)
+    columns = jnp.pad(drive, (0, blocks * length - n)).reshape(blocks, length).T
+    factor = jnp.asarray(factor, drive.dtype)
+
+    def step(y: Array, x: Array) -> tuple[Array, Array]:
+        y = factor * y + x
+        return y, y
+
+    last, within = jax.lax.scan(step, jnp.zeros(blocks, drive.dtype), columns)
+    powers = jnp.cumprod(jnp.full(length, factor))
+
+    def carry_on(carried: Array, end: Array) -> tuple[Array, Array]:
+        return powers[-1] * carried + end, carried
+
+    _, carried = jax.lax.scan(carry_on, jnp.zeros((), drive.dtype), last)
+    return (within + powers[:, None] * carried).T.reshape(-1)[:n]
+
+
+class Poles(NamedTuple):
+    """Sum of c(1 − w²)/D(w) over poles w, complex ones in pairs: a power response, or a density of samples.
+
+    Attributes:
+        pole: the w of each.
+        weight: the c of each.
+    """
+
+    pole: Any
+    weight: Any
+
+
+#: A sum without poles.
+NO_POLES = Poles(np.zeros(0), np.zeros(0))
+
+
+class Parts(NamedTuple):
+    """Density of samples [rate²] in parts: white + difference·4s + walk/4s + poles."""
+
+    white: Any
+    difference: Any
+    walk: Any
+    poles: Poles
+
+    def phase_covariance(self, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+        """Phase covariance G at lags [s] that are multiples of 1/rate; between them it is interpolated."""
+        xp = namespace(self, lag)
+        h = 1.0 / rate
+        linear = (self.white + self.walk / 6.0) * h * lag / 2.0
+        total = self.difference * h**2 * (lag == 0.0) + self.walk * lag**3 / (12.0 * h) - linear
+        rates = xp.log(self.poles.pole) * rate
+
+        def one(pole: Any, weight: Any) -> Any:
+            return exponential_covariance(pole, weight, lag, h)
+
+        if xp is jnp:
+            return total + jnp.sum(jax.vmap(one)(rates, self.poles.weight), axis=0)
+        return total + sum(map(one, rates, self.poles.weight))
+
 
 # Samples of the smallest half circle on which oscillating noise is drawn: on one shorter than its memory its
 # covariance would have negative eigenvalues.
@@ -90,10 +338,8 @@ class Process(Module):
         from scipy.fft import next_fast_len
 
         half = next_fast_len(max(n, _LEAST_CIRCLE if self.oscillates else 2), real=True)
-        increments = gaussian_sequence(key, increment_autocovariance(self.phase_covariance, half + 1, rate))[
-            :n
-        ]
-        return linear_recurrence(1.0, increments)
+        autocovariance = increment_autocovariance(self.phase_covariance, half + 1, rate)
+        return linear_recurrence(1.0, gaussian_sequence(key, autocovariance)[:n])
 
     def parts(self, rate: float) -> Parts:
         """Parts of the density of samples at `rate` [Hz], for filtering by a `Response`."""
@@ -144,54 +390,3 @@ def numbers_as_data(processes: tuple[Process, ...]) -> tuple[Process, ...]:
     Infinite values, such as a cutoff, select a formula and stay numbers.
     """
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, float) and abs(x) < np.inf else x, processes)
-
-
-# Samples that a filter is given to settle before a simulation begins.
-_SETTLING = 8192
-
-
-class FilteredProcess(Process):
-    """A process after a response, for samples at `rate` [Hz]; 0 if that is not known yet.
-
-    The process must have the method `parts(rate)`, which returns the parts of its density.
-    """
-
-    process: Process
-    response: Response
-    rate: float
-
-    @property
-    def oscillates(self) -> bool:
-        return self.process.oscillates
-
-    @property
-    def narrow_band(self) -> bool:  # type: ignore[override]  # of the process, not of the class
-        return self.process.narrow_band
-
-    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
-        return self.process.power_scatter(duration)
-
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
-        return self.response.phase_covariance(self.process, lag, self._known_rate)
-
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        return self.response.power(frequency, self._known_rate) * self.process.psd(frequency)
-
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        return self.response.power(frequency, rate) * self.process.sampled_psd(frequency, rate)
-
-    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
-        return self.response.power(frequency, rate) * self.process.end_effect(frequency, rate)
-
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
-        """Simulated samples; the filter has run over thousands of samples before the first."""
-        x = self.process.simulate(key, n + _SETTLING, rate)
-        # It starts at rest at the first of these, which is added again: it leaves constants unchanged.
-        first = _SETTLING - self.response.ahead
-        return self.response.filtered(x - x[0], rate)[first : first + n] + x[0]
-
-    @property
-    def _known_rate(self) -> float:
-        if is_continuous(self.rate):
-            raise AllanjaxError("a response depends on the sample rate: use model.sampled(rate)")
-        return self.rate

@@ -16,58 +16,17 @@ from __future__ import annotations
 
 import abc
 import math
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
-from allanjax.noise.numerics import exponential_covariance, linear_recurrence
 from allanjax.noise.parameter import Parametrized, Value, option, parameter
-
-
-class Poles(NamedTuple):
-    """Sum of c(1 − w²)/D(w) over poles w, complex ones in pairs: a power response, or a density of samples.
-
-    Attributes:
-        pole: the w of each.
-        weight: the c of each.
-    """
-
-    pole: Any
-    weight: Any
-
-
-#: A sum without poles.
-NO_POLES = Poles(np.zeros(0), np.zeros(0))
-
-
-class Parts(NamedTuple):
-    """Density of samples [rate²] in parts: white + difference·4s + walk/4s + poles."""
-
-    white: Any
-    difference: Any
-    walk: Any
-    poles: Poles
-
-    def phase_covariance(self, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
-        """Phase covariance G at lags [s] that are multiples of 1/rate; between them it is interpolated."""
-        xp = namespace(self, lag)
-        h = 1.0 / rate
-        linear = (self.white + self.walk / 6.0) * h * lag / 2.0
-        total = self.difference * h**2 * (lag == 0.0) + self.walk * lag**3 / (12.0 * h) - linear
-        rates = xp.log(self.poles.pole) * rate
-
-        def one(pole: Any, weight: Any) -> Any:
-            return exponential_covariance(pole, weight, lag, h)
-
-        if xp is jnp:
-            return total + jnp.sum(jax.vmap(one)(rates, self.poles.weight), axis=0)
-        return total + sum(map(one, rates, self.poles.weight))
+from allanjax.noise.process import Parts, Poles, Process, is_continuous, linear_recurrence
 
 
 class Response(Parametrized):
@@ -510,3 +469,54 @@ def _spectral_factor(weight: Float[np.ndarray, " q"]) -> Float[np.ndarray, " q"]
         if np.abs(step).max() <= 1e-14 * np.abs(b).max():
             break
     return b
+
+
+# Samples that a filter is given to settle before a simulation begins.
+_SETTLING = 8192
+
+
+class FilteredProcess(Process):
+    """A process after a response, for samples at `rate` [Hz]; 0 if that is not known yet.
+
+    The process must have the method `parts(rate)`, which returns the parts of its density.
+    """
+
+    process: Process
+    response: Response
+    rate: float
+
+    @property
+    def oscillates(self) -> bool:
+        return self.process.oscillates
+
+    @property
+    def narrow_band(self) -> bool:  # type: ignore[override]  # of the process, not of the class
+        return self.process.narrow_band
+
+    def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
+        return self.process.power_scatter(duration)
+
+    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+        return self.response.phase_covariance(self.process, lag, self._known_rate)
+
+    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+        return self.response.power(frequency, self._known_rate) * self.process.psd(frequency)
+
+    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.response.power(frequency, rate) * self.process.sampled_psd(frequency, rate)
+
+    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+        return self.response.power(frequency, rate) * self.process.end_effect(frequency, rate)
+
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+        """Simulated samples; the filter has run over thousands of samples before the first."""
+        x = self.process.simulate(key, n + _SETTLING, rate)
+        # It starts at rest at the first of these, which is added again: it leaves constants unchanged.
+        first = _SETTLING - self.response.ahead
+        return self.response.filtered(x - x[0], rate)[first : first + n] + x[0]
+
+    @property
+    def _known_rate(self) -> float:
+        if is_continuous(self.rate):
+            raise AllanjaxError("a response depends on the sample rate: use model.sampled(rate)")
+        return self.rate

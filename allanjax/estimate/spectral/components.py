@@ -26,8 +26,8 @@ from jaxtyping import Array, ArrayLike, Float
 
 from allanjax.base.arrays import namespace
 from allanjax.noise import response as filters
-from allanjax.noise.numerics import averaged_lags
-from allanjax.noise.response import Poles, Response
+from allanjax.noise.process import Poles, averaged_lags
+from allanjax.noise.response import Response
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 

@@ -15,8 +15,8 @@ from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
-from allanjax.noise.numerics import in_gauge
 from allanjax.noise.parameter import Value, option, parameter
+from allanjax.noise.process import in_gauge
 from allanjax.noise.state_space import Block
 
 

@@ -19,7 +19,11 @@ from jaxtyping import Array, ArrayLike, Complex, Float, Num, PRNGKeyArray
 from allanjax.base.arrays import namespace, special_functions
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
-from allanjax.noise.numerics import (
+from allanjax.noise.parameter import Value, option, parameter
+from allanjax.noise.process import (
+    NO_POLES,
+    Parts,
+    Poles,
     averaged_lags,
     exponential_covariance,
     exponential_density,
@@ -27,8 +31,6 @@ from allanjax.noise.numerics import (
     is_continuous,
     linear_recurrence,
 )
-from allanjax.noise.parameter import Value, option, parameter
-from allanjax.noise.response import NO_POLES, Parts, Poles
 from allanjax.noise.state_space import Block, exponential_block, mean_block, together, white_block
 
 # Aliases on either side that are summed, for want of a closed form; those of flicker noise with a cutoff are
