@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
-from allanjax.record.io.logs import DATAFLASH, ROS, ULOG
+from allanjax.record.io.flight_logs import DATAFLASH, ULOG
+from allanjax.record.io.ros import ROS
 from allanjax.record.io.table import Format
 from allanjax.record.io.text import TEXT, VECTORNAV
 from allanjax.record.validation import Source
