@@ -508,22 +508,27 @@ def plot_dynamic(
     heading = Heading(f"{dynamic.name}: Allan deviation through time".removeprefix(": "), facts, key)
     across = min(3, len(names))
     rows = [min(across, len(names) - k) for k in range(0, len(names), across)]
-    figure, panels = _DYNAMIC.draw(heading, rows, path)
     ratio = dynamic.deviation / np.median(dynamic.deviation, axis=0)
     edges = np.append(dynamic.time - 0.5 * dynamic.window, dynamic.time[-1] + 0.5 * dynamic.window)
     scale = LogNorm(1.0 / _FACTOR, _FACTOR)
-    for k, panel in enumerate(panel for row in panels for panel in row):
-        draw.dress(panel, names[k], draw.TIME, draw.CLUSTER_TIME, log="y")
-        step = (dynamic.cluster_time[-1] / dynamic.cluster_time[0]) ** (0.5 / (len(dynamic.cluster_time) - 1))
-        heights = np.append(dynamic.cluster_time / step, dynamic.cluster_time[-1] * step)
-        shown = panel.pcolormesh(edges, heights, ratio[:, :, k].T, norm=scale, cmap="RdBu_r", rasterized=True)
-        for time in _changes(critique, names[k]):
-            panel.axvline(time, **_change())
-    place = panels[0][-1].get_position()
-    bar = figure.colorbar(shown, figure.add_axes((place.x1 + 0.01, place.y0, 0.012, place.height)))
-    bar.set_ticks(_TICKS, labels=[f"{tick:g}" for tick in _TICKS], minor=False)
-    bar.ax.minorticks_off()
-    bar.set_label("deviation over the median")
+    with draw.style():
+        figure, panels = _DYNAMIC.draw(heading, rows, path)
+        for k, panel in enumerate(panel for row in panels for panel in row):
+            draw.dress(panel, names[k], draw.TIME, draw.CLUSTER_TIME, log="y")
+            step = (dynamic.cluster_time[-1] / dynamic.cluster_time[0]) ** (
+                0.5 / (len(dynamic.cluster_time) - 1)
+            )
+            heights = np.append(dynamic.cluster_time / step, dynamic.cluster_time[-1] * step)
+            shown = panel.pcolormesh(
+                edges, heights, ratio[:, :, k].T, norm=scale, cmap="RdBu_r", rasterized=True
+            )
+            for time in _changes(critique, names[k]):
+                panel.axvline(time, **_change())
+        place = panels[0][-1].get_position()
+        bar = figure.colorbar(shown, figure.add_axes((place.x1 + 0.01, place.y0, 0.012, place.height)))
+        bar.set_ticks(_TICKS, labels=[f"{tick:g}" for tick in _TICKS], minor=False)
+        bar.ax.minorticks_off()
+        bar.set_label("deviation over the median")
     return draw.saved(figure, path)
 
 
