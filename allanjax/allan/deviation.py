@@ -108,9 +108,8 @@ class AllanDeviation(ByValue, OfAxes):
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
     ) -> AllanDeviation:
         """Allan deviations from the sums of a pyramid over samples at `rate` [Hz]."""
-        if pyramid.n < 2:
-            raise AllanjaxError(estimators.too_few(pyramid.n, "allan"))
-        of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
+        sizes = estimators.cluster_sizes(pyramid.n, rate)[: len(pyramid.count)]
+        of = np.sqrt(pyramid.variance()), sizes, pyramid.n, rate
         return replace(cls.under_white_noise(*of, axes=axes, estimator="pyramid"), count=pyramid.count)
 
     @classmethod

@@ -71,7 +71,8 @@ def cluster_sizes(
     check_member(kind, Kind, "kind")
     largest = {"allan": n // 2, "modified": (n + 1) // 3, "hadamard": n // 3}[kind]
     if largest < 1:
-        raise AllanjaxError(too_few(n, kind))
+        shortest = 3 if kind == "hadamard" else 2
+        raise AllanjaxError(f"{n} samples are too few for the {kind} variance: it needs at least {shortest}")
     if isinstance(spacing, str):
         decades = 10 ** np.arange(len(str(largest)))
         sizes = {
@@ -90,33 +91,23 @@ def cluster_sizes(
         steps = np.arange(spacing * largest.bit_length())
         sizes = np.rint(2.0 ** (steps / spacing)).astype(int)
     else:
-        return _sizes_of_times(np.asarray(spacing, dtype=float), rate, largest)
+        times = np.asarray(spacing, dtype=float)
+        if times.ndim != 1 or times.size == 0:
+            raise AllanjaxError("cluster times must be a non-empty sequence of seconds")
+        for time in times:
+            if not time * rate <= largest + _CLUSTER_SIZE_TOLERANCE:
+                raise AllanjaxError(
+                    f"cluster time {time:.9g} s is too long: "
+                    f"the longest the recording allows is {largest / rate:.9g} s"
+                )
+            nearest = max(round(time * rate), 1)
+            if abs(time * rate - nearest) > _CLUSTER_SIZE_TOLERANCE:
+                raise AllanjaxError(
+                    f"cluster time {time:.9g} s is not a multiple of the sample interval {1 / rate:.9g} s: "
+                    f"the nearest is {nearest / rate:.9g} s"
+                )
+        sizes = np.rint(times * rate).astype(int)
     return np.unique(sizes[sizes <= largest])
-
-
-def _sizes_of_times(times: Float[np.ndarray, " times"], rate: float, largest: int) -> Int[np.ndarray, " m"]:
-    """Cluster sizes in samples of the given cluster times [s]."""
-    if times.ndim != 1 or times.size == 0:
-        raise AllanjaxError("cluster times must be a non-empty sequence of seconds")
-    for time in times:
-        if not time * rate <= largest + _CLUSTER_SIZE_TOLERANCE:
-            raise AllanjaxError(
-                f"cluster time {time:.9g} s is too long: "
-                f"the longest the recording allows is {largest / rate:.9g} s"
-            )
-        nearest = max(round(time * rate), 1)
-        if abs(time * rate - nearest) > _CLUSTER_SIZE_TOLERANCE:
-            raise AllanjaxError(
-                f"cluster time {time:.9g} s is not a multiple of the sample interval {1 / rate:.9g} s: "
-                f"the nearest is {nearest / rate:.9g} s"
-            )
-    return np.unique(np.rint(times * rate).astype(int))
-
-
-def too_few(n: int, kind: Kind) -> str:
-    """Error message for a record too short for a single difference."""
-    shortest = 3 if kind == "hadamard" else 2
-    return f"{n} samples are too few for the {kind} variance: it needs at least {shortest}"
 
 
 def check_member(value: str, literal: object, name: str) -> None:
@@ -523,7 +514,7 @@ class Pyramid:
             begin, end = block << k, (block + 1) << k
             across = np.empty((axes, 0))
             if self.start <= begin < border and end <= right.start + right.n:
-                across = _pair_means(junction[:, 2 * block - first :][:, :2])
+                across = junction[:, 2 * block - first :][:, :2].mean(axis=1, keepdims=True)
             junction = np.concatenate([left_tail, across, right_head], axis=1)
             first = block - left_tail.shape[1]
             if k == 0:
@@ -543,20 +534,15 @@ class Pyramid:
         return Pyramid(self.start, self.n, self.sums[:, keep], self.head[:, keep], self.tail[:, keep])
 
     @property
-    def cluster_size(self) -> Int[np.ndarray, " m"]:
-        """Cluster sizes in samples, 1, 2, 4, …, at which the piece has at least one difference."""
-        return 2 ** np.arange(len(self.count))
-
-    @property
     def count(self) -> Int[np.ndarray, " m"]:
-        """Differences averaged at each cluster size."""
+        """Differences averaged at each cluster size of 1, 2, 4, … samples at which there is one."""
         small = [self.n + 1 - 2 * window for window in _WINDOWS[:-1]]
         blocks = [_block_count(self.start, self.n, k) for k in range(len(self.head))]
         counts = np.array([*small, *(b - _HELD for b in blocks)])
         return counts[counts > 0]
 
     def variance(self) -> Float[np.ndarray, "m axes"]:
-        """Allan variances at `cluster_size`, in the square of the samples' unit."""
+        """Allan variances at these cluster sizes, in the square of the samples' unit."""
         return self.sums[: len(self.count)] / (2 * self.count[:, None])
 
     def _held(self, k: int) -> tuple[_Blocks, _Blocks]:
@@ -591,11 +577,6 @@ def _square_sum(blocks: _Blocks, window: int) -> Float[np.ndarray, " axes"]:
     while of < window:
         sums, of = sums[:, :-of] + sums[:, of:], 2 * of
     return ((sums[:, window:] - sums[:, :-window]) ** 2).sum(axis=1) / window**2
-
-
-def _pair_means(blocks: _Blocks) -> Float[np.ndarray, "axes halves"]:
-    """Means of blocks 0 and 1, 2 and 3, …"""
-    return (blocks[:, ::2] + blocks[:, 1::2]) * 0.5
 
 
 def _pyramid_of_part(values: Any, start: int, origin: int, pool: ThreadPoolExecutor) -> Pyramid:
@@ -634,8 +615,8 @@ def _hold_ends(pyramid: Pyramid, k: int, table: Any, first: int) -> None:
 def _next_level(blocks: _Blocks, first: int) -> tuple[Float[np.ndarray, "axes halves"], int]:
     """Whole blocks of the next level, and the index of the first of them."""
     odd = first % 2
-    pairs = (blocks.shape[1] - odd) // 2
-    return _pair_means(blocks[:, odd : odd + 2 * pairs]), (first + odd) // 2
+    pairs = max(blocks.shape[1] - odd, 0) // 2
+    return blocks[:, odd : odd + 2 * pairs].reshape(len(blocks), pairs, 2).mean(axis=2), (first + odd) // 2
 
 
 def check_finite(values: Any, origin: int = 0) -> None:

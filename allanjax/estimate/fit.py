@@ -236,10 +236,8 @@ def _with_quiet_segments(quiet: Recording, count: int) -> Recording:
         part = segment if look.refusal else look.quiet(segment)
         if not look.refusal and part.names == segment.names:
             kept += [part.values, *part.others]
-    notes = quiet.notes
-    if touched:
-        note = "parts in which the sensor was touched are left out"
-        notes += (f"{touched} of {count + 1} segments: {note}",)
+    note = f"{touched} of {count + 1} segments: parts in which the sensor was touched are left out"
+    notes = (*quiet.notes, note) if touched else quiet.notes
     return dataclasses.replace(quiet, others=(*kept, *quiet.others[count:]), notes=notes)
 
 

@@ -268,9 +268,9 @@ class Structure:
         """Kind and shape of the response."""
         return self.kind, *self.response
 
-    def with_response(self, kind: int, bandwidth: float, quality: float = math.sqrt(0.5)) -> Structure:
-        """Structure with this response [radians per sample]."""
-        response = math.log(bandwidth), math.log(quality - 0.5)
+    def with_response(self, kind: int, bandwidth: float) -> Structure:
+        """Structure with a response of this bandwidth [radians per sample], and of Q = √½ if it has one."""
+        response = math.log(bandwidth), math.log(math.sqrt(0.5) - 0.5)
         return dataclasses.replace(self, kind=kind, response=response)
 
     def without_response(self) -> Structure:

@@ -127,7 +127,7 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
             spectrum, now = found
         if now is edited:
             return spectrum, now
-        now = edited = pruned(spectrum, _edited(spectrum, now, functools.partial(_edits, spectrum)))
+        now = edited = pruned(spectrum, _edited(spectrum, now, _edits))
         # Editing may take back what growing added, again and again.
         if now.evidence <= best:
             return spectrum, now
@@ -161,7 +161,7 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     of = spectrum
     if (exact := _exact(record, spectrum, now)) is not None:
         of, again = exact
-        compared = again = _edited(of, pruned(of, again), functools.partial(_last_edits, of), *_LAST)
+        compared = again = _edited(of, pruned(of, again), functools.partial(_edits, together=True), *_LAST)
         now = again if _excess(of, again) <= 0.0 else now
     if of.bins is not spectrum.bins:
         finer = record.binned(now.structure)
@@ -472,7 +472,7 @@ def _floor(spectrum: Spectrum) -> float:
 def _edited(
     spectrum: Spectrum,
     now: Fitted,
-    edits: Callable[[Structure], Iterable[list[Structure]]],
+    edits: Callable[[Spectrum, Structure], Iterable[list[Structure]]],
     most: int = _TRIED,
     behind: float = np.inf,
     least: float = _BETTER,
@@ -482,7 +482,7 @@ def _edited(
     Its rivals are the fits of the last round.
     """
     while True:
-        tried = _ranked(spectrum, [group for group in edits(now.structure) if group], behind)[:most]
+        tried = _ranked(spectrum, [group for group in edits(spectrum, now.structure) if group], behind)[:most]
         rivals = [*map(spectrum.fit, tried)]
         best = functools.reduce(_better, rivals, now)
         if best is now or best.evidence < now.evidence + least:
@@ -493,19 +493,19 @@ def _edited(
 def _settled(spectrum: Spectrum, now: Fitted, new: Sequence[int], other: bool) -> Fitted:
     """Fit with new resonances inside the response or after it, and the best kind of another response."""
 
-    def edits(structure: Structure) -> Iterator[list[Structure]]:
+    def edits(_: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
         yield from _moved(structure, [structure.place(QUANTIZATION), *new] if other else new)
         yield from _others(structure, structure.bandwidth[0]) if other else ()
 
     return _edited(spectrum, now, edits)
 
 
-def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
+def _edits(spectrum: Spectrum, structure: Structure, together: bool = False) -> Iterator[list[Structure]]:
     """Structures with another response or none, one component elsewhere, or one as something else.
 
     There may be white noise after a response. A wide resonance may be a Markov process, this white noise, or
     the response itself, which a quick process may be, too; quantization behind a filter, white noise there,
-    or the shape of that filter or of a resonance.
+    or the shape of that filter or of a resonance. Several may also be in other places `together`.
     """
     filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
     own, rounded = structure.components, structure.place(QUANTIZATION)
@@ -535,12 +535,8 @@ def _edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]
     for rest, width in rests:
         yield [rest]
         yield from _others(rest, width)
-
-
-def _last_edits(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
-    """All edits, and changes of several places together."""
-    yield from _edits(spectrum, structure)
-    yield [s for (s,) in _placements(spectrum, structure)]
+    if together:
+        yield [s for (s,) in _placements(spectrum, structure)]
 
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
