@@ -74,17 +74,17 @@ def cluster_sizes(
         shortest = 3 if kind == "hadamard" else 2
         raise AllanjaxError(f"{n} samples are too few for the {kind} variance: it needs at least {shortest}")
     if isinstance(spacing, str):
-        decades = 10 ** np.arange(len(str(largest)))
-        sizes = {
-            "octave": 2 ** np.arange(largest.bit_length()),
-            "decade": np.outer(decades, [1, 2, 4]).ravel(),
-            "all": np.arange(1, largest + 1),
-        }.get(spacing)
-        if sizes is None:
+        known = {
+            "octave": lambda: 2 ** np.arange(largest.bit_length()),
+            "decade": lambda: np.outer(10 ** np.arange(len(str(largest))), [1, 2, 4]).ravel(),
+            "all": lambda: np.arange(1, largest + 1),
+        }
+        if spacing not in known:
             raise AllanjaxError(
                 f"unknown spacing {spacing!r}: expected 'octave', 'decade', 'all', "
                 "a number per octave or cluster times in seconds"
             )
+        sizes = known[spacing]()
     elif isinstance(spacing, int | np.integer):
         if spacing < 1:
             raise AllanjaxError(f"the number of cluster sizes per octave must be at least 1, not {spacing}")
