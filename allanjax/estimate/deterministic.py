@@ -48,6 +48,8 @@ _SEARCH, _GRID, _STEPS, _SLOWEST = 4.0, 4, 4, 4
 _PLACES, _PEAKS = 8, 4
 # Bins per octave where the spectrum is not smooth: for filters.
 _FINE = 24
+# Samples of a line that are rotated together.
+_ROTATED = 1024
 # Value that χ² with one degree of freedom exceeds once in 16 000.
 _OUTLYING = 16.0
 
@@ -95,8 +97,11 @@ class Line:
 
     def samples(self, n: int, rate: float) -> Samples:
         """The line in n samples at `rate` [Hz]."""
-        phase = 2.0 * np.pi * self.frequency / rate * (np.arange(n) + 0.5)
-        return self.beta[0] * np.cos(phase) + self.beta[1] * np.sin(phase)
+        w = 2j * np.pi * self.frequency / rate
+        # Rotations of one block, which are faster than cosines and sines of all phases.
+        block = np.exp(w * (np.arange(_ROTATED) + 0.5)) * complex(*self.beta).conjugate()
+        turns = np.exp(w * _ROTATED * np.arange(-(-n // _ROTATED)))
+        return (np.c_[turns.real, -turns.imag] @ [block.real, block.imag]).ravel()[:n]
 
 
 def lines_of(model: Model) -> tuple[list[int], list[tuple[float | None, bool]]]:
