@@ -2,11 +2,11 @@
 # A new term is named in its own room only.
 
 from allanjax import critic as critic
+from allanjax.allan.curve import read_curve as read_curve
 from allanjax.allan.deviation import AllanDeviation as AllanDeviation
 from allanjax.allan.deviation import DynamicAllan as DynamicAllan
 from allanjax.allan.deviation import allan_deviation as allan_deviation
 from allanjax.allan.deviation import dynamic_allan as dynamic_allan
-from allanjax.allan.deviation import read_curve as read_curve
 from allanjax.base.cache import enable_compilation_cache as enable_compilation_cache
 from allanjax.base.errors import AllanjaxError as AllanjaxError
 from allanjax.base.errors import FitError as FitError

@@ -75,7 +75,7 @@ def compare(
 
 def _curve(text: str, options: FitOptions) -> "AllanDeviation":
     """The Allan curve that an option describes by its file, rate and length."""
-    from allanjax.allan.deviation import read_curve
+    from allanjax.allan.curve import read_curve
 
     path, *parts = (part.strip() for part in text.split(","))
     if len(parts) != 2:

@@ -183,7 +183,7 @@ def read_and_fit(file: Input, options: FitOptions) -> "tuple[Recording, Check, P
 
 def _read_curve_and_fit(file: Input, options: FitOptions, duration: str | None) -> "Fit":
     """Fit of an Allan curve without its recording."""
-    from allanjax.allan.deviation import read_curve
+    from allanjax.allan.curve import read_curve
     from allanjax.estimate.fit import fit_curve
 
     reading = options.reading
