@@ -29,8 +29,8 @@ from allanjax.critic.finding import Finding as Finding
 from allanjax.critic.result import Critique as Critique
 from allanjax.estimate.as_json import load as load
 from allanjax.estimate.as_json import to_dict as to_dict
-from allanjax.estimate.axis_fits import BulkFit as BulkFit
-from allanjax.estimate.axis_fits import fit_many as fit_many
+from allanjax.estimate.bulk import BulkFit as BulkFit
+from allanjax.estimate.bulk import fit_many as fit_many
 from allanjax.estimate.check import Check as Check
 from allanjax.estimate.check import check as check
 from allanjax.estimate.fit import fit as fit

@@ -28,7 +28,8 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.comparison.random_effects import Laws, RandomEffects, random_effects
 from allanjax.comparison.repeatability import AxisJoint, JointCoefficient, JointFit
 from allanjax.estimate.as_json import load_one
-from allanjax.estimate.axis_fits import check_terms, fit_many
+from allanjax.estimate.axis_fits import check_terms
+from allanjax.estimate.bulk import fit_many
 from allanjax.estimate.design import AllanDesign, free_powers, free_shapes, model_to_fit
 from allanjax.estimate.fit import fit
 from allanjax.estimate.inference import Hypotheses, estimate_of, reported, skewness_of

@@ -23,10 +23,8 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.threads import for_each
 from allanjax.estimate.axis_fits import (
     check_count,
-    check_exact,
     check_terms,
     fit_allan,
-    fit_exact,
     fit_spectra,
     fit_spectrum,
     fit_wavelet,
@@ -46,6 +44,7 @@ from allanjax.estimate.deterministic import (
     take_out_lines,
     without_lines,
 )
+from allanjax.estimate.exact import check_exact, fit_exact
 from allanjax.estimate.result import AxisFit, Fit, misfit_of
 from allanjax.estimate.selection import AxisSelection, TermSelection, candidates_in_record, rank_terms, ranked
 from allanjax.estimate.spectral import search
