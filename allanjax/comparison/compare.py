@@ -494,6 +494,8 @@ def _mark(c: Estimate | None) -> str:
 def _between(ends: tuple[float, float]) -> str:
     """Interval of a ratio, or its limit."""
     low, high = ends
+    if low == high:
+        return ""
     if math.isinf(high):
         return f"> {significant(low)}" if low > 0.0 else ""
     return f"< {significant(high)}" if low == 0.0 else format_range(low, high)

@@ -77,7 +77,7 @@ class JointCoefficient(ByValue):
             spread if np.isfinite(self.relative_scatter) else "",
             Number(convert(self.sample_std, self.common.unit, common.unit)),
             format_p_value(e.p_value),
-            f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "",
+            f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "none",
         ]
         return column(common.symbol or common.title, common.unit, cells)
 

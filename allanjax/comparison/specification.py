@@ -91,8 +91,19 @@ def _read(sheet: str | os.PathLike[str]) -> Mapping[str, Any]:
     """Contents of a YAML file."""
     import yaml
 
+    class Loader(yaml.SafeLoader):
+        """Refuses a key that is given twice, of which YAML would keep the last without a word."""
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            seen: set[str] = set()
+            for key, _ in node.value:
+                if (name := str(key.value)) in seen:
+                    raise yaml.YAMLError(f"{name} is given twice, again in line {key.start_mark.line + 1}")
+                seen.add(name)
+            return super().construct_mapping(node, deep)
+
     try:
-        document = yaml.safe_load(Path(sheet).read_text(encoding="utf-8"))
+        document = yaml.load(Path(sheet).read_text(encoding="utf-8"), Loader)
     except (OSError, UnicodeDecodeError, RecursionError, yaml.YAMLError) as error:
         why = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
         raise AllanjaxError(f"{sheet}: {why}; give a YAML file with limits of gyro or accel") from error

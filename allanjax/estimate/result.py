@@ -511,9 +511,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """Warnings about the coefficients, the gravest first."""
         names = ", ".join(result.axis.name for result in self.results if result.is_far_off)
         far_off = (
-            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure, and run "
-            "`allanjax critique FILE` for the cause; --start and --stop select the part at rest, --terms "
-            "selects other terms"
+            f"{names}: not a measurement of this sensor, as the model does not fit: see the figure; --terms "
+            "selects other terms, and of a recording --start and --stop select the part at rest, and "
+            "`allanjax critique FILE` shows the cause"
         )
         return (*warnings_of(self.facts), *([far_off] if names else []))
 

@@ -169,6 +169,8 @@ HOSTILE = [
     ("gyro: 5", "not a table"), ("gyros: {}", "unknown key 'gyros'"), ("- 1", "not a table"),
     ("name: x", "no limit"), ("gyro: {", "a YAML file"),
     ("gyro: !!python/object:os.system {}", "a YAML file"), ("\x00", "YAML"),
+    ("gyro:\n  meaning: maximum\n  N: 1 deg/√h\n  N: 9 deg/√h", "N is given twice, again in line 4"),
+    ("gyro: {? [N, B] : 1}", "unhashable key"),
 ]  # fmt: skip
 
 
