@@ -144,11 +144,14 @@
       const data = tables.length ? uPlot.join(tables) : [[1, 10]];
       const ink = css("--ink"), grid = {stroke: css("--line"), width: 1}, font = "12px system-ui, sans-serif";
       const range = log => (u, min, max) => min == null ? (log ? [1, 10] : [0, 1]) : log ? [min / 1.25, max * 1.25] : [min - 0.04 * (max - min || 1), max + 0.04 * (max - min || 1)];
+      // Marks within a factor of thirty of the curves are on the chart.
+      const marked = this.hidden.has("marks") ? [] : view.marks.filter(m => m.y != null && (m.group == null || this.shown.has(m.group))).map(m => m.y / size);
+      const near = (u, min, max) => range(logs.y)(u, ...(min == null ? [min, max] : [Math.min(min, ...marked.filter(y => y > min / 30)), Math.max(max, ...marked.filter(y => y < max * 30))]));
       const axis = (label, log, more) => ({label, stroke: ink, grid, ticks: grid, font, labelFont: font, ...(log ? {splits: decades, filter: (u, v) => v} : {}), values: (u, splits) => splits.map(tick), ...more});
       this.chart?.destroy();
       this.chart = new uPlot({
         width, height: Math.max(260, Math.min(440, 0.55 * width)), pxAlign: 0,
-        scales: {x: {time: false, distr: logs.x ? 3 : 1, range: range(logs.x)}, y: {distr: logs.y ? 3 : 1, range: range(logs.y)}},
+        scales: {x: {time: false, distr: logs.x ? 3 : 1, range: range(logs.x)}, y: {distr: logs.y ? 3 : 1, range: near}},
         axes: [axis(`${view.x} [${view.x_unit}]`, logs.x, {}), axis(unit ? `${view.y} [${unit}]` : view.y, logs.y, {size: 74})],
         series, bands, legend: {show: false},
         cursor: {drag: {x: true, y: true, uni: 40}, points: {show: false}},
@@ -300,6 +303,9 @@
           if (row < top + h || row > top + height - 3 * ratio) continue;
           if (taken.some(([a, b, c, d]) => start < b && start + w > a && row - h < d && row > c)) continue;
           taken.push([start, start + w, row - h, row]);
+          // Readable on a curve, too.
+          Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 2 * ratio, lineJoin: "round"});
+          context.strokeText(text, start, row);
           context.fillText(text, start, row);
           return;
         }
@@ -317,6 +323,7 @@
           write(mark.text, x + 3 * ratio, top + 14 * ratio);
         } else {
           const y = u.valToPos(mark.y / size, "y", true);
+          if (y < top || y > top + height) continue;
           context.beginPath();
           context.arc(x, y, 5 * ratio, 0, 2 * Math.PI);
           context.stroke();
