@@ -332,6 +332,7 @@ class DynamicAllan(ByValue, Tabled):
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
         return tuple(axis.name for axis in self.axes)
 
     def confidence_interval(

@@ -47,6 +47,8 @@ def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., Non
     """Decorator that makes a function a command of its name, with its docstring and examples as help."""
 
     def registered(function: Callable[..., None]) -> Callable[..., None]:
+        if function.__doc__ is None:
+            raise SystemExit("allanjax: the options are described in docstrings; run Python without -OO")
         expanded = list(_expanded(function))
 
         @functools.wraps(function)
