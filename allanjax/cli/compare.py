@@ -126,15 +126,16 @@ def repeat(
     """Fit recordings of one unit on several days, or of units of one type, jointly: one set of terms per
     axis, the common value of each coefficient, the scatter between recordings beyond what their intervals
     explain, and which recording is the odd one out. Takes recordings or results NAME.json of characterize.
-    Prints a table per axis and writes repeat.png.
+    Prints a table per axis, and writes repeat.json, repeat.csv and repeat.png.
 
     Args:
-        out: Folder for the figure. Default: allanjax-results, or none with --json.
+        out: Folder for the results. Default: allanjax-results, or none with --json.
         as_json (--json): Print JSON instead of tables.
     """
     directory = None if as_json and out is None else out or RESULTS
     prepare(directory)
     from allanjax.comparison.joint import joint_fit
+    from allanjax.presentation.files import write_document
 
     with inputs(files, directory) as given:
         if len(given) < 2:
@@ -144,8 +145,11 @@ def repeat(
         ]
         with stage("joint fit"):
             result = joint_fit(fits, options.model, names=[file.name for file in given])
-        written = [] if directory is None else [directory / f"repeat.{figure_format}"]
-        for path in written:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            result.plot(path=path)
+        written = []
+        if directory is not None:
+            directory.mkdir(parents=True, exist_ok=True)
+            written = [directory / f"repeat.{kind}" for kind in ("json", "csv", figure_format)]
+            write_document(result.to_dict(), written[0])
+            result.to_dataframe().to_csv(written[1], index=False)
+            result.plot(path=written[2])
         print_result(result, as_json, written)

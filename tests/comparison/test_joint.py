@@ -166,8 +166,9 @@ def test_the_command_takes_recordings_and_results_and_names_the_odd_one(days, tm
     done = run("repeat", saved, *paths[1:], "--terms", "N", "--out", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     assert "d4, p" in done.stdout
-    assert (tmp_path / "out" / "repeat.png").exists()
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"repeat.json", "repeat.csv", "repeat.png"}
     document = json.loads(run("repeat", saved, *paths[1:], "--terms", "N", "--json").stdout)
+    assert document == json.loads((tmp_path / "out" / "repeat.json").read_text())
     (axis,) = document["axes"]
     assert document["names"] == ["saved", "d1", "d2", "d3", "d4"]
     assert axis["coefficients"]["angle_random_walk"]["effects"]["odd"] == "d4"
