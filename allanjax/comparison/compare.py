@@ -513,6 +513,8 @@ SHOWN = {
 def _shown(name: str, value: float, low: float, high: float) -> str:
     """A drift or an error with its interval, and its unit."""
     unit, size = next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
+    if unit == "m" and value > 1e5:
+        unit, size = "km", 1e3
     ends = f" ({format_range(low / size, high / size)})" if np.isfinite(low) else ""
     return f"{significant(value / size)}{ends} {unit}"
 

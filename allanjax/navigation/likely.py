@@ -22,7 +22,7 @@ from allanjax.record.units import SI, Sensor, convert, parse_quantity
 
 # Draws of the powers; of a posterior with shapes, each of which is a model of its own, fewer.
 _DRAWS, _SHAPES = 400, 100
-# Least probability of a set of terms for which an interval has to hold by itself.
+# Least probability of a set of terms that counts, and for which an interval has to hold by itself.
 _LIKELY = 0.05
 
 
@@ -69,13 +69,17 @@ class AxisNoise(NamedTuple):
     def drawn(self, of_term: Callable[[Model], Float[np.ndarray, ...]]) -> Drawn:
         """Draws of a quantity, given its value for a term of unit amplitude by itself."""
         labels, terms, power, detected = side_by_side(self.sets)
-        each, mean = np.stack([of_term(term) for term in terms]), dict[str, np.ndarray]()
-        for k in np.flatnonzero(detected).tolist():
-            title = f"{self.axis.name} {title_of(labels[k], self.axis.sensor)}"
-            mean[title] = mean.get(title, 0.0) + power[:, k].mean() * each[k]
-        # Models that differ in their shapes only are one set.
+        # Models that differ in their shapes only are one set. Sets that are too unlikely for the interval are
+        # not in the mean, which would else lie outside.
         names = [likely.labels for likely in self.sets]
         of = np.repeat([names.index(own) for own in names], [len(likely.power) for likely in self.sets])
+        draws = np.bincount(of)[of]
+        kept = draws >= min(_LIKELY * len(of), draws.max())
+        power, of = power[kept], of[kept]
+        each, mean = np.stack([of_term(term) for term in terms]), dict[str, np.ndarray]()
+        for k in np.flatnonzero(detected & power.any(axis=0)).tolist():
+            title = f"{self.axis.name} {title_of(labels[k], self.axis.sensor)}"
+            mean[title] = mean.get(title, 0.0) + power[:, k].mean() * each[k]
         known = np.tensordot(power[:, detected], each[detected], axes=1)
         upper = np.tensordot(power, each, axes=1)
         return Drawn(mean, _outermost(known, of, 0.025), _outermost(upper, of, 0.975))
@@ -84,10 +88,8 @@ class AxisNoise(NamedTuple):
 def _outermost(
     draws: Float[np.ndarray, "draws ..."], of: Int[np.ndarray, " draws"], probability: float
 ) -> Float[np.ndarray, "kept ..."]:
-    """Draws of the likely set of terms whose quantile is the outermost, the draws of each set repeated."""
+    """Draws of the set of terms whose quantile is the outermost, the draws of each set repeated."""
     sets = [draws[of == k] for k in np.unique(of)]
-    least = min(_LIKELY * len(draws), max(map(len, sets)))
-    sets = [own for own in sets if len(own) >= least]
     ends = np.stack([np.quantile(own, probability, axis=0) for own in sets])
     best = ends.argmin(axis=0) if probability < 0.5 else ends.argmax(axis=0)
     filled = np.stack([own[np.arange(_DRAWS) * len(own) // _DRAWS] for own in sets])

@@ -184,3 +184,15 @@ def test_the_command_takes_names_files_and_results_and_draws_them(tmp_path, monk
 def test_what_cannot_be_compared_is_refused(arguments, options, words):
     with pytest.raises(aj.AllanjaxError, match=words):
         aj.compare(*arguments, **options)
+
+
+@pytest.mark.parametrize("seed", [1, 6, 10])
+def test_a_drift_lies_within_its_interval_where_an_unlikely_set_of_terms_has_far_more(seed):
+    """White noise of 164 s, which hardly tells a ramp or random walk from none: drift after an hour."""
+    values = 0.02 * np.random.default_rng(seed).standard_normal((16384, 3))
+    names = ["accel_x", "accel_y", "accel_z"]
+    fit = aj.fit(aj.Recording.from_array(values, 100.0, accel_unit="m/s^2", names=names))
+    for growth in aj.compare(fit, "STIM300").drifts:
+        if growth.sensor == 0:
+            assert (growth.lower <= growth.value).all()
+            assert (growth.value <= growth.upper).all()
