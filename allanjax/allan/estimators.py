@@ -40,7 +40,8 @@ Spacing = Literal["octave", "decade", "all"] | int | Sequence[float] | Float[np.
 _Sizes = TypeVar("_Sizes", np.ndarray, Array)
 
 #: Weights of the phases one cluster time apart in the difference whose mean square is the variance. The
-#: modified one averages sums of second differences; its weights are those of their increments.
+#: modified variance averages sums of second differences; its weights are those of the third differences by
+#: which these sums are updated.
 WEIGHTS = {"allan": (1, -2, 1), "modified": (-1, 3, -3, 1), "hadamard": (-1, 3, -3, 1)}
 # Largest distance of a cluster time from a whole number of samples, in samples, to allow for rounding.
 _CLUSTER_SIZE_TOLERANCE = 1e-3

@@ -215,8 +215,8 @@ def by_norm(
 ) -> Solution:
     """Errors of three axes from positions of unknown orientation: the norm of the inputs is g.
 
-    The axes of reference are those of the sensor: the first is the sensor's x, and the sensor's y is in the
-    plane of the first two. So the misalignments of x towards y and z and of y towards z are zero.
+    The reference frame is fixed to the sensor: its first axis is the sensor's x, and the sensor's y lies in
+    the plane of its first two. So the misalignments of x towards y and z and of y towards z are zero.
 
     Args:
         readings: means of the three axes in each position [m/s²].

@@ -47,7 +47,7 @@ def export(
 
     Args:
         result (RESULT.json): Result of characterize or fleet (NAME.json); with --from, that target's file.
-        to (--to TARGET): Target listed by --list.
+        to (--to TARGET): Name of the target; --list prints the names.
         source (--from TARGET): Convert a file of this target.
         axes: Value per axis (if the target has one per axis), largest value of the axes, or their mean.
             Default: each if the target has it, else worst.

@@ -51,7 +51,7 @@ def simulate(
     """Simulate a static recording of a known sensor or of given noise terms, and write it to a file.
 
     Args:
-        preset (SENSOR): Sensor listed by --list.
+        preset (SENSOR): Name of a sensor; --list prints the names.
         terms: Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.
         sensor: Kind of sensor, with --terms.
         duration: Length in s.
@@ -184,7 +184,7 @@ def convert(
         unit (UNIT): Its unit.
         to: Unit to convert to.
         sided: Whether a density per √Hz is one-sided, as in data sheets, or two-sided.
-        sheet: Data sheet to convert to noise coefficients: a sensor listed by --list, or a TOML file.
+        sheet: Data sheet to convert to noise coefficients: a TOML file, or a name that --list prints.
         show_list (--list): List the sensors with a built-in data sheet and exit.
         as_json (--json): Print JSON; needs --sheet.
     """

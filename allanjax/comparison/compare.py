@@ -93,7 +93,7 @@ class Compared(NamedTuple):
         return self.rate if isinstance(self.noise, dict) else None
 
     def of(self, axis: str) -> Mapping[str, Estimate]:
-        """Coefficients of an axis, those of its sensor for a data sheet; empty if there are none."""
+        """Coefficients of an axis, or in a data sheet of its sensor; empty if there are none."""
         return self.coefficients.get(axis) or self.coefficients.get(axis.partition("_")[0]) or {}
 
     def model(self, axis: str) -> Model | None:

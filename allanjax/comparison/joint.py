@@ -1,8 +1,8 @@
 """Joint fit of several recordings: one set of terms per axis, common coefficients, and their scatter.
 
 Recordings are independent, so that the evidence of a set of terms is the product of the recordings' own. Each
-recording has coefficients of its own. A term that is too weak to be seen in any of them is sought as if its
-power, and those of the other basic terms, were the same in all: by the evidence of the sum of their spectra.
+recording has coefficients of its own. A term that no single recording shows is sought by the evidence of the
+sum of their spectra, under the assumption that each basic term has the same power in every recording.
 
 Averages are those of the squares v of the amplitudes, estimated from a recording's Allan variances V by
 (D'C⁻¹D)⁻¹D'C⁻¹V with the covariance C of V under the joint model. These estimates are linear in V, and so

@@ -317,7 +317,7 @@ def additive(
         shape: function of an index that returns the complete shape, for n samples.
         parameters: function of index, amplitude, its standard deviation and the probability of each shape
             that returns the parameters.
-        span: function of the index that returns start and end [s], by default those of the record.
+        span: function of the index that returns start and end [s]; by default, those of the record.
         log_trials: further log trials factor of the search [nats].
         term: function of index and amplitude [SI] that returns the noise term, if there is one.
         details: words and lists of numbers by name.
