@@ -6,7 +6,7 @@ from pathlib import Path
 import typer
 
 from allanjax.base.errors import AllanjaxError
-from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage
+from allanjax.cli.common import RESULTS, Out, prepare, print_result, saved_fit, stage, write_result
 from allanjax.cli.options import FigureFormat, command
 from allanjax.record.io import ReadOptions, read_recording
 
@@ -59,7 +59,6 @@ def calibrate(
     directory = out if as_json else out or RESULTS
     prepare(directory)
     from allanjax.calibration.static_positions import calibrate, world_of
-    from allanjax.presentation.files import write_document
 
     named = [*((None, file) for file in files or ()), *map(_split, position or ())]
     if not named:
@@ -83,13 +82,7 @@ def calibrate(
             orientation_error=math.radians(orientation_error),
             as_is=as_is,
         )
-    paths = []
-    if directory is not None:
-        directory.mkdir(parents=True, exist_ok=True)
-        paths = [directory / f"calibration.{kind}" for kind in ("json", figure_format)]
-        write_document(result.to_dict(), paths[0])
-        result.plot(path=paths[1])
-    print_result(result, as_json, paths)
+    print_result(result, as_json, write_result(result, directory, "calibration", figure_format))
 
 
 def _split(text: str) -> tuple[str, str]:

@@ -258,6 +258,19 @@ def print_json(document: Mapping[str, Any]) -> None:
     print(json.dumps(document, indent=2, ensure_ascii=not is_unicode(sys.stdout), allow_nan=False))
 
 
+def write_result(result: Any, directory: Path | None, name: str, figure_format: str) -> list[Path]:
+    """Write a result as NAME.json and as a figure into a folder, which is made; nothing without one."""
+    if directory is None:
+        return []
+    from allanjax.presentation.files import write_document
+
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = [directory / f"{name}.{kind}" for kind in ("json", figure_format)]
+    write_document(result.to_dict(), paths[0])
+    result.plot(path=paths[1])
+    return paths
+
+
 def print_result(result: Any, as_json: bool, written: Sequence[Path] = ()) -> None:
     """Print a result as text or as JSON, and which files were written."""
     if as_json:

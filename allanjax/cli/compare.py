@@ -14,6 +14,7 @@ from allanjax.cli.common import (
     print_result,
     saved_fit,
     stage,
+    write_result,
 )
 from allanjax.cli.options import FigureFormat, command
 from allanjax.fleet.options import FitOptions
@@ -135,7 +136,6 @@ def repeat(
     directory = None if as_json and out is None else out or RESULTS
     prepare(directory)
     from allanjax.comparison.joint import joint_fit
-    from allanjax.presentation.files import write_document
 
     with inputs(files, directory) as given:
         if len(given) < 2:
@@ -145,11 +145,8 @@ def repeat(
         ]
         with stage("joint fit"):
             result = joint_fit(fits, options.model, names=[file.name for file in given])
-        written = []
+        written = write_result(result, directory, "repeat", figure_format)
         if directory is not None:
-            directory.mkdir(parents=True, exist_ok=True)
-            written = [directory / f"repeat.{kind}" for kind in ("json", "csv", figure_format)]
-            write_document(result.to_dict(), written[0])
+            written.insert(1, directory / "repeat.csv")
             result.to_dataframe().to_csv(written[1], index=False)
-            result.plot(path=written[2])
         print_result(result, as_json, written)
