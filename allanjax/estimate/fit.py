@@ -62,6 +62,7 @@ from allanjax.estimate.spectral.model import (
     term_of,
 )
 from allanjax.estimate.spectral.search import Record
+from allanjax.estimate.variation import with_variations
 from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.model import Model
@@ -311,6 +312,10 @@ def _fitted(
             selection = dataclasses.replace(selection, results=rankings)
         results = tuple(map(with_doubts, results, rankings))
         notes = (*notes, *selection.ambiguities())
+    columns = [[x[:, k] for x in (values, *recording.others)] for k in range(len(axes))]
+    results = tuple(
+        for_each(lambda of_axis: with_variations(*of_axis, rate), zip(results, columns, strict=True))
+    )
     return Fit(name, template, curve, results, notes, objective, selection, recording.dead)
 
 
@@ -335,7 +340,7 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
         r = dataclasses.replace(r, mean=float(seen.mean[k]), rms=float(seen.rms[k]))
         # A relative change of the power is half as large in the amplitude.
         widened = (f for f in facts if f.consequence == "widened" and r.axis.name in f.axes)
-        share = float(np.hypot(seen.disturbance_error[k], sum(f.share or 0.0 for f in widened) / 2.0))
+        share = sum(f.share or 0.0 for f in widened) / 2.0
         r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
         kinds = seen.why_not(r.axis.name)
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
+from allanjax.inspection.levels import Levels
 from allanjax.inspection.windows import (
     LENGTHS,
     Scores,
@@ -56,7 +57,7 @@ _MATTERS = 1.0
 _TOGETHER, _COUNTS = 2.0, 0.1
 # Standard deviations of a run's own excess beyond which it is not chance on an axis.
 _CHANCE = 3.0
-#: An excess of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
+#: A change of the Allan variance by less than this share changes a coefficient by 0.25 % at most.
 TRIFLE = 0.005
 # Fewer windows than this are too few to compare with each other.
 _FEWEST = 32
@@ -76,10 +77,8 @@ _ONE_WAY = 0.6
 _SUDDEN, _SHORT = 6, 0.02
 # Least share of the recording that coefficients may be estimated from.
 _LEAST_SHARE = 0.3
-# A part that is quieter by this factor and has this share of the recording may be the sensor at rest.
-_MUCH, _LONG = 1.5, 0.1
-# An excess of the Allan variance by less than this biases a coefficient by less than 5 %.
-_SLIGHT = 0.1
+# A ratio of the noise above which the quieter one is nearly none.
+_FAR = 1e3
 # Ways to obtain coefficients nevertheless.
 _REMEDY = (
     "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
@@ -101,14 +100,14 @@ class Run:
 
     Attributes:
         kind: "silent", "noisier", "quieter", or "moved" if only the mean changes.
-        shares: for each axis, the clearest excess of the Allan variance due to it, as a share.
-        axes: indices of the axes where that exceeds the error of the estimate; empty until it is known.
+        effects: for each axis, the clearest change of an Allan variance due to it, in standard errors.
+        axes: indices of the axes where that matters; empty until it is known.
     """
 
     first: int
     last: int
     kind: str
-    shares: tuple[float, ...] = ()
+    effects: tuple[float, ...] = ()
     axes: tuple[int, ...] = ()
 
     @property
@@ -228,17 +227,13 @@ def _merged(disturbed: Sequence[Run]) -> list[Run]:
     return merged
 
 
-def excesses(
-    windows: Windows, disturbed: Sequence[Run]
-) -> tuple[Float[np.ndarray, "runs axes"], Float[np.ndarray, "runs axes"]]:
-    """Effect of each run on the Allan variance of each axis, in standard errors and as a share.
+def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, "runs axes"]:
+    """Change of the Allan variance of each axis by each run, in standard errors, where that is largest.
 
-    Returns:
-        The excess of the mean square difference (twice the Allan variance) in standard deviations of its
-        estimate, at the cluster time where that is largest; and, at that time, as a share of the mean square.
+    A trifling change of the variance is none.
     """
     touched = touched_by(windows, disturbed)
-    sigmas, shares = np.zeros((2, len(disturbed), windows.mean.shape[1]))
+    effects = np.zeros((len(disturbed), windows.mean.shape[1]))
     # Mean square differences at each cluster size, their weights, and how many windows each spans.
     pairs = windows.pairs.astype(float)
     squares = [(np.nan_to_num(x), count, 1) for x, count in zip(mean_squares(windows), pairs, strict=True)]
@@ -259,10 +254,9 @@ def excesses(
         error = np.maximum(scatter / np.sqrt(independent), 1e-12)
         gain = (square / level - 1.0) * (weight / weight.sum())[:, None]
         for k, s in enumerate(disturbed):
-            part = gain[max(s.first - width + 1, 0) : s.last].sum(axis=0)
-            shares[k] = np.where(abs(part) / error > sigmas[k], abs(part), shares[k])
-            sigmas[k] = np.maximum(sigmas[k], abs(part) / error)
-    return sigmas, shares
+            share = abs(gain[max(s.first - width + 1, 0) : s.last].sum(axis=0))
+            effects[k] = np.maximum(effects[k], np.where(share > TRIFLE, share / error, 0.0))
+    return effects
 
 
 def beside(
@@ -302,18 +296,13 @@ class Event(Run):
 
     @property
     def is_slight(self) -> bool:
-        """Whether the noise differs, but so little that the samples are kept."""
+        """Whether the noise differs, but so little that this is how the sensor's noise varies."""
         return self.kind in ("noisier", "quieter") and self.size < _MUCH_NOISIER
-
-    @property
-    def share(self) -> float:
-        """The largest excess of the Allan variance on any axis, as a share."""
-        return max(self.shares)
 
     @property
     def is_of_one_axis(self) -> bool:
         """Whether it affects one axis of several and not its mean: it is not motion of the body."""
-        return len(self.axes) == 1 < len(self.shares) and self.kind not in MOVES
+        return len(self.axes) == 1 < len(self.effects) and self.kind not in MOVES
 
     @property
     def is_cut(self) -> bool:
@@ -322,17 +311,18 @@ class Event(Run):
 
 
 def quiet_parts(
-    windows: Windows, sensors: Sequence[str], may_move: bool = False
+    windows: Windows, sensors: Sequence[str], may_move: bool = False, levels: Levels | None = None
 ) -> tuple[tuple[Event, ...], tuple[tuple[int, int], ...]]:
     """Return the events of a recording in order, and the parts without those that matter, as sample indices.
 
     Events on a single axis and slight events do not affect the samples of other axes. Each remaining part is
     searched again, since the faint end of an event is only detected beside quiet windows. If the mean may
-    move, as in a model with a step, changes of the mean are not events.
+    move, as in a model with a step, changes of the mean are not events. The louder of two levels is cut out.
     """
     cut: list[Run] = []
     kept: list[Run] = []
-    pending, parts = [(0, len(windows), 0)], []
+    loud = [] if levels is None else [Run(a, b, "noisier") for a, b in runs(levels.loud, 0)]
+    pending, parts = [(a, b, 0) for a, b in _between(loud, len(windows))], []
     while pending:
         first, last, rounds = pending.pop()
         part = windows.between(first, last)
@@ -348,15 +338,23 @@ def quiet_parts(
         if not split:
             parts.append((first, last))
             continue
-        # Runs outside all that is cut, at least one window away from it.
-        edges = [0, *(edge for s in cuts for edge in (max(s.first - 1, 0), min(s.last + 1, len(part))))]
-        calm = [(a, b) for a, b in zip(edges[::2], [*edges[1::2], len(part)], strict=True) if b > a]
+        calm = _between(cuts, len(part))
         longest = max((b - a for a, b in calm), default=0)
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     first_samples = windows.edges.tolist()
     quiet = tuple((first_samples[a], first_samples[b]) for a, b in sorted(parts))
-    joined = sorted(_joined(cut) + _joined(kept), key=lambda s: s.first)
-    return tuple(_events(windows, joined)), quiet
+    events = _events(windows, _joined(cut) + _joined(kept))
+    for s in loud:
+        assert levels is not None
+        every, edges = tuple(range(len(sensors))), (first_samples[s.first], first_samples[s.last])
+        events.append(Event(*edges, "noisier", (), every, levels.axis, levels.ratio))
+    return tuple(sorted(events, key=lambda event: event.first)), quiet
+
+
+def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:
+    """Return runs of windows, `count` in all, that are at least one window away from all that is cut."""
+    edges = [0, *(edge for s in cut for edge in (max(s.first - 1, 0), min(s.last + 1, count)))]
+    return [(a, b) for a, b in zip(edges[::2], [*edges[1::2], count], strict=True) if b > a]
 
 
 def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]:
@@ -364,15 +362,14 @@ def _of_part(part: Windows, sensors: Sequence[str], may_move: bool) -> list[Run]
     disturbed = unusual(part, sensors)
     if may_move:
         disturbed = [s for s in disturbed if _what(part, s, disturbed)[0] not in MOVES]
-    sigmas, shares = excesses(part, disturbed)
-    limit, described = _MATTERS if sigmas.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS, []
-    for s, sigma, share in zip(disturbed, sigmas, shares, strict=True):
-        # By chance, the excess of a run is the root of its share of the part.
+    effects, described = effects_of(part, disturbed), []
+    limit = _MATTERS if effects.max(axis=1, initial=0.0).sum() < _TOGETHER else _COUNTS
+    for s, effect in zip(disturbed, effects, strict=True):
+        # By chance, the effect of a run is the root of its share of the part.
         clear = max(_MATTERS, _CHANCE * np.sqrt((s.last - s.first) / len(part)))
-        axes = (share > TRIFLE) & (sigma > min(clear, max(limit, float(sigma.max()) * (1.0 - 1e-9))))
-        described.append(
-            dataclasses.replace(s, shares=tuple(share.tolist()), axes=tuple(np.flatnonzero(axes).tolist()))
-        )
+        axes = effect > min(clear, max(limit, float(effect.max()) * (1.0 - 1e-9)))
+        found = tuple(effect.tolist()), tuple(np.flatnonzero(axes).tolist())
+        described.append(dataclasses.replace(s, effects=found[0], axes=found[1]))
     return described
 
 
@@ -382,7 +379,7 @@ def _events(windows: Windows, disturbed: Sequence[Run]) -> list[Event]:
     for s in disturbed:
         kind, axis, size = _what(windows, s, disturbed)
         axes = tuple(sorted({axis, *s.axes})) if s.matters else ()
-        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, s.shares, axes, axis, size))
+        events.append(Event(int(edges[s.first]), int(edges[s.last]), kind, s.effects, axes, axis, size))
     return events
 
 
@@ -392,7 +389,7 @@ def _joined(disturbed: Sequence[Run]) -> list[Run]:
     for s in sorted(disturbed, key=lambda s: s.first):
         o = joined[-1] if joined else None
         if o is not None and s.matters and o.matters and s.first <= o.last + 1 + (s.last - s.first):
-            larger = max((o, s), key=lambda x: max(x.shares))
+            larger = max((o, s), key=lambda x: max(x.effects))
             axes = tuple(sorted({*o.axes, *s.axes}))
             joined[-1] = dataclasses.replace(larger, first=o.first, last=max(o.last, s.last), axes=axes)
         else:
@@ -481,10 +478,10 @@ class Treatment:
     Attributes:
         as_is: whether all samples are used in any case.
         quiet: parts without the events that must be cut out, as sample indices.
-        cut, alone, kept, harmless: the events that are cut out; that affect a single axis; that are kept and
-            widen the intervals; that change no coefficient.
+        cut, alone, harmless: the events that are cut out; that affect a single axis; that are kept, since
+            they change no coefficient, or are how it varies.
         possible: whether enough remains without the events that must be cut out.
-        unclear: whether the disturbance lasts so long that the quiet part may not be the sensor at rest.
+        doubt: why a long quiet part may not be the sensor at rest, in words; "" if it is, or there is none.
     """
 
     def __init__(
@@ -495,18 +492,17 @@ class Treatment:
         rate: float,
         n: int,
         as_is: bool,
+        levels: Levels | None,
     ) -> None:
         self.axes, self.rate, self.n, self.as_is, self.quiet = axes, rate, n, as_is, quiet
         matter = [e for e in events if e.matters]
         self.cut = [e for e in matter if e.is_cut]
         self.alone = [e for e in matter if e.is_of_one_axis and not e.is_slight]
-        self.kept = [e for e in matter if e.is_slight]
-        self.harmless = [e for e in events if not e.matters]
-        quieter = sum(e.last - e.first for e in self.cut if e.kind == "quieter" and e.size > _MUCH)
-        self.unclear = quieter > _LONG * n
-        self.possible = sum(b - a for a, b in quiet) >= _LEAST_SHARE * n and not self.unclear
-        if self.cut and not (self.possible or self.unclear) and sum(e.share for e in self.cut) < _SLIGHT:
-            self.cut, self.kept, self.possible = [], [*self.kept, *self.cut], True
+        self.harmless = [e for e in events if e.is_slight or not e.matters]
+        self.doubt = "" if levels is None else levels.doubt
+        # A quiet part beside a loud one is the sensor, however short it is.
+        least = 0.0 if levels is not None else _LEAST_SHARE * n
+        self.possible = sum(b - a for a, b in quiet) >= least and not self.doubt
 
     @property
     def parts(self) -> tuple[tuple[float, float], ...]:
@@ -525,14 +521,6 @@ class Treatment:
         most = 0.0 if self.as_is else MOST_MISSING * self.n
         return {name: of for name, of in ranges.items() if sum(b - a for a, b in of) < most}
 
-    @property
-    def disturbance_error(self) -> Float[np.ndarray, " axes"]:
-        """Relative error of the Allan deviation of each axis due to the events that are kept."""
-        error = np.zeros(len(self.axes))
-        for e in self.kept:
-            error[list(e.axes)] += 0.5 * np.array(e.shares)[list(e.axes)]
-        return error
-
     def describe(self, events: Sequence[Event]) -> str:
         """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
         by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
@@ -544,8 +532,11 @@ class Treatment:
         if self.possible or not self.cut or self.as_is:
             return ""
         events = self.describe(self.cut)
-        if self.unclear:
-            return f"{events}; it is unclear in which of these parts the sensor is at rest: {_REMEDY}"
+        if self.doubt:
+            return (
+                f"{events}; the quiet part may not be the sensor: {self.doubt}; select a part with "
+                f"{self._choice()}"
+            )
         a, b = max(self.quiet, key=lambda part: part[1] - part[0])
         longest = span(a / self.rate, b / self.rate, grid(self.n / self.rate))
         return (
@@ -575,12 +566,17 @@ class Treatment:
                 consequence = "not a measurement"
             text = f"{name} only: {self.describe(own).replace(f' ({name})', '')}; {then}"
             facts.append(self._fact(own, (name,), consequence, text))  # type: ignore[arg-type]
-        if self.kept:
-            share = plain(100.0 * float(self.disturbance_error.max()), 1)
-            text = f"{self.describe(self.kept)}; kept, intervals are widened by {share} % of the deviation"
-            names = tuple(every[k] for k in sorted({k for e in self.kept for k in e.axes}))
-            facts.append(self._fact(self.kept, names, "widened", text))
         return facts
+
+    def _choice(self) -> str:
+        """The options that select the longest quiet part, the longest loud part, or all samples."""
+        loud = [(e.first, e.last) for e in self.cut if e.kind == "noisier"]
+        step, chosen = grid(self.n / self.rate), []
+        for parts in (self.quiet, loud):
+            first, last = max(parts, key=lambda part: part[1] - part[0])
+            start, stop = (seconds(end / self.rate, step) for end in (first, last))
+            chosen.append(f"--start {start} --stop {stop} (start={start}, stop={stop})")
+        return f"{', '.join(chosen)}, or use all samples with --as-is (as_is=True)"
 
     def _alone(self) -> dict[str, list[Event]]:
         """Events on a single axis by its name."""
@@ -605,8 +601,9 @@ class Treatment:
         size = amount(abs(largest.size), axis)
         if kind in ("noisier", "quieter"):
             # Two digits, or three where it is near one.
-            ratio = plain(largest.size, 2 if largest.size >= 2.0 else 3)
-            return f"{places} {'is' if len(events) == 1 else 'are'} {ratio} times {kind} than the rest"
+            ratio = f"{plain(largest.size, 2 if largest.size >= 2.0 else 3)} times"
+            much = "far" if largest.size > _FAR else ratio
+            return f"{places} {'is' if len(events) == 1 else 'are'} {much} {kind} than the rest"
         if kind == "silent":
             return f"{axis.name} does not change at all in {places}"
         if kind == "warm-up":

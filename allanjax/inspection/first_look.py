@@ -15,6 +15,7 @@ from allanjax.base.threads import for_each
 from allanjax.base.wording import duration, plain, record_size
 from allanjax.inspection.events import TRIFLE, Event, Places, Treatment, quiet_parts
 from allanjax.inspection.facts import Fact, amount, grid, listed, ordered, span, warnings_of
+from allanjax.inspection.levels import levels_of
 from allanjax.inspection.plausible import (
     Ends,
     accelerometers,
@@ -68,8 +69,6 @@ class Inspection(ByValue):
         events: disturbances of the sensor.
         left_out: the events for which parts are left out, in words.
         steps: step of the output of each axis [rad/s or m/s²]; 0 if none is detected.
-        disturbance_error: relative error of the Allan deviation of each axis due to disturbed samples that
-            are kept.
         added_noise: rms of white noise on each axis [rad/s or m/s²] from rounding and outliers, which may not
             be the sensor's own.
     """
@@ -88,7 +87,6 @@ class Inspection(ByValue):
     events: tuple[Event, ...]
     left_out: str
     steps: Float[np.ndarray, " axes"]
-    disturbance_error: Float[np.ndarray, " axes"]
     added_noise: Float[np.ndarray, " axes"]
 
     @property
@@ -171,7 +169,9 @@ def inspect(
     cluster time by more than its own error are left out on all axes, and coefficients are estimated from the
     parts between them if these are at least 30 % of the recording. Single outlying samples, and bursts of
     noise on a single axis, are left out on that axis and filled in given its other samples. A part that is
-    less than 1.5 times noisier than the rest is kept, and the intervals are widened accordingly.
+    less than 1.5 times noisier than the rest is kept: it is how the sensor's noise varies. If a tenth of the
+    recording or more is louder than the rest by more, the quiet part is taken, however short, if the spectra
+    show that the sensor is at rest in it (see `levels`); if they do not, there are no coefficients.
 
     Args:
         recording: the recording.
@@ -219,8 +219,9 @@ def look(
     """
     windows, n = windows.closed(), windows.n
     sensors, names = [axis.sensor for axis in axes], tuple(axis.name for axis in axes)
-    events, quiet = quiet_parts(windows, sensors, may_move)
-    treatment = Treatment(events, quiet, axes, rate, n, as_is)
+    levels = levels_of(windows, rate)
+    events, quiet = quiet_parts(windows, sensors, may_move, levels)
+    treatment = Treatment(events, quiet, axes, rate, n, as_is, levels)
     parts = treatment.parts
     longest = max(parts, key=lambda part: part[1] - part[0], default=None)
     part = windows
@@ -278,11 +279,12 @@ def look(
         lost,
         refusal,
         ordered([*facts, *treatment.facts(refusal), *short(part.n, rate, axes), *more]),
-        (f"{harmless}; kept, since no coefficient changes by more than its error",) if harmless else (),
+        (f"{harmless}; kept, since no coefficient changes by more than its interval allows",)
+        if harmless
+        else (),
         events,
         treatment.describe(treatment.cut),
         steps,
-        treatment.disturbance_error,
         added_noise,
     )
 

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,41 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import UnitError
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Number, PerAxis, columns_from, printable
-from allanjax.base.wording import format_interval, format_with_error, plain, significant
+from allanjax.base.wording import format_interval, format_with_error, percent, plain, significant
 from allanjax.noise.terms import Parameter
 from allanjax.record.recording import Axis
 from allanjax.record.units import SENSORS, Sensor, convert, default_coefficient_unit, si_unit
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+class Variation(NamedTuple):
+    """Variation of an amplitude over its record, beyond what sampling explains, relative to its mean.
+
+    Attributes:
+        size: standard deviation over the record; 0 if chance explains it.
+        interval: 95 % interval of that.
+        error: standard error that it adds to the mean, as an estimate with two degrees of freedom.
+        louder: share of the record that is in louder bursts, which `size` leaves out.
+        excess: relative amount by which these bursts increase the amplitude.
+    """
+
+    size: float = 0.0
+    interval: tuple[float, float] = (0.0, 0.0)
+    error: float = 0.0
+    louder: float = 0.0
+    excess: float = 0.0
+
+    def __str__(self) -> str:
+        words = []
+        if self.size > 0.0:
+            low, high = (percent(end, 2).removesuffix(" %") for end in self.interval)
+            words.append(f"varies by {percent(self.size, 2)} ({low} … {high}) over the record")
+        if self.louder > 0.0:
+            more = f", which add {percent(self.excess, 2)}" if self.excess > 0.0 else ""
+            words.append(f"{percent(self.louder, 2)} of the record is in louder bursts{more}")
+        return "; ".join(words)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -56,6 +84,7 @@ class Estimate(ByValue):
             `AxisFit.misfit`): the value is that of the fitted curve; standard deviation and intervals are
             nan, there is no limit, and nothing is detected.
         remark: limitation of the value, e.g. that it lies beyond the record.
+        variation: how a fit's N, B or K varies over its record; None if unknown.
         bayes_factor: for an amplitude's posterior, see `posterior.sampling`; else None.
         sampled: for a posterior, whether there are draws.
         band, degrees_of_freedom, excess: for a spectrum's N, see `spectrum.psd`; else None.
@@ -79,6 +108,7 @@ class Estimate(ByValue):
     held: bool = False
     measured: bool = True
     remark: str = ""
+    variation: Variation | None = None
     bayes_factor: float | None = None
     sampled: bool = True
     band: tuple[float, float] | None = None
@@ -209,6 +239,29 @@ class Estimate(ByValue):
             lower_limit=None if below is None else below / factor,
         )
 
+    def varying(self, variation: Variation) -> Estimate:
+        """A copy whose interval allows for a variation of the amplitude over the record.
+
+        The error of the mean has two degrees of freedom, and Student's law.
+        """
+        by = variation.error
+
+        def end(limit: float, quantile: float) -> float:
+            if not (limit > 0.0 and self.value > 0.0):
+                return limit
+            log = math.log(limit / self.value)
+            return self.value * math.exp(math.copysign(math.hypot(log, quantile * by), log))
+
+        one, other, above = self.interval, self.interval_68, self.upper_limit
+        return dataclasses.replace(
+            self,
+            std=math.hypot(self.std, by * self.value),
+            interval=(end(one[0], _STUDENT_95), end(one[1], _STUDENT_95)),
+            interval_68=(end(other[0], _STUDENT_68), end(other[1], _STUDENT_68)),
+            upper_limit=None if above is None else end(above, _STUDENT_ONE_SIDED),
+            variation=variation,
+        )
+
     def covering(self, low: float, high: float) -> Estimate:
         """A copy whose 95 % interval covers another one, if that makes it notably wider."""
         low, high = min(low, self.interval[0]), max(high, self.interval[1])
@@ -276,7 +329,8 @@ class Estimate(ByValue):
         if not (low < high and std > 0.0):
             return True
         within = low <= (max(value - std, 0.0) if value > 0.0 else value - std) and value + std <= high
-        return within and (high - low) < 2.0 * 2.0 * TWO_SIDED_95 * std
+        # Student's law of two degrees of freedom has 2.2 times the normal law's width.
+        return within and (high - low) < 2.25 * 2.0 * TWO_SIDED_95 * std
 
     def __str__(self) -> str:
         amount = self._amount()
@@ -349,6 +403,8 @@ class Estimate(ByValue):
 #: A fit's estimates are its coefficients.
 Coefficient = Estimate
 
+# Ends of the central 95 % and 68 % of Student's law of two degrees of freedom, and of its lower 95 %.
+_STUDENT_95, _STUDENT_68, _STUDENT_ONE_SIDED = 4.303, 1.321, 2.920
 # Factor from which on an interval counts as wider than another.
 _NOTABLY = 1.1
 #: The fields of an estimate that are in its `unit`.
