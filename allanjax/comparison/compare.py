@@ -100,6 +100,14 @@ class Compared(NamedTuple):
         """Noise model of an axis, that of its sensor for a data sheet."""
         return self.models.get(axis) or self.models.get(axis.partition("_")[0])
 
+    def deviation(self, axis: str, time: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
+        """Allan deviation of an axis's model at cluster times [s]; a fit states its own."""
+        if isinstance(self.noise, Fit):
+            return self.noise.model_deviation(axis, time)
+        model = self.model(axis)
+        assert model is not None
+        return np.sqrt(np.asarray(model.sampled(self.rate).allan_variance(time)))
+
 
 def compared(data: Comparable, label: str = "") -> Compared:
     """A sensor in the form of comparisons; recordings are read and fitted."""

@@ -21,7 +21,6 @@ from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import duration, percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
 from allanjax.estimate.check import length_for, random_terms, trial_lengths
-from allanjax.estimate.likely_models import likely_models, side_by_side
 from allanjax.estimate.result import AxisFit, Fit, detail
 from allanjax.noise.datasheet import LEAST, Figures
 from allanjax.noise.estimate import SYMBOLS, Estimate, is_called
@@ -339,25 +338,24 @@ def _checked(fit: Fit, name: str, limit: Limit) -> LimitCheck:
     return dataclasses.replace(found, seconds=seconds, reason=reason)
 
 
-def _curve(fit: Fit, model: Model) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
-    """Cluster times [s] within the record, and then beyond it, and the model's Allan variances there."""
+def _times(fit: Fit) -> Float[np.ndarray, " t"]:
+    """Cluster times [s] within the record, and then as many beyond it."""
     first, last = (float(fit.curve.cluster_time[k]) for k in (0, -1))
-    time = np.append(np.geomspace(first, last, _TIMES), last * np.geomspace(2.0, _FAR, _TIMES))
-    return time, np.asarray(model.sampled(fit.curve.rate).allan_variance(time))
+    return np.append(np.geomspace(first, last, _TIMES), last * np.geomspace(2.0, _FAR, _TIMES))
 
 
 def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
     """Least Allan deviation within the record, with the draws of the likely models.
 
-    If the fitted one is at the end of the record, it is an upper limit only, and the second estimate is the
-    least of the models extrapolated, unless that is zero.
+    Where the model fits, they are within what the measured curve allows. If the stated curve is least at the
+    end of the record, it is an upper limit only, and the second estimate is the least of the models
+    extrapolated, unless that is zero.
     """
-    likely = side_by_side(likely_models(fit, of.axis.name, _DRAWS, np.random.default_rng(0)))
-    drawn = likely.power @ np.stack([_curve(fit, term)[1] for term in likely.terms])
-    fitted, unit = _curve(fit, of.model)[1], default_coefficient_unit(of.axis.sensor, 0.0)
+    time, name, unit = _times(fit), of.axis.name, default_coefficient_unit(of.axis.sensor, 0.0)
+    drawn, stated = fit.drawn_deviations(name, time, _DRAWS), fit.model_deviation(name, time)
 
     def estimate(to: int, detected: bool) -> Estimate:
-        draws = np.sqrt(drawn[:, :to].min(axis=1))
+        draws = drawn[:, :to].min(axis=1)
         levels = [0.025, 0.16, 0.5, 0.84, 0.975, MET]
         low, low_68, value, high_68, high, most = np.quantile(draws, levels).tolist()
         return Estimate(
@@ -372,21 +370,22 @@ def least_deviation(fit: Fit, of: AxisFit) -> tuple[Estimate, Estimate]:
             detected=detected,
         )
 
-    if int(np.argmin(fitted[:_TIMES])) < _TIMES - 1:
+    if int(np.argmin(stated[:_TIMES])) < _TIMES - 1:
         return (estimate(_TIMES, True),) * 2
-    return estimate(_TIMES, False), estimate(2 * _TIMES, bool(fitted.min() > 1e-3 * fitted[_TIMES - 1]))
+    return estimate(_TIMES, False), estimate(2 * _TIMES, bool(stated.min() > 1e-3 * stated[_TIMES - 1]))
 
 
 def _length(fit: Fit, of: AxisFit, limit: Limit, c: Estimate) -> float | None:
     """Length of record [s] that would decide, infinite beyond a month; None if unknown for these terms."""
     terms = {term.name(): term for term in random_terms()}
     basic = limit.label in (*terms, LEAST) and terms.keys() >= set(of.model.term_labels)
-    if not basic or of.incomplete or of.further or not c.power_std < math.inf:
+    if not basic or not of.fits or of.further or not c.power_std < math.inf:
         return None
     rate, gradient = fit.curve.rate, [float(name == limit.label) for name in terms]
     if limit.label == LEAST:
-        time, fitted = _curve(fit, of.model)
-        at, units = time[np.argmin(fitted[:_TIMES])], (term.sampled(rate) for term in terms.values())
+        time = _times(fit)[:_TIMES]
+        at = time[np.argmin(fit.model_deviation(of.axis.name, time))]
+        units = (term.sampled(rate) for term in terms.values())
         gradient = [float(unit.with_unit_amplitude().allan_variance(at)) for unit in units]
     values = {label: x.value for label, x in of.coefficients.items() if x.detected}
     power = np.array([values.get(name, 0.0) ** 2 for name in terms])

@@ -20,7 +20,7 @@ from allanjax.estimate.likely_models import class_of
 from allanjax.estimate.result import AxisFit, Fit, Misfit, extended_model, fitted_model
 from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
-from allanjax.noise.estimate import Estimate
+from allanjax.noise.estimate import Estimate, Variation
 from allanjax.noise.model import Model
 from allanjax.noise.notation import response_classes, term_classes
 from allanjax.noise.parameter import Parametrized
@@ -50,11 +50,12 @@ _KEYS: Mapping[type, dict[str, str]] = {
     Fact: _keys("kind text axes consequence size unit spans share"),
     Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
-        measured moving not_measured misfit allan_misfit coefficients= covariance= selection=
+        measured moving not_measured verdict=word misfit allan_misfit coefficients= covariance= selection=
         selection_discrepancy= selection_averaged= extension= regression="""),
     Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
-        octave_deviation=sustained scatter"""),
-    Estimate: _keys("label term symbol kind detected rivals held measured") | _NUMBERS,
+        octave_deviation=sustained scatter felt_by=felt"""),
+    Estimate: _keys("label term symbol kind detected rivals held measured variation") | _NUMBERS,
+    Variation: _keys("size interval_95=interval error louder excess"),
     AllanDeviation: _keys("""kind overlapping estimator other_stretches=others cluster_time_s=cluster_time
         cluster_size count deviation= degrees_of_freedom="""),
     TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
@@ -313,6 +314,8 @@ def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Es
         more[name] = low, math.inf if math.isnan(high) and not math.isnan(low) else high
     if si["upper_limit_95"] is None and p.is_amplitude and c["measured"] and not c["held"]:
         more["upper_limit"] = math.inf
+    if c.get("variation"):
+        more["variation"] = read(Variation, c["variation"])
     return read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.chi_squared import beyond_doubt, upper_tail
 from allanjax.base.errors import FitError
+from allanjax.base.threads import for_each
 from allanjax.estimate.design import (
     AllanDesign,
     Solution,
@@ -178,13 +179,22 @@ def solve_and_infer(
     return solution, infer(model, tangent, variance, active, solution), misfits
 
 
+def fit_judged(
+    curve: AllanDeviation, spectra: _Spectra, axes: Sequence[Axis], template: Model, active: InUse
+) -> tuple[AxisFit, ...]:
+    """Fit every axis to its Allan variances, with the verdict of its spectrum; see `judged`."""
+    fits = fit_allan(curve, spectra, axes, template, active)
+    each = zip(spectra, active, fits, strict=True)
+    return tuple(for_each(lambda of_axis: judged(template, *of_axis), each))
+
+
 def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisFit) -> AxisFit:
     """Fit of an axis's variances with the verdict of its spectrum, or Whittle's fit where the two disagree.
 
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
     random = np.array([not term.deterministic for term in template.terms])
-    sufficient, fits = result.converged and result.discrepancy == 0.0, False
+    sufficient, fits, misfit = result.converged and result.discrepancy == 0.0, False, result.misfit
     if sufficient:
         noise = [term for term in result.model.sampled(spectrum.bins.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
@@ -193,14 +203,17 @@ def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisF
         chi2 = chi_squared(projection.level / mean, projection.dof)
         dof = projection.estimates - count_estimated(template, active & random)
         fits = bool(chi2 <= beyond_doubt(dof))
+        misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     if not fits:
         other = fit_spectrum(template, result.axis, spectrum, active)
-        # A doubtful spectrum does not overrule variances that refuse the model.
-        refused = result.converged and not sufficient and (other.discrepancy > 0.0 or other.doubtful)
+        # A spectrum that does not follow the model either does not overrule variances that refuse it.
+        refused = result.converged and not sufficient and (other.discrepancy > 0.0 or other.misfit)
         if not refused:
             return other if other.converged else result
-        chi2, dof = other.chi2, other.dof
-    return dataclasses.replace(result, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof)))
+        chi2, dof, misfit = other.chi2, other.dof, result.misfit
+    return dataclasses.replace(
+        result, misfit=misfit, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof))
+    )
 
 
 def with_curve(
@@ -221,12 +234,10 @@ def with_curve(
             if result.spectrum is not None and not (profiled or result.regression):
                 ratio = curve.deviation[:, k] / np.sqrt(mean)
                 misfit = misfit_of(curve.cluster_time, ratio, edf[:, k], "s")
-                # The misfit of a fitted spectrum is that of its levels, unless that of the Allan deviations
-                # is excessive.
-                if result.misfit is not None and result.measured and misfit.excessive:
+                result = dataclasses.replace(result, allan_misfit=misfit)
+                # A spectrum whose few lowest levels are far off may still pass its test.
+                if result.discrepancy > 0.0 and result.measured and misfit and misfit.excessive:
                     result = result.unmeasured(misfit=misfit)
-                else:
-                    result = dataclasses.replace(result, allan_misfit=misfit.beside(result.misfit))
         found.append(result)
     return tuple(found), dataclasses.replace(curve, edf=edf)
 
@@ -269,13 +280,13 @@ def fit_spectrum(
         )
     noise, here, used = template.without(absent(template, random)), active[random], spectrum.used(active)
     arrangement, projection, fit = _fit_noise(noise, spectrum, used, here)
-    bins, level, mean, misfit = spectrum.bins, projection.level, fit.maximum.mean, None
-    if fit.solution.converged and fit.solution.power_error > 0.0:
-        misfit = spectral_misfit(bins.frequency, level, mean, projection.dof)
+    bins, level, mean = spectrum.bins, projection.level, fit.maximum.mean
+    misfit = spectral_misfit(bins.frequency, level, mean, projection.dof) if fit.solution.converged else None
+    is_off = fit.solution.power_error > 0.0
     white = noise.term_labels.index("angle_random_walk") if at_low else 0
     plateaus = _plateaus(arrangement, projection, fit) if at_low else {}
     tangent, found = arrangement.tangent(fit, plateaus, white)
-    solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit])
+    solution = widened(Solution(*(np.asarray(x)[None] for x in found)), [misfit if is_off else None])
     estimates = infer(noise, tangent, level[None], here[None], solution)
     others: dict[str, Estimate] = {}
     for k in np.flatnonzero(~random).tolist():

@@ -25,6 +25,7 @@ from allanjax.estimate.axis_fits import (
     check_count,
     check_terms,
     fit_allan,
+    fit_judged,
     fit_spectra,
     fit_spectrum,
     fit_wavelet,
@@ -174,6 +175,7 @@ def fit_curve(curve: AllanDeviation, model: ModelLike | None = None, objective: 
     results, curve = with_curve(curve, template, fitted)
     if not curve.determined:
         results = tuple(r.unmeasured(not_measured=("curve",)) if r.converged else r for r in results)
+    results = tuple(r.with_misfits_felt(curve.rate) if r.converged else r for r in results)
     bare = dataclasses.replace(curve, name="", notes=(), determined=True)
     return Fit(curve.name, template, bare, results, curve.notes)
 
@@ -294,11 +296,10 @@ def _fitted(
         results, notes = _exact(recording, template, active)
     elif objective == "whittle":
         results = fit_spectra(template, axes, spectra, active)
+    elif objective == "allan" or octaves:
+        results = fit_judged(curve, spectra, axes, template, active)
     else:
-        if objective == "allan" or octaves:
-            fits = fit_allan(curve, spectra, axes, template, active)
-        else:
-            fits = fit_wavelet(recording, spectra, template, active, wavelet)
+        fits = fit_wavelet(recording, spectra, template, active, wavelet)
         each = zip(spectra, active, fits, strict=True)
         results = tuple(for_each(lambda of_axis: judged(template, *of_axis), each))
     results, curve = with_curve(curve, template, results)
@@ -343,6 +344,7 @@ def with_what_was_seen(found: Fit, seen: Inspection) -> Fit:
         share = sum(f.share or 0.0 for f in widened) / 2.0
         r = r.allowing(share, float(seen.added_noise[k]) / np.sqrt(rate))
         kinds = seen.why_not(r.axis.name)
+        r = r.with_misfits_felt(rate) if r.converged else r
         results.append(r.unmeasured(not_measured=kinds) if r.converged and kinds else r)
     return dataclasses.replace(
         found, results=tuple(results), facts=facts, parts=seen.parts, notes=found.notes + seen.notes
@@ -436,6 +438,9 @@ def with_doubts(result: AxisFit, ranking: AxisSelection) -> AxisFit:
     for label, c in found.items():
         if label in intervals and c.detected and c.std > 0.0:
             found[label] = c = c.covering(*intervals[label])
+        elif label in intervals and c.upper_limit is not None and not c.held:
+            limit = max(c.upper_limit, intervals[label][1])
+            found[label] = c = dataclasses.replace(c, upper_limit=limit)
         if c.term in doubtful and c.detected:
             rivals = doubtful[c.term] if c.is_amplitude else ()
             found[label] = dataclasses.replace(c, detected=False, rivals=rivals)
@@ -558,18 +563,17 @@ def extended(
     deviation = np.sqrt(np.asarray(result.model.sampled(rate).allan_variance(curve.cluster_time)))
     misfit = misfit_of(curve.cluster_time, curve.deviation[:, k] / deviation, curve.edf[:, k], "s")
     # Deep in a stop band levels may be far off that no Allan deviation notices.
-    left = min(result.discrepancy, misfit.rms)
-    if (plain.converged and left > _LESS * plain.discrepancy) or (
-        result.misfit is not None and misfit.excessive
-    ):
+    left = min(result.discrepancy, misfit.rms if misfit else 0.0)
+    is_far_off = result.discrepancy > 0.0 and misfit is not None and misfit.excessive
+    if is_far_off or (plain.converged and left > _LESS * plain.discrepancy):
         return as_given
-    own, misfit_beside = _with_values(template, result), misfit.beside(result.misfit)
+    own = _with_values(template, result)
     # Other filters, and other places of resonances, with another N may fit nearly as well.
     N = result.coefficients["angle_random_walk"]
     if N.std > 0.0:
         wider = N.widened(math.hypot(1.0, content.doubt * N.value / N.std))
         result = result.with_estimates({**result.coefficients, N.label: wider})
-    return dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit_beside), selection
+    return dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit), selection
 
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:

@@ -36,7 +36,7 @@ from allanjax.base.tables import PerAxis
 from allanjax.base.wording import duration as length
 from allanjax.base.wording import percent, significant
 from allanjax.estimate.as_json import in_both_units, in_json
-from allanjax.estimate.likely_models import Likely, exact_model, likely_models, side_by_side
+from allanjax.estimate.likely_models import Likely, exact_model, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
@@ -379,7 +379,7 @@ def _noises(fit: Fit | DataSheet, asked: Sequence[str] | None, seed: int) -> Ite
     if missing := [r for r in results if not r.measured]:
         raise FitError(f"{missing[0].axis.name}: {missing[0].verdict}")
     for r in results:
-        sets = likely_models(fit, r.axis.name, _DRAWS, np.random.default_rng(seed))
+        sets = fit.likely_models(r.axis.name, _DRAWS, np.random.default_rng(seed))
         yield r.axis, r.coefficients, r.model, sets
 
 
@@ -418,7 +418,7 @@ class _Question(NamedTuple):
         # The last filter is that of the raw coefficients; without N, the walk over its memory.
         filters = _Filters(self.pairs(N, K, model), steps, self.rate)
         memory, time, unit = filters.memory, filters.time, filters.unit
-        labels, terms, power, detected = side_by_side(sets)
+        labels, terms, power, detected, _ = side_by_side(sets)
         # Sets share terms.
         variance = functools.cache(lambda one: filters.variance(one, self.record))
         V = np.stack([variance(one) for one in terms])

@@ -58,7 +58,11 @@ def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: 
     """
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
-    axes = Hypotheses(tangent, V, active, active & free_powers(model), power, solution.power_error, has_shape)
+    free = np.broadcast_to(free_powers(model), active.shape)
+    # Terms that are not in use may be below their limits; those with a shape have none to be fitted.
+    hidden = free & ~active & ~np.isin(np.arange(power.shape[1]), owner)
+    fitted = active & free
+    axes = Hypotheses(tangent, V, active, fitted, hidden, power, solution.power_error, has_shape)
     covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1))[2]
     # Both sides of every term of every axis are tested together.
     axis, term, side = (x.ravel() for x in np.indices((*power.shape, 2)))
@@ -70,14 +74,16 @@ def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: 
 class Hypotheses(NamedTuple):
     """Several axes at their solutions, and the distance of their data from hypotheses about a term's power.
 
-    `V` holds the estimates. `active` marks the terms in use, `fitted` those whose power is estimated, and
-    `has_shape` the shapes that the data determine, which a term without power does not have.
+    `V` holds the estimates. `active` marks the terms in use, `fitted` those whose power is estimated,
+    `hidden` others that may have some power under a hypothesis, and `has_shape` the shapes that the data
+    determine, which a term without power does not have.
     """
 
     tangent: Tangent
     V: _Curves
     active: _Flags
     fitted: _Flags
+    hidden: _Flags
     power: _Terms
     error: _PerAxis
     has_shape: _Flags
@@ -161,11 +167,13 @@ class Hypotheses(NamedTuple):
             some, here = self.of_axes(left), alone[left]
             # The only term cannot vanish altogether.
             tried = np.maximum(v[:, k], 1e-9 * estimate)[:, None]
-            new = some.profiled(np.where(here, tried[left], at[left]), some.fitted & ~here)
+            others = (some.fitted | some.hidden) & ~here
+            new = some.profiled(np.where(here, tried[left], at[left]), others)
+            present = some.fitted | here | (some.hidden & (new > 0.0))
             there = new[:, owner] > 0.0
             own = owner == term[left, None]
             shaped = np.where(own, there & some.active[:, owner], some.has_shape & there)
-            score = some.scores(term[left], new, np.concatenate([some.fitted | here, shaped], axis=1))
+            score = some.scores(term[left], new, np.concatenate([present, shaped], axis=1))
             if k == 0:
                 # Not zero where other powers ended at zero. Also for an absent term whose score is negative,
                 # so that its limit does not shrink.

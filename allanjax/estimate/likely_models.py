@@ -1,40 +1,63 @@
-"""Likely noise models given a fit: its own within its intervals, and rival sets of terms.
+"""Likely noise models given a fit: its own within its intervals, and rival sets of terms; their curve.
 
 The powers of the fitted set are drawn from the normal law of their logarithms. Sets of terms that the data do
 not distinguish from it are fitted to the Allan variances with non-negative powers, and drawn in the same way.
+The curve of a fit is that of its detected terms; where sets of terms are undecided, it is their average.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.normal import TWO_SIDED_95
 from allanjax.estimate.evidence import information, power_fits
-from allanjax.estimate.result import AxisFit, Fit
+from allanjax.estimate.selection import AxisSelection, TermSet
+from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, NoiseTerm
 from allanjax.noise.notation import term_classes
-from allanjax.noise.terms import Markov
+from allanjax.noise.terms import Markov, basic_terms
 
 # Widest standard deviation of the logarithm of a power that is drawn; and number of correlation times that
 # are tried for a Markov process in a rival set.
 _WIDEST, _TIMES = 1.5, 15
+# Share of further terms in a variance above which it says nothing of others.
+_MOSTLY = 0.5
+
+
+class FittedAxis(Protocol):
+    """What is needed of the fit of an axis (`AxisFit`)."""
+
+    @property
+    def model(self) -> Model: ...
+    @property
+    def coefficients(self) -> Mapping[str, Estimate]: ...
+    @property
+    def covariance(self) -> Float[np.ndarray, "params params"]: ...
+    @property
+    def own_template(self) -> Model | None: ...
+
+
+# Terms among which a fit chooses.
+_CANDIDATES = (*(type(term) for term in basic_terms()), Markov)
 
 
 class Likely(NamedTuple):
     """A set of terms with unit amplitudes, and draws of their squared amplitudes, the `power` [SI].
 
     Each term is a model by itself, with the response if the term passes it. Those that are not `detected` are
-    only known to be below a limit.
+    only known to be below a limit. `stated` are the squared amplitudes that stand for the set.
     """
 
     labels: tuple[str, ...]
     terms: tuple[Model, ...]
     power: Float[np.ndarray, "draws terms"]
     detected: Bool[np.ndarray, " terms"]
+    stated: Float[np.ndarray, " terms"]
 
 
 def exact_model(model: Model, *others: Model) -> Likely:
@@ -43,15 +66,19 @@ def exact_model(model: Model, *others: Model) -> Likely:
     unit = Model(tuple(term.with_unit_amplitude() for term in model.terms), model.response, model.inside)
     alone = tuple(unit.without([other for other in labels if other != label]) for label in labels)
     amplitudes = [[float(getattr(*x)) for x in zip(of.terms, names, strict=True)] for of in (model, *others)]
-    return Likely(labels, alone, np.square(amplitudes), np.ones(len(labels), bool))
+    power = np.square(amplitudes)
+    return Likely(labels, alone, power, np.ones(len(labels), bool), power.mean(axis=0))
 
 
 def side_by_side(sets: Sequence[Likely]) -> Likely:
-    """The terms of all sets together, of which each draw has those of one set."""
+    """The terms of all sets together, of which each draw has those of one set, and their average."""
     from scipy.linalg import block_diag
 
-    labels, terms, power, detected = zip(*sets, strict=True)
-    return Likely(sum(labels, ()), sum(terms, ()), block_diag(*power), np.concatenate(detected))
+    labels, terms, power, detected, stated = zip(*sets, strict=True)
+    weight = np.array([len(draws) for draws in power], float)
+    average = [x * w for x, w in zip(stated, weight / weight.sum(), strict=True)]
+    every = block_diag(*power), np.concatenate(detected), np.concatenate(average)
+    return Likely(sum(labels, ()), sum(terms, ()), *every)
 
 
 def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTerm]:
@@ -59,31 +86,41 @@ def class_of(label: str, classes: Mapping[str, type[NoiseTerm]]) -> type[NoiseTe
     return classes[label if label in classes else label.rpartition("_")[0]]
 
 
-def likely_models(fit: Fit, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
-    """Sets of terms, with draws in proportion to their probabilities; the first set is that of the fit."""
-    found = fit[axis]
-    if fit.selection is None or found.own_template is not None:
-        return [_of_fit(found, draws, rng, with_limits=found.own_template is None)]
-    selection = fit.selection[axis]
-    close = {s.terms: s.probability for s in (selection.chosen, *selection.indistinguishable)}
-    weight = np.array(list(close.values()))
+def likely_models(
+    found: FittedAxis,
+    ranking: AxisSelection | None,
+    curve: AllanDeviation,
+    column: int,
+    draws: int,
+    rng: np.random.Generator,
+) -> list[Likely]:
+    """Sets of terms, with draws in proportion to their probabilities; the first set is that of the fit.
+
+    The fit is of an axis with this ranking of terms and this column of the curve.
+    """
+    if ranking is None:
+        return [_of_fit(found, draws, rng, alone=True)]
+    close = {s.terms: s for s in (ranking.chosen, *ranking.indistinguishable)}
+    weight = np.array([s.probability for s in close.values()])
     first, *others = rng.multinomial(draws, weight / weight.sum()).tolist()
-    own, column = _of_fit(found, max(first, 1), rng, with_limits=False), fit.axes.index(axis)
-    rivals = zip(list(close)[1:], others, strict=True)
-    return [own, *(_of_curve(fit, column, terms, count, rng) for terms, count in rivals if count)]
+    rivals = [(s, count) for s, count in zip(list(close.values())[1:], others, strict=True) if count]
+    own = _of_fit(found, max(first, 1), rng, alone=not rivals)
+    return [own, *(_of_curve(found, curve, column, *rival, rng) for rival in rivals)]
 
 
-def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: bool) -> Likely:
-    """The fitted model, with the terms below a limit on request."""
-    (labels, terms, power, detected), classes = exact_model(found.model), term_classes()
+def _of_fit(found: FittedAxis, draws: int, rng: np.random.Generator, alone: bool) -> Likely:
+    """The fitted model; if it is the only set, with the terms below a limit, which are not in its curve."""
+    (labels, terms, power, detected, stated), classes = exact_model(found.model), term_classes()
     amplitudes = {k: c for k, c in enumerate(found.coefficients.values()) if c.is_amplitude}
     rows = [k for k, c in amplitudes.items() if c.term in labels]
     fitted = np.array([amplitudes[k].value for k in rows])
     covariance = np.nan_to_num(4.0 * found.covariance[np.ix_(rows, rows)] / np.outer(fitted, fitted))
+    if alone and any(amplitudes[k].detected for k in rows):
+        stated = np.where([amplitudes[k].detected or amplitudes[k].held for k in rows], stated, 0.0)
     below = [
         c
         for c in amplitudes.values()
-        if with_limits and not c.detected and c.term in classes.keys() - labels
+        if alone and not c.detected and c.term in classes.keys() - labels
         if c.upper_limit and np.isfinite(c.upper_limit)
         if len(classes[c.term].parameters()) == 1 or c.term == "bias_instability"
     ]
@@ -95,20 +132,38 @@ def _of_fit(found: AxisFit, draws: int, rng: np.random.Generator, with_limits: b
         (*terms, *(Model((classes[c.term]().with_unit_amplitude(),)) for c in below)),
         np.hstack([known, extra]),
         np.append(detected, np.zeros(len(below), bool)),
+        np.append(stated, np.zeros(len(below))),
     )
 
 
-def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np.random.Generator) -> Likely:
-    """A rival set, fitted to the Allan variances of an axis at octaves, which are nearly independent."""
-    curve, classes = fit.curve, term_classes()
+def _of_curve(
+    found: FittedAxis,
+    curve: AllanDeviation,
+    column: int,
+    terms: TermSet,
+    draws: int,
+    rng: np.random.Generator,
+) -> Likely:
+    """A rival set, fitted to the Allan variances of an axis at octaves, which are nearly independent.
+
+    Filter, resonances and lines are those of the fit.
+    """
+    own, classes = exact_model(found.model), term_classes()
     octaves = np.unique(np.searchsorted(curve.cluster_size, 2 ** np.arange(np.log2(curve.cluster_size[-1]))))
     time, variance = curve.cluster_time[octaves], curve.deviation[octaves, column] ** 2
     shape = np.maximum(curve.edf[octaves, column], 1.0) / 2.0
+    plain = [class_of(name, classes) in _CANDIDATES for name in own.labels]
+    further = np.flatnonzero(~np.array(plain))
+    fixed = own.stated[further] @ [own.terms[k].sampled(curve.rate).allan_variance(time) for k in further]
+    # Where further terms are most of the variance, it does not determine the others.
+    shape = np.where(fixed < _MOSTLY * variance, shape, 1e-6)
+    variance = np.maximum(variance - fixed, 1e-6 * variance)
     # A Markov process of any time between ten samples and the longest cluster.
     markov = [Markov(1.0, T) for T in np.geomspace(10.0 / curve.rate, time[-1], _TIMES).tolist()]
-    kinds = [class_of(name, classes) for name in terms]
+    kinds = [class_of(name, classes) for name in terms.terms]
     tried = [markov if kind is Markov else [kind().with_unit_amplitude()] for kind in kinds]
-    curves = [[term.sampled(curve.rate).allan_variance(time) for term in each] for each in tried]
+    models = [[_through(found.model, own, term) for term in each] for each in tried]
+    curves = [[one.sampled(curve.rate).allan_variance(time) for one in each] for each in models]
     unit = np.stack(np.broadcast_arrays(*curves), axis=1)
     powers, loss = power_fits(variance, shape, variance, unit)
     best = int(np.argmin(loss))
@@ -116,11 +171,25 @@ def _of_curve(fit: Fit, column: int, terms: tuple[str, ...], draws: int, rng: np
     F = information(unit[best], value @ unit[best], shape)
     # Detected terms by the normal law of their logarithms, the others within their limits.
     precision = (F * np.outer(value, value))[np.ix_(there, there)] + np.eye(there.sum()) / _WIDEST**2
-    detected = value[there] * _factors(np.linalg.inv(precision), draws, rng)
+    drawn = value[there] * _factors(np.linalg.inv(precision), draws, rng)
     power = np.abs(rng.standard_normal((draws, len(value)))) / np.sqrt(np.diag(F))
-    power[:, there] = detected
-    alone = tuple(Model((each[best % len(each)],)) for each in tried)
-    return Likely(terms, alone, power, there)
+    power[:, there] = drawn
+    besides = [(own.labels[k], own.terms[k], own.stated[k]) for k in further]
+    return Likely(
+        (*terms.terms, *(label for label, *_ in besides)),
+        (*(each[best % len(each)] for each in models), *(term for _, term, _ in besides)),
+        np.hstack([power, np.broadcast_to(own.stated[further], (draws, len(further)))]),
+        np.append(there, np.ones(len(further), bool)),
+        np.append(value, own.stated[further]),
+    )
+
+
+def _through(model: Model, own: Likely, term: NoiseTerm) -> Model:
+    """A term of unit amplitude by itself, with the response if that of its kind in the fit passes it."""
+    passes = [bool(one.inside and one.inside[0]) for one in own.terms if type(one.terms[0]) is type(term)]
+    if model.response is None or not any(passes):
+        return Model((term,))
+    return Model((term,), model.response, (True,))
 
 
 def _factors(
@@ -129,3 +198,28 @@ def _factors(
     """Draws of factors with this covariance of their logarithms, whose standard deviations are limited."""
     scale = np.minimum(1.0, _WIDEST / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
+
+
+def allowed(
+    curve: AllanDeviation, column: int, cluster_time: Float[np.ndarray, " t"]
+) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+    """Ends of the measured 95 % interval of an axis's Allan deviation; none beyond the measured times [s]."""
+    log = np.log(cluster_time)
+    own = np.log(curve.cluster_time)
+    low, high = (
+        np.exp(np.interp(log, own, np.log(np.maximum(end[:, column], 1e-300)), beyond, beyond))
+        for end, beyond in zip(curve.confidence_interval(0.95), (-np.inf, np.inf), strict=True)
+    )
+    return low, high
+
+
+def curve_of(likely: Likely, rate: float, cluster_time: Float[np.ndarray, " t"]) -> Float[np.ndarray, "3 t"]:
+    """Allan deviation that sets of terms state together, and the ends of its 95 % interval.
+
+    The lower end is that of the detected terms; the upper one includes those below a limit.
+    """
+    unit = np.array([term.sampled(rate).allan_variance(cluster_time) for term in likely.terms])
+    stated = likely.stated @ unit
+    low = np.quantile(likely.power[:, likely.detected] @ unit[likely.detected], 0.025, axis=0)
+    high = np.quantile(likely.power @ unit, 0.975, axis=0)
+    return np.sqrt([stated, np.minimum(low, stated), np.maximum(high, stated)])

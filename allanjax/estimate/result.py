@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,6 +25,14 @@ from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
 from allanjax.base.wording import chi_squared, format_with_error, percent, plain, record_size, significant
+from allanjax.estimate.likely_models import (
+    Likely,
+    allowed,
+    curve_of,
+    exact_model,
+    likely_models,
+    side_by_side,
+)
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, Estimate, called
 from allanjax.noise.model import Model
@@ -44,14 +53,13 @@ if TYPE_CHECKING:
 #: errors are propagated to first order only, and a coefficient is determined by one or two octaves. (Two
 #: ADIS16405 on a bench, which have resonances, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
-# p-value below which a model is doubtful; and curves differ for certain where the model is outside this
-# central interval of all estimates (χ²).
-_DOUBTFUL, _SURE = 1e-3, 0.997
+# Curves differ for certain where the model is outside this central interval of all estimates (χ²); relative
+# deviation up to which a model fits within it; and share of a term in the power at a place that it feels.
+_SURE, _TOLERATED, _FELT = 0.997, 0.1, 0.1
+# Relative deviation that is not worth mentioning.
+_TRIFLE = 0.005
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
-# Root mean square deviations above which a misfit is mentioned, beside another curve's misfit and without
-# one; chance hardly ever exceeds them: judgements.
-_NOTABLE, _CLEAR = 0.02, 0.06
 # Words: deviations above this ratio are a factor, a scatter above this share of a deviation is reported, and
 # so is a limit of the bandwidth within this ratio of its value, and so many places, the strongest ones.
 _FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
@@ -75,6 +83,7 @@ class Misfit:
         sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation averages
             over one), in a root PSD over most of an octave.
         scatter: relative deviation that chance may cause at that place.
+        felt: which of N, B and K have a notable share of the model's power there.
     """
 
     largest: float
@@ -83,15 +92,27 @@ class Misfit:
     rms: float
     sustained: float
     scatter: float = 0.0
+    felt: tuple[str, ...] = ()
 
     @property
     def excessive(self) -> bool:
         """Whether the curve is so far off that the coefficients are not a measurement."""
         return self.rms > LIMIT or self.sustained > OCTAVE
 
-    def beside(self, other: Misfit | None) -> Misfit | None:
-        """The misfit if it is worth mentioning beside that of another curve, else None."""
-        return self if self.rms > (_CLEAR if other is None else _NOTABLE) else None
+    @property
+    def matters(self) -> bool:
+        """Whether the model does not fit: what is not chance is more than a tenth."""
+        return self.sure > _TOLERATED
+
+    @property
+    def sure(self) -> float:
+        """Relative deviation at that place that is not chance."""
+        return float(np.expm1(abs(np.log1p(self.largest)) - np.log1p(self.scatter)))
+
+    @property
+    def size(self) -> str:
+        """The largest deviation in words, e.g. "2.7 %" or "×4.3"."""
+        return deviation(self.largest)
 
     @property
     def curve(self) -> str:
@@ -99,24 +120,27 @@ class Misfit:
         return "Allan deviation" if self.unit == "s" else "root PSD"
 
     def __str__(self) -> str:
-        if self.largest == 0.0:
-            return f"{self.curve} off, but nowhere by more than single estimates scatter"
         certain = np.log1p(self.scatter) <= _MUCH * abs(np.log1p(self.largest))
         chance = "" if certain else f" (up to {deviation(self.scatter)} may be chance)"
-        place = f"{plain(self.at, 3)} {self.unit}{chance}"
-        return f"{self.curve} off by {deviation(self.largest)} at {place}, {deviation(self.rms)} rms"
+        side = "above" if self.largest > 0.0 else "below"
+        place = f"{self.curve} {self.size} {side} the model at {plain(self.at, 3)} {self.unit}{chance}"
+        felt = f"{listed(self.felt)} may feel it" if self.felt else "N, B and K do not feel it"
+        return f"{place}; {felt}"
 
 
-def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "Hz"]) -> Misfit:
-    """Misfit of deviations at increasing places, by measured/model and the squares' degrees of freedom."""
+def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "Hz"]) -> Misfit | None:
+    """Misfit of deviations at increasing places, by measured/model and the squares' degrees of freedom.
+
+    There is none if they differ nowhere by more than single estimates scatter, or by a trifle.
+    """
     log = np.log(np.maximum(ratio, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
     ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
     low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
     certain = np.maximum(np.maximum(low, -high), 0.0)
     k = int(np.argmax(certain))
-    if certain[k] == 0.0:
-        return Misfit(0.0, float("nan"), unit, 0.0, 0.0)
+    if certain[k] <= _TRIFLE:
+        return None
     # In squares, less the half width of the interval on the model's side.
     rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
     sustained = certain[k]
@@ -140,7 +164,7 @@ def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
     return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), least))
 
 
-def spectral_misfit(frequency: _Places, level: _Places, mean: _Places, dof: _Places) -> Misfit:
+def spectral_misfit(frequency: _Places, level: _Places, mean: _Places, dof: _Places) -> Misfit | None:
     """Misfit of a root PSD: levels at frequencies [Hz], averaged over thirds of octaves, to their means."""
     known = dof > 0.0
     frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
@@ -339,19 +363,15 @@ class AxisFit(ByValue, AxisEstimates):
         return "at rest" in self.not_measured
 
     @property
-    def misfits(self) -> str:
-        """How far and where the fitted curves are off, in words; "" if the model fits."""
-        return "; ".join(str(misfit) for misfit in (self.misfit, self.allan_misfit) if misfit)
+    def worst(self) -> Misfit | None:
+        """The larger of the misfits; None if the model fits."""
+        known = [misfit for misfit in (self.misfit, self.allan_misfit) if misfit]
+        return max(known, key=lambda misfit: misfit.sure, default=None)
 
     @property
-    def doubtful(self) -> bool:
-        """Whether the p-value is below 0.001 but not low enough to reject the model."""
-        return self.p_value < _DOUBTFUL
-
-    @property
-    def incomplete(self) -> bool:
-        """Whether the model does not fit the data."""
-        return self.discrepancy > 0.0 or bool(self.misfits)
+    def fits(self) -> bool:
+        """Whether the model follows the data, at least within a tenth."""
+        return self.converged and not self.is_far_off and not (self.worst and self.worst.matters)
 
     @property
     def is_far_off(self) -> bool:
@@ -434,19 +454,52 @@ class AxisFit(ByValue, AxisEstimates):
         mean, rms = significant(self.mean / scale, 4), significant(self.rms / scale, 2)
         return f"mean {mean} {unit}, rms {rms} {unit}"
 
+    def with_misfits_felt(self, rate: float) -> AxisFit:
+        """A copy whose misfits tell which of N, B and K have a share there, at a sample rate [Hz]."""
+        likely = exact_model(self.model.sampled(rate))
+
+        def felt(misfit: Misfit | None) -> Misfit | None:
+            if misfit is None:
+                return None
+            at, power = np.array([misfit.at]), {}
+            for label, term, (square,) in zip(likely.labels, likely.terms, likely.power.T, strict=True):
+                sampled = term.sampled(rate)
+                if not (misfit.unit == "Hz" and term.terms[0].deterministic):
+                    is_allan = misfit.unit == "s"
+                    unit = sampled.allan_variance(at) if is_allan else sampled.sampled_psd(at, rate)
+                    power[label] = square * float(np.asarray(unit)[0])
+            least = _FELT * sum(power.values())
+            own = [SYMBOLS[x] for x in MAIN if power.get(x, 0.0) > least and self.coefficients[x].detected]
+            return dataclasses.replace(misfit, felt=tuple(own))
+
+        return dataclasses.replace(self, misfit=felt(self.misfit), allan_misfit=felt(self.allan_misfit))
+
+    @property
+    def word(self) -> str:
+        """The verdict in a few words, e.g. "fits within 2.7 %" or "does not fit: ×4.3 at 779 s"."""
+        if not self.converged:
+            return "no result"
+        if not self.measured:
+            return "not a measurement"
+        if self.worst is None:
+            return "fits"
+        if self.fits:
+            return f"fits within {deviation(self.worst.sure)}"
+        return f"does not fit: {self.worst.size} at {plain(self.worst.at, 3)} {self.worst.unit}"
+
     @property
     def verdict(self) -> str:
-        """How well the model fits, in one line."""
+        """How well the model fits, in one line: how far it is off, where, and whether N, B or K feel it."""
         if not self.converged:
             return f"no result: {self.reason}"
-        text = chi_squared(self.chi2, self.dof, self.p_value)
         if self.is_far_off:
-            return f"not a measurement of this sensor: the model does not fit, {self.misfits}; {text}"
+            return f"not a measurement of this sensor: the model does not fit, {self.worst}"
         if self.not_measured:
             return f"not a measurement of this sensor: {why_no_measurement(self.not_measured)}"
-        if not self.incomplete:
-            return f"fits: {text}"
-        return "; ".join(filter(None, (f"does not fit: {self.misfits}".removesuffix(": "), text)))
+        if self.worst is None:
+            return "fits"
+        head = self.word if self.fits else "does not fit"
+        return f"{head}: {self.worst}"
 
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
@@ -563,10 +616,57 @@ class Fit(ByValue, PerAxis[AxisFit]):
         )
         return dataclasses.replace(self, results=results)
 
+    def likely_models(self, axis: str, draws: int, rng: np.random.Generator) -> list[Likely]:
+        """Sets of terms that the data do not distinguish, with draws of their powers; see `likely_models`."""
+        column = self.axes.index(axis)
+        ranking = None if self.selection is None else self.selection[axis]
+        return likely_models(self[axis], ranking, self.curve, column, draws, rng)
+
+    @functools.cached_property
+    def _likely(self) -> dict[str, Likely]:
+        """Likely models of each axis side by side, which state its curve."""
+        rng = np.random.default_rng(0)
+        known = [r.axis.name for r in self.results if r.converged]
+        return {name: side_by_side(self.likely_models(name, _DRAWS, rng)) for name in known}
+
     def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
-        """Allan deviation [rad/s or m/s²] of the fitted model at cluster times [s]."""
-        model = self[axis].model.sampled(self.curve.rate)
-        return np.sqrt(np.asarray(model.allan_variance(cluster_time)))
+        """Allan deviation [rad/s or m/s²] that the fit states at cluster times [s].
+
+        It is that of the detected terms; where sets of terms are undecided, it is their average. Where the
+        model fits, it stays within the measured curve's 95 % interval.
+        """
+        return self.model_curve(axis, cluster_time)[0]
+
+    def model_curve(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, "3 ..."]:
+        """Allan deviation that the fit states, see `model_deviation`, and the ends of its 95 % interval."""
+        at = np.atleast_1d(np.asarray(cluster_time, float))
+        curves = curve_of(self._likely[self[axis]._known().axis.name], self.curve.rate, at)
+        return self._within(axis, at, curves).reshape(3, *np.shape(cluster_time))
+
+    def model_density(self, axis: str, frequency: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
+        """One-sided density [rate²/Hz] of samples that the fit states at frequencies [Hz], without lines."""
+        likely, rate = self._likely[self[axis]._known().axis.name], self.curve.rate
+        density = np.zeros(len(frequency))
+        for power, term in zip(likely.stated, likely.terms, strict=True):
+            if not term.terms[0].deterministic:
+                density += 2.0 * power * np.asarray(term.sampled(rate).sampled_psd(frequency, rate))
+        return density
+
+    def drawn_deviations(
+        self, axis: str, cluster_time: Float[np.ndarray, " t"], draws: int
+    ) -> Float[np.ndarray, "draws t"]:
+        """Allan deviations [rad/s or m/s²] of likely models at cluster times [s]."""
+        likely = side_by_side(self.likely_models(axis, draws, np.random.default_rng(0)))
+        units = [term.sampled(self.curve.rate).allan_variance(cluster_time) for term in likely.terms]
+        return self._within(axis, cluster_time, np.sqrt(likely.power @ np.array(units)))
+
+    def _within(
+        self, axis: str, cluster_time: Float[np.ndarray, " t"], curves: Float[np.ndarray, "_ t"]
+    ) -> Float[np.ndarray, "_ t"]:
+        """Deviations within what the measured curve allows, if the model fits it."""
+        if self[axis].worst is not None or not self[axis].measured:
+            return curves
+        return np.clip(curves, *allowed(self.curve, self.axes.index(axis), cluster_time))
 
     @presented
     def plot(
@@ -603,7 +703,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
                 tables += tables_of(
                     [Column("axis", [axis.name for axis in axes])],
                     *_coefficient_columns(results),
-                    [column("mean", unit, means, 4), Column("verdict", list(map(_verdict, results)))],
+                    [
+                        column("mean", unit, means, 4),
+                        Column("verdict", ["no result" if r is None else r.word for r in results]),
+                    ],
                 )
         return tables
 
@@ -611,7 +714,7 @@ class Fit(ByValue, PerAxis[AxisFit]):
         """Lines below the tables: corrections, misfits, axes without a result, and notes."""
         known = [result for result in self.results if result.converged]
         yield from (f"{r.axis.name} {r.correction}" for r in known if r.correction)
-        yield from (f"{r.axis.name} does not fit: {r.misfits}" for r in known if r.misfits)
+        yield from (f"{r.axis.name} {r.verdict}" for r in known if r.measured and r.worst)
         for name, reason in self.without_result.items():
             if not any(reason in warning for warning in self.warnings):
                 yield f"{name}: no result, {reason}"
@@ -629,6 +732,8 @@ class Fit(ByValue, PerAxis[AxisFit]):
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
 
 
+# Draws for the curve of a model and its interval.
+_DRAWS = 400
 #: Terms whose column a table of coefficients has even where they are not detected: N, B and K.
 MAIN = tuple(SYMBOLS)[:3]
 
@@ -650,19 +755,12 @@ def _coefficient_columns(results: Sequence[AxisFit | None]) -> tuple[list[Column
     return main, others
 
 
-def _verdict(result: AxisFit | None) -> str:
-    """The verdict in one or two words, with p where the model fits."""
-    if result is None:
-        return "no result"
-    if not result.measured or result.incomplete:
-        return "does not fit" if result.measured else "not a measurement"
-    word = "doubtful" if result.doubtful else "fits"
-    return f"{word}, p = {significant(result.p_value, 2)}" if math.isfinite(result.p_value) else word
-
-
 def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:
     """Table of all coefficients with intervals and limits, a line below per axis, and these notes."""
-    lines = [f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, r.correction, r.level)))}" for r in results]
+    lines = []
+    for r in results:
+        test = chi_squared(r.chi2, r.dof, r.p_value) if r.converged else ""
+        lines.append(f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, test, r.correction, r.level)))}")
     return as_text(title, all_coefficients([r for r in results if r.converged]), [*lines, *notes])
 
 
@@ -689,4 +787,5 @@ def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, st
             if c.rivals:
                 reason = f"may be {' or '.join(SYMBOLS.get(term, term) for term in c.rivals)}"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
-    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))
+    varies = "" if c.variation is None else str(c.variation)
+    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark, varies)))

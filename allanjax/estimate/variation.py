@@ -1,15 +1,16 @@
 """Variation of N, B and K over a record, and what it adds to the errors of their means.
 
-The cosine coefficients c_j of a record (see `cosine`) have the density S_j, of which a term contributes the
-share w_j. The inverse transform of c_j·√(w_j/S_j) is a series whose squares are, in a window, the score of the
-term's power there: slower terms, filters, lines and resonances are whitened or left out, and windows are
-nearly independent. With the means m of w_j and m₂ of w_j², the mean square p in a window of L values gives
+The cosine coefficients c_j of a record (see `cosine`) have the density S_j, of which a term contributes
+the share w_j. The inverse transform of c_j·√(w_j/S_j) is a series whose squares are, in a window, the
+score of the term's power there: slower terms, filters, lines and resonances are whitened or left out, and
+windows are nearly independent. With the means m of w_j and m₂ of w_j², the mean square p in a window of L
+values gives
 
     δ = (p/m − 1)·m/m₂,   Var δ = φ·2/(L·m₂),
 
-the change of the power in it relative to that of the record, where φ allows for heavy tails. Variation is
-told if Σ(δ − δ̄)²/Var δ, or the part of it in the slowest modes, is improbable without it. The mean over another
-record as long differs by what the two slowest modes, which this record has, leave beyond that record's ends.
+the change of the power there relative to that of the record, where φ allows for heavy tails. Variation is
+reported if Σ(δ − δ̄)²/Var δ, or the part of it in the slowest modes, is improbable without it. The mean of
+another record as long may differ by what the two slowest modes of this one have.
 """
 
 from __future__ import annotations
@@ -115,7 +116,7 @@ def course_of(cosines: Sequence[Cosines], rate: float, model: Model, label: str)
         weights = _weights_of_white(cosines, rate, model)
     else:
         weights = _weights_at_low(len(cosines[0]) + 1, rate, model, label)
-        cosines = [_without_ramp(c, rate) for c in cosines]
+        cosines = [weights.without_ramp(c, rate) for c in cosines]
     if not weights.share.any():
         return None
     first = weights.shares(cosines[0])
@@ -154,6 +155,13 @@ class Weights(NamedTuple):
     def shares(self, c: Cosines) -> Float[np.ndarray, " k"]:
         """Share at each coefficient of a segment."""
         return np.repeat(self.share, self.sizes(c))
+
+    def without_ramp(self, c: Cosines, rate: float) -> Cosines:
+        """Coefficients of a segment without the best ramp in those that are used."""
+        used = slice(self.sizes(c).sum())
+        ramp, level = ramp_column(len(c) + 1, rate), np.repeat(self.density, self.sizes(c))
+        weighed = ramp[used] / level
+        return c - ramp * ((weighed @ c[used]) / (weighed @ ramp[used]))
 
     def powers(self, c: Cosines, blocks: int) -> Float[np.ndarray, " blocks"]:
         """Mean square of the weighed series in blocks of a segment, relative to its expectation."""
@@ -225,13 +233,6 @@ def _is_white_at_low(term: NoiseTerm, rate: float) -> bool:
     if isinstance(term, Markov):
         return float(term.correlation_time or 0.0) * rate < QUICK
     return isinstance(term, PowerLaw) and term.exponent == 0.0
-
-
-def _without_ramp(c: Cosines, rate: float) -> Cosines:
-    """Coefficients without their best ramp, with the weights of a random walk."""
-    ramp = ramp_column(len(c) + 1, rate)
-    weighed = ramp * np.arange(1.0, len(c) + 1.0) ** 2
-    return c - ramp * ((weighed @ c) / (weighed @ ramp))
 
 
 def _course(power: Float[np.ndarray, " blocks"], each: int, variance: float, gain: float) -> Course:

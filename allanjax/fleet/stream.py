@@ -18,9 +18,9 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.allan.estimators import Pyramid
 from allanjax.base.equality import equal
 from allanjax.base.errors import AllanjaxError, FitError, RecordingError
-from allanjax.estimate.axis_fits import check_count, check_terms, fit_allan, fit_spectra, with_curve
+from allanjax.estimate.axis_fits import check_count, check_terms, fit_judged, fit_spectra, with_curve
 from allanjax.estimate.deterministic import AxisSpectrum
-from allanjax.estimate.fit import Objective, terms_to_fit, with_what_was_seen
+from allanjax.estimate.fit import Objective, terms_to_fit, with_doubts, with_what_was_seen
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import Candidates, basic_candidates, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
 _FORMAT = 3
-_TOO_FINE = "the Allan variances did not determine the fit; the averaged spectra were fitted (whittle)"
 
 _FROM_RECORD = (
     "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "
@@ -231,9 +230,8 @@ class AllanAccumulator:
         """Estimate the coefficients of a noise model, as `allanjax.fit` does for a recording.
 
         Without a model, the terms are chosen by their evidence in the averaged spectra. "allan" fits the
-        Allan variances of the pyramid with their covariance, or the spectra if that does not converge (with
-        10⁹ samples and a strong random walk the covariance of 28 octaves is too inaccurate; a note reports
-        it); "whittle" fits the averaged spectra.
+        Allan variances of the pyramid with their covariance, or the spectra of axes where these disagree;
+        "whittle" fits the averaged spectra.
 
         Disturbed parts cannot be removed afterwards. There is then no result unless `as_is`; the reason gives
         the part to read (`start=`, `stop=` of `read_chunks`). `vibrating` as in `fit`.
@@ -259,14 +257,15 @@ class AllanAccumulator:
         check_count(len(curve.cluster_size), "Allan variances", curve.n, template, self.name)
         notes = selection.ambiguities() if selection else ()
         results = tuple(AxisFit(axis, False, inspection.refusal) for axis in axes)
-        spectra = AxisSpectrum.of_axes(*statistics, template)
-        if objective == "allan" and not inspection.refusal:
-            results = fit_allan(curve, spectra, axes, template, active)
-            if not all(result.converged for result in results):
-                objective, notes = "whittle", (*notes, _TOO_FINE)
-        if objective == "whittle" and not inspection.refusal:
-            results = fit_spectra(template, axes, spectra, active)
+        if not inspection.refusal:
+            spectra = AxisSpectrum.of_axes(*statistics, template)
+            if objective == "allan":
+                results = fit_judged(curve, spectra, axes, template, active)
+            else:
+                results = fit_spectra(template, axes, spectra, active)
         results, curve = with_curve(curve, template, results)
+        if selection is not None:
+            results = tuple(map(with_doubts, results, selection.results))
         fit = Fit(self.name, template, curve, results, notes, objective, selection, dead)
         return with_what_was_seen(fit, inspection)
 

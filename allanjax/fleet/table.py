@@ -207,7 +207,7 @@ def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[Remark]:
     found = []
     if not axis["measured"]:
         found.append(Remark(_NOT_MEASURED))
-    elif axis["discrepancy"]:
+    elif axis["verdict"].startswith("does not fit"):
         found.append(Remark(_INCOMPLETE))
     # Filters, resonances and lines for which the fit corrected the noise terms.
     for label in (axis["extension"] or {"further": ()})["further"]:

@@ -343,12 +343,12 @@ def quiet_parts(
         pending += [(first + a, first + b, rounds + 1) for a, b in calm if b - a >= min(_FEWEST, longest)]
     first_samples = windows.edges.tolist()
     quiet = tuple((first_samples[a], first_samples[b]) for a, b in sorted(parts))
-    events = _events(windows, _joined(cut) + _joined(kept))
+    found = _events(windows, _joined(cut) + _joined(kept))
     for s in loud:
         assert levels is not None
         every, edges = tuple(range(len(sensors))), (first_samples[s.first], first_samples[s.last])
-        events.append(Event(*edges, "noisier", (), every, levels.axis, levels.ratio))
-    return tuple(sorted(events, key=lambda event: event.first)), quiet
+        found.append(Event(*edges, "noisier", (), every, levels.axis, levels.ratio))
+    return tuple(sorted(found, key=lambda event: event.first)), quiet
 
 
 def _between(cut: Sequence[Run], count: int) -> list[tuple[int, int]]:

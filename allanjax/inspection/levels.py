@@ -1,15 +1,14 @@
-"""Two levels of noise in a recording: a long part that is louder than another, and which is the sensor at rest.
+"""Two levels of noise in a recording, where a long part is louder than another; which is the sensor at rest.
 
-Vibration only adds noise, and adds structure to its spectrum. So the quiet part is the sensor if the loud one
-is nowhere quieter and its spectrum is less even. Where a range or a unit changed, both have the same shape;
-where samples are held, the output is nulled, or a filter was set, the quiet part is not the sensor: then it is
-unclear which part is meant.
+Vibration only adds noise, and adds structure to its spectrum. So the quiet part is the sensor if the loud
+one is nowhere quieter and its spectrum is less even. Where a range or a unit changed, both have the same
+shape; where samples are held, the output is nulled, or a filter was set, the quiet part is not the sensor:
+then it is unclear which part is meant.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from allanjax.inspection.windows import Windows, lattice_power, runs
 
 # Length [s] of the stretches that are compared, as a share of the record at most, and their fewest samples.
 _STRETCH, _SHARE, _SAMPLES = 1.0, 1.0 / 240.0, 64
-# Fewest stretches of a level, least share of the record that is loud at a stretch, and fewest stretches in a row.
+# Fewest stretches of a level, least share of the record in the longest loud part, and fewest in a row.
 _FEWEST, _LOUD, _ROW = 10, 0.1, 3
 # Ratio of the deviations of two levels, and their distance in standard deviations of the stretches.
 _APART, _CLEAR = 1.5, 3.0

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from allanjax.base.errors import AllanjaxError, FitError
-from allanjax.estimate.likely_models import Likely, exact_model, likely_models, side_by_side
+from allanjax.estimate.likely_models import Likely, exact_model, side_by_side
 from allanjax.estimate.result import Fit
 from allanjax.noise.datasheet import RATE, DataSheet
 from allanjax.noise.estimate import title_of
@@ -68,7 +68,7 @@ class AxisNoise(NamedTuple):
 
     def drawn(self, of_term: Callable[[Model], Float[np.ndarray, ...]]) -> Drawn:
         """Draws of a quantity, given its value for a term of unit amplitude by itself."""
-        labels, terms, power, detected = side_by_side(self.sets)
+        labels, terms, power, detected, _ = side_by_side(self.sets)
         # Models that differ in their shapes only are one set. Sets that are too unlikely for the interval are
         # not in the mean, which would else lie outside.
         names = [likely.labels for likely in self.sets]
@@ -154,7 +154,7 @@ def sensors_of(data: NoiseLike, rate: float | None, seed: int) -> Sensors:
                 models = own.models(_DRAWS if fixed else _SHAPES)
                 sets = [exact_model(*models)] if fixed else list(map(exact_model, models))
             else:
-                sets = likely_models(fit, own.axis.name, _DRAWS, rng)
+                sets = fit.likely_models(own.axis.name, _DRAWS, rng)
             noise[own.axis.name] = AxisNoise(own.axis, sets)
         if not noise:
             raise FitError("no axis is a measurement of the sensor; allanjax characterize prints the reasons")

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Variation(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Variation:
     """Variation of an amplitude over its record, beyond what sampling explains, relative to its mean.
 
     Attributes:

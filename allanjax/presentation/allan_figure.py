@@ -51,8 +51,9 @@ def plot_allan(
 ) -> Figure:
     """Draw the Allan deviation against cluster time, one panel per axis, gyros above accelerometers.
 
-    Points are the estimates with their 68 % intervals. For a fit, a line is the model, broken lines are its
-    terms, with N, B and K written on them and all coefficients below the panel, and a strip shows measured
+    Points are the estimates with their 68 % intervals. For a fit, a line is the model that the fit states
+    (see `Fit.model_deviation`) in a band of its 95 % interval, broken lines are its terms, with N, B and K
+    written on them and all coefficients below the panel, and a strip shows measured
     over model minus one; a grey band in it is the model's own error where the model is incomplete. Deviations
     are in deg/h and µg. Faint lines have the slopes −1, −½, 0, +½ and +1. Several curves are drawn over one
     another, those of axes of one name in one panel, with their models but not the terms.
@@ -152,17 +153,17 @@ def _panel(curve: AllanDeviation, fit: Fit | None, k: int) -> Panel:
 def _draw_model(panel: Axes, fit: Fit, result: AxisFit, scale: float) -> tuple[dict[str, Line2D], Line2D]:
     """Draw the model and its terms; returns the lines of the terms by their labels, and the model's."""
     time = draw.times_of(fit.curve)
-    total, styles = np.zeros(len(time)), draw.term_styles(fit, result)
+    styles = draw.term_styles(fit, result)
     lines = {}
     for label, term in zip(result.term_labels, result.model.sampled(fit.curve.rate).processes, strict=True):
         if isinstance(term, Transient):
             continue
-        variance = np.asarray(term.allan_variance(time))
-        total += variance
         if label in styles:
-            y, name = np.sqrt(variance) / scale, title_of(label, result.axis.sensor)
+            y, name = np.sqrt(term.allan_variance(time)) / scale, title_of(label, result.axis.sensor)
             (lines[label],) = panel.plot(time, y, label=name, **styles[label])
-    return lines, panel.plot(time, np.sqrt(total) / scale, **draw.model_line())[0]
+    stated, low, high = fit.model_curve(result.axis.name, time) / scale
+    panel.fill_between(time, low, high, **draw.model_band())
+    return lines, panel.plot(time, stated, **draw.model_line())[0]
 
 
 def residual(fit: Fit, k: int) -> Residual:
@@ -379,8 +380,7 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
             points.append(Points(own.x, own.y, own.spread, one.label, style))
         if (model := one.model(axis.name)) is not None:
             time = one.curve.cluster_time if has_curve and one.curve is not None else _TIMES_OF_MODEL
-            y = np.sqrt(np.asarray(model.sampled(one.rate).allan_variance(time))) / scale
-            lines.append((time, y, look))
+            lines.append((time, one.deviation(axis.name, time) / scale, look))
         if model is not None or has_curve:
             known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]
             values = ", ".join(_value(c) for c in known if c.symbol in "NBKQR")

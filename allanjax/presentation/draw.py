@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.allan.deviation import AllanDeviation, rate_unit
 from allanjax.base import tables
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import chi_squared, duration, plain, significant, superscript
+from allanjax.base.wording import duration, plain, significant, superscript
 from allanjax.estimate.result import AxisFit, Fit
 from allanjax.inspection.facts import why_no_measurement
 from allanjax.noise.estimate import Estimate, title_of
@@ -79,6 +79,11 @@ def band(colour: Any, alpha: float = 0.25, **more: Any) -> dict[str, Any]:
 def model_line(label: str = "model") -> dict[str, Any]:
     """Style of a model's line, the sum of its terms."""
     return {"color": ink(), "linewidth": 1.4, "label": label, "zorder": 2.5}
+
+
+def model_band() -> dict[str, Any]:
+    """Style of the interval of a model's line."""
+    return {"color": ink(0.85), "linewidth": 0.0, "label": "model, 95 %", "zorder": 1.5}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -317,7 +322,7 @@ def measured_entry() -> Artist:
 
 def model_entry() -> Artist:
     """Entry of a figure's key for a model."""
-    return line_entry(**model_line("model, sum of its terms"))
+    return line_entry(**model_line("model, with 95 % interval"))
 
 
 def points_entry(label: str, colour: Any = None) -> Artist:
@@ -476,17 +481,10 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
 
     What is wrong with the other curve is in the figure of that.
     """
-    if not result.converged:
-        return KeyEntry(result.verdict)
-    text = chi_squared(result.chi2, result.dof, result.p_value)
-    misfits = {m.unit: m for m in (result.misfit, result.allan_misfit) if m}
-    if own := misfits.get(unit):
-        return KeyEntry(f"does not fit: {own}; {text}", WORST if np.isfinite(own.at) else None)
-    if misfits:
-        other = "Allan deviation" if unit == "Hz" else "power spectral density"
-        return KeyEntry(f"does not fit the {other} (see its figure); {text}")
-    word = "does not fit" if result.discrepancy > 0.0 else "doubtful" if result.doubtful else "fits"
-    return KeyEntry(f"{word}: {text}")
+    misfit = next((m for m in (result.misfit, result.allan_misfit) if m and m.unit == unit), None)
+    if not result.measured or misfit is None or result.worst is misfit:
+        return KeyEntry(result.verdict, WORST if misfit and result.measured else None)
+    return KeyEntry(f"{result.word}; here {misfit}", WORST)
 
 
 def worst_place(result: AxisFit, unit: Literal["s", "Hz"]) -> float:

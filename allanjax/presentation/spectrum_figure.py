@@ -117,7 +117,7 @@ def _panel(spectrum: PowerSpectrum, fit: Fit | None, has_band: bool, k: int) -> 
         *(name, label, points),
         lambda panel: _draw_model(panel, spectrum, own, result, scale),
         [*entries, verdict],
-        residual(spectrum, k, result),
+        residual(spectrum, k, own),
         draw.worst_place(result, "Hz"),
     )
 
@@ -144,17 +144,16 @@ def _draw_model(panel: Axes, spectrum: PowerSpectrum, fit: Fit, result: AxisFit,
     rate = spectrum.rate
     model = result.model.sampled(rate)
     frequency = frequencies(spectrum, model)
-    total, styles = np.zeros(len(frequency)), draw.term_styles(fit, result)
+    styles = draw.term_styles(fit, result)
     for label, term in zip(result.term_labels, model.processes, strict=True):
         name, look = title_of(label, result.axis.sensor), styles.get(label)
-        if not term.deterministic:
+        if look and not term.deterministic:
             density = 2.0 * np.asarray(term.sampled_psd(frequency, rate))
-            total += density
-            if look:
-                panel.plot(frequency, density / scale, label=name, **look)
+            panel.plot(frequency, density / scale, label=name, **look)
         elif look:
             for line in _line_of(term):
                 panel.axvline(line, label=name, **look)
+    total = fit.model_density(result.axis.name, frequency)
     panel.plot(frequency, total / scale, **draw.model_line())
 
 
@@ -170,11 +169,12 @@ def frequencies(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " f"
     return f[(lowest <= f) & (f <= highest)]
 
 
-def residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
+def residual(spectrum: PowerSpectrum, k: int, fit: Fit) -> Residual:
     """Mean residual of each group of points; single points of few degrees of freedom would only clutter."""
     first_ordinate = np.cumsum(spectrum.count) - spectrum.count + 1
     starts = np.unique(np.floor(_RESIDUALS_PER_OCTAVE * np.log2(first_ordinate)), return_index=True)[1]
-    model = _mean_density(spectrum, result.model)
+    result = fit[spectrum.names[k]]
+    model = _mean_density(spectrum, fit, result)
     count = np.add.reduceat(spectrum.count, starts)
     ratio = np.add.reduceat(spectrum.count * spectrum.density[:, k] / model, starts) / count
     dof = spectrum.degrees_of_freedom(count)
@@ -194,13 +194,13 @@ def residual(spectrum: PowerSpectrum, k: int, result: AxisFit) -> Residual:
     return Residual(points, (dof > 2.0 / draw.PRECISE**2) & ~has_line, chance)
 
 
-def _mean_density(spectrum: PowerSpectrum, model: Model) -> Float[np.ndarray, " m"]:
-    """Mean one-sided density of a model over the ordinates of each point, where a resonance may be narrow."""
+def _mean_density(spectrum: PowerSpectrum, fit: Fit, result: AxisFit) -> Float[np.ndarray, " m"]:
+    """Mean density that a fit states over the ordinates of each point, where a resonance may be narrow."""
     last = np.cumsum(spectrum.count)
     spacing = 2.0 * spectrum.frequency[0] / (1.0 + spectrum.count[0])
     edges = spacing * (np.append(0.0, last) + 0.5)
-    f = np.unique(np.concatenate([frequencies(spectrum, model), edges, spectrum.frequency]))
-    density = 2.0 * np.asarray(model.sampled(spectrum.rate).sampled_psd(f, spectrum.rate))
+    f = np.unique(np.concatenate([frequencies(spectrum, result.model), edges, spectrum.frequency]))
+    density = fit.model_density(result.axis.name, f)
     total = np.append(0.0, np.cumsum(0.5 * np.diff(f) * (density[1:] + density[:-1])))
     mean = np.diff(total[np.searchsorted(f, edges)]) / np.diff(edges)
     return np.where(spectrum.count == 1, density[np.searchsorted(f, spectrum.frequency)], mean)

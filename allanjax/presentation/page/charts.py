@@ -87,7 +87,9 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
     traces, marks = list[Trace](), list[Mark]()
     for k, group, _ in own:
         points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
-        traces += _curve(group, fit.results[k], curve.rate, points, time, _variance, np.sqrt)
+        result = fit.results[k]
+        stated = list(fit.model_curve(result.axis.name, time)) if result.converged else []
+        traces += _curve(group, result, curve.rate, points, time, _variance, np.sqrt, stated)
         marks += _marks(fit, k, group)
     units = (rate_unit(axis), (SI[axis.sensor]["rate"], 1.0))
     return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks)
@@ -111,10 +113,12 @@ def _curve(
     x: _Places,
     of_term: Callable[[Process, _Places, float], Any],
     shown: np.ufunc,
+    stated: Sequence[_Places],
 ) -> Iterator[Trace]:
     """The model at x, its terms, and the measured points, with the largest term at each of them.
 
-    What is `shown` is a function of the sum of what `of_term` gives.
+    The model is what the fit states, perhaps with the ends of its interval. What is `shown` of a term is a
+    function of what `of_term` gives.
     """
     if not result.converged:
         yield Trace(group, "measured", *points)
@@ -126,7 +130,9 @@ def _curve(
         for to in (points[0], x)
     )
     total = drawn.sum(axis=0)
-    yield Trace(group, "model", x, shown(total), look="line")
+    line, *ends = stated
+    low, high = ends or (None, None)
+    yield Trace(group, "model", x, line, low, high, "line")
     for power in drawn:
         # Where a term is next to nothing, it would only stretch the scale.
         some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
@@ -165,7 +171,8 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
         if result.converged:
             x = spectrum_figure.frequencies(spectrum, result.model)
         points = (spectrum.frequency, spectrum.density[:, k], low[:, k], high[:, k])
-        traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive)
+        stated = [fit.model_density(axis.name, x)] if result.converged else []
+        traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive, stated)
     unit = SI[own[0].axis.sensor]["rate"]
     units = (density_unit(own[0].axis), (f"({unit})²/Hz", 1.0))
     spans = [_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)]
@@ -198,7 +205,7 @@ def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
         views = [_residual_view("Allan deviation", ("cluster time τ", "s"), names, of)]
         if spectrum is not None:
             place = {name: k for k, name in enumerate(spectrum.names)}
-            of = [spectrum_figure.residual(spectrum, place[name], fit[name]) for name in names]
+            of = [spectrum_figure.residual(spectrum, place[name], fit) for name in names]
             views.append(_residual_view("PSD", ("frequency f", "Hz"), names, of))
         charts.append(Chart(f"{SENSORS[sensor].capitalize()}: measured over model", views))
     return charts

@@ -12,11 +12,11 @@ import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan, rate_unit
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import record_size
+from allanjax.base.wording import chi_squared, record_size
 from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
-from allanjax.estimate.result import MAIN, AxisFit, Fit, detail
+from allanjax.estimate.result import MAIN, Fit, detail
 from allanjax.fleet.fleet import FleetResult
 from allanjax.fleet.table import lines_of
 from allanjax.fleet.table import tables as fleet_tables
@@ -98,8 +98,8 @@ def of_record(
 def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     """Whether the coefficients are a measurement, and whether the model fits."""
     failed = [*fit.not_measured, *fit.without_result]
-    off = [r.axis.name for r in fit.results if r.measured and r.incomplete]
-    good = [r.axis.name for r in fit.results if r.measured and not r.incomplete]
+    off = [r.axis.name for r in fit.results if r.measured and not r.fits]
+    good = [r.axis.name for r in fit.results if r.measured and r.fits]
     style, text = "good", f"Good: the noise model fits {'all axes' if len(good) > 1 else 'the axis'}."
     if failed:
         style = "bad"
@@ -139,7 +139,7 @@ def coefficients(fit: Fit) -> dict[Sensor, Table]:
         labels = [label for label in known if label in MAIN or _shown(label, found)]
         heads = [Cell(every[label].symbol, remark=every[label].title) for label in labels]
         rows = [
-            [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(_fits(r))]
+            [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(r.word)]
             for r, of in zip(results, found, strict=True)
         ]
         if rows:
@@ -161,18 +161,13 @@ def _cell(c: Estimate | None) -> Cell:
     return Cell(text or "–", si or "–", below, si_below)
 
 
-def _fits(result: AxisFit) -> str:
-    if not result.measured:
-        return "not a measurement"
-    return "does not fit" if result.incomplete else "doubtful" if result.doubtful else "fits"
-
-
 def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     """Verdict of each axis, filters and lines that were fitted, how long to record, and notes."""
     for r in fit.results:
         if not r.converged:
             continue
-        text = "; ".join(filter(None, (r.verdict, r.correction, r.level)))
+        test = chi_squared(r.chi2, r.dof, r.p_value)
+        text = "; ".join(filter(None, (r.verdict, test, r.correction, r.level)))
         further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
         table = [Table([Cell("further term"), Cell("value")], further)] if further else []
         yield Fold(r.axis.name, [Text(text), *table])
@@ -247,9 +242,8 @@ def _view(comparison: Comparison, name: str, sensor: Any) -> View:
             k, time = one.curve.names.index(name), one.curve.cluster_time
             low, high = (end[:, k] for end in one.curve.confidence_interval(0.95))
             traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
-        if (model := one.model(name)) is not None:
-            variance = np.asarray(model.sampled(one.rate).allan_variance(time))
-            traces.append(Trace(group, "model", time, np.sqrt(variance), look="line"))
+        if one.model(name) is not None:
+            traces.append(Trace(group, "model", time, one.deviation(name, time), look="line"))
     units = (rate_unit(axis), (SI[sensor]["rate"], 1.0))
     return View(name, "cluster time τ", "s", "σ", units=units, groups=comparison.labels, traces=traces)
 
