@@ -313,10 +313,11 @@ def _fitted(
             selection = dataclasses.replace(selection, results=rankings)
         results = tuple(map(with_doubts, results, rankings))
         notes = (*notes, *selection.ambiguities())
-    columns = [[x[:, k] for x in (values, *recording.others)] for k in range(len(axes))]
-    results = tuple(
-        for_each(lambda of_axis: with_variations(*of_axis, rate), zip(results, columns, strict=True))
-    )
+    if objective != "exact":
+        # Missing samples, which that likelihood leaves out, have no values.
+        columns = [[x[:, k] for x in (values, *recording.others)] for k in range(len(axes))]
+        each = zip(results, columns, strict=True)
+        results = tuple(for_each(lambda of_axis: with_variations(*of_axis, rate), each))
     return Fit(name, template, curve, results, notes, objective, selection, recording.dead)
 
 

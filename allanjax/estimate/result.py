@@ -34,7 +34,7 @@ from allanjax.estimate.likely_models import (
     side_by_side,
 )
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
-from allanjax.noise.estimate import SYMBOLS, Estimate, called
+from allanjax.noise.estimate import SYMBOLS, Estimate, called, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, Resonance, Sinusoid, basic_terms
 from allanjax.record.recording import Axis, DeadAxis
@@ -56,6 +56,8 @@ LIMIT, OCTAVE = 0.3, 0.5
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²); relative
 # deviation up to which a model fits within it; and share of a term in the power at a place that it feels.
 _SURE, _TOLERATED, _FELT = 0.997, 0.1, 0.1
+# Characters of a line.
+_LINE = 98
 # Relative deviation that is not worth mentioning.
 _TRIFLE = 0.005
 # Number of parts per octave over which the levels of a spectrum are averaged.
@@ -267,8 +269,8 @@ class AxisFit(ByValue, AxisEstimates):
         axis: the axis.
         converged, reason: whether there is a result, and the reason if there is none.
         chi2, dof, p_value: χ² of the spectrum's levels about the model (for "exact", about the maximum of
-            Whittle's likelihood). If only the curve is known, as in a stream, χ² of the Allan variances; it
-            has no p-value, as it does not follow a χ² law at long cluster times.
+            Whittle's likelihood). If only the curve is known, χ² of the Allan variances; it has no p-value,
+            as it does not follow a χ² law at long cluster times.
         discrepancy: relative error of the model's Allan deviation (or root PSD, with Whittle's likelihood)
             that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
             Standard deviations and intervals include it.
@@ -376,7 +378,7 @@ class AxisFit(ByValue, AxisEstimates):
     @property
     def is_far_off(self) -> bool:
         """Whether the fitted curve is too far from the measured one."""
-        return self.misfit is not None and self.misfit.excessive
+        return self.discrepancy > 0.0 and self.misfit is not None and self.misfit.excessive
 
     def unmeasured(self, **why: Any) -> AxisFit:
         """A copy without standard deviations, intervals and limits; `why` are fields with the reason."""
@@ -724,9 +726,10 @@ class Fit(ByValue, PerAxis[AxisFit]):
         questions = []
         for (question, _), of in undecided.items():
             names = [name for name, *_ in of]
-            questions.append(f"{question} ({', '.join(names) if len(names) < 3 else f'{len(names)} axes'})")
+            where = names[0] if len(names) == 1 else f"{len(names)} axes"
+            questions.append(f"{_in_symbols(question)} ({where})")
         if questions:
-            yield f"undecided (probabilities: --verbose, details()): {'; '.join(questions)}"
+            yield _in_one_line("undecided (--verbose): ", questions)
 
     def _title(self) -> str:
         return record_size(self.curve.n, self.curve.rate) + self.curve.describe_others()
@@ -753,6 +756,25 @@ def _coefficient_columns(results: Sequence[AxisFit | None]) -> tuple[list[Column
             name = SYMBOLS.get(label, known[0].title)
             (main if label in MAIN else others).append(column(name, known[0].unit, numbers))
     return main, others
+
+
+def _in_symbols(question: str) -> str:
+    """An undecided question with the symbols of the basic terms, e.g. "K or B"."""
+    for label, symbol in SYMBOLS.items():
+        for sensor in SENSORS:
+            question = question.replace(title_of(label, sensor), symbol)
+    return question.replace("Markov process", "Markov")
+
+
+def _in_one_line(head: str, items: Sequence[str]) -> str:
+    """As many items as fit a line behind a heading, and how many more there are."""
+    line = head + items[0]
+    for k, item in enumerate(items[1:], 1):
+        more = f", and {len(items) - k} more"
+        if len(line) + len(item) + len(more) > _LINE:
+            return line + more
+        line += f", {item}"
+    return line
 
 
 def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:

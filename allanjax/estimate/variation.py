@@ -39,6 +39,8 @@ _RELATIVE, _LEAST, _WIDEST, _MOST = 0.15, 12, 0.05, 200
 _CLEAN = 0.7
 # The same for other terms, whose coefficients are all at low frequencies.
 _SOME = 0.02
+# Share of the largest density below which a filter has stopped the noise.
+_STOPPED = 1e-9
 # Degrees of freedom of a block; windows, fewest and most; and blocks in a window at most.
 _DEGREES, _FEWEST, _WINDOWS, _BLOCKS = 16, 4, 64, 16
 # Standard deviations by which a burst stands above the median of so many blocks around it.
@@ -46,7 +48,7 @@ _BURST, _AROUND = 6.0, 33
 # Scatter of neighbouring blocks, relative to Gaussian noise, above which it is taken into account.
 _HEAVY = 1.1
 # Probability below which variation is not chance; the slowest modes that are tested, and those that matter.
-_CHANCE, _SLOW, _SLOWEST = 0.05, 4, 2
+_CHANCE, _SLOW, _SLOWEST = 0.01, 4, 2
 # Least power of a window, relative to the mean.
 _NOTHING = 0.01
 # Bins per octave in which a model's density is evaluated.
@@ -194,7 +196,9 @@ def _weights_of_white(cosines: Sequence[Cosines], rate: float, model: Model) -> 
     middle = (every[:-1] + every[1:] - 1) * (rate / (4.0 * n))
     own, _ = _densities(model, AngleRandomWalk.name(), middle, rate)
     share = np.minimum(own / density, 1.0)
-    return Weights(every, np.where(share < _CLEAN, 0.0, share), density)
+    # In a stop band there is nothing but rounding.
+    left_out = (share < _CLEAN) | (density < _STOPPED * density.max())
+    return Weights(every, np.where(left_out, 0.0, share), density)
 
 
 def _weights_at_low(n: int, rate: float, model: Model, label: str) -> Weights:

@@ -103,15 +103,12 @@ def test_allan_variances_are_fitted_by_generalized_least_squares(name):
     found, labels = model.with_values(**values), list(values)
     dense = Variances.of_allan(x[:, 0], RATE, fit.curve.cluster_size, fit.curve.strides)
     np.testing.assert_allclose(fit.curve.deviation[:, 0] ** 2, dense.found, rtol=1e-9)
-    step, std, square = dense.step(found, labels)
+    step, std, _ = dense.step(found, labels)
     assert (abs(step) < 0.05 * std).all()
     relative = [c.std / (c.value - c.parameter.lower) for c in result.coefficients.values()]
     np.testing.assert_allclose(relative, std, rtol=0.02)
-    if name == "stream":
-        assert result.chi2 == pytest.approx(square, rel=0.05)
-        assert (result.dof, np.isnan(result.p_value)) == (len(dense.found) - len(labels), True)
-    else:
-        check_verdict(result, x[:, 0], model, found)
+    # The verdict is the spectrum's, which that of a short stream is, too.
+    check_verdict(result, x[:, 0], model, found)
     # The curve's degrees of freedom are those under the fitted model.
     mean, C = dense.moments(found)
     np.testing.assert_allclose(fit.curve.edf[:, 0], 2.0 * mean**2 / np.diag(C), rtol=0.02)
