@@ -308,7 +308,7 @@ def _hypotheses(curve: AllanDeviation, model: Model) -> Hypotheses:
     tangent = AllanDesign.of(model, curve).tangent(shape)
     error = 2.0 * np.nan_to_num(first.discrepancy)
     none = np.zeros(power.shape, bool)
-    return Hypotheses(tangent, curve.variance.T, none, none, power, error, np.zeros(shape.shape, bool))
+    return Hypotheses(tangent, curve.variance.T, none, none, none, power, error, np.zeros(shape.shape, bool))
 
 
 def _common(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -624,12 +623,9 @@ class Fit(ByValue, PerAxis[AxisFit]):
         ranking = None if self.selection is None else self.selection[axis]
         return likely_models(self[axis], ranking, self.curve, column, draws, rng)
 
-    @functools.cached_property
-    def _likely(self) -> dict[str, Likely]:
-        """Likely models of each axis side by side, which state its curve."""
-        rng = np.random.default_rng(0)
-        known = [r.axis.name for r in self.results if r.converged]
-        return {name: side_by_side(self.likely_models(name, _DRAWS, rng)) for name in known}
+    def _stated(self, axis: str) -> Likely:
+        """Likely models of an axis side by side, which state its curve."""
+        return side_by_side(self.likely_models(axis, _DRAWS, np.random.default_rng(0)))
 
     def model_deviation(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, ...]:
         """Allan deviation [rad/s or m/s²] that the fit states at cluster times [s].
@@ -642,12 +638,12 @@ class Fit(ByValue, PerAxis[AxisFit]):
     def model_curve(self, axis: str, cluster_time: ArrayLike) -> Float[np.ndarray, "3 ..."]:
         """Allan deviation that the fit states, see `model_deviation`, and the ends of its 95 % interval."""
         at = np.atleast_1d(np.asarray(cluster_time, float))
-        curves = curve_of(self._likely[self[axis]._known().axis.name], self.curve.rate, at)
+        curves = curve_of(self._stated(axis), self.curve.rate, at)
         return self._within(axis, at, curves).reshape(3, *np.shape(cluster_time))
 
     def model_density(self, axis: str, frequency: Float[np.ndarray, " f"]) -> Float[np.ndarray, " f"]:
         """One-sided density [rate²/Hz] of samples that the fit states at frequencies [Hz], without lines."""
-        likely, rate = self._likely[self[axis]._known().axis.name], self.curve.rate
+        likely, rate = self._stated(axis), self.curve.rate
         density = np.zeros(len(frequency))
         for power, term in zip(likely.stated, likely.terms, strict=True):
             if not term.terms[0].deterministic:

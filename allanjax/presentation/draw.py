@@ -482,8 +482,10 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
     What is wrong with the other curve is in the figure of that.
     """
     misfit = next((m for m in (result.misfit, result.allan_misfit) if m and m.unit == unit), None)
-    if not result.measured or misfit is None or result.worst is misfit:
-        return KeyEntry(result.verdict, WORST if misfit and result.measured else None)
+    if result.converged and not result.measured:
+        return KeyEntry(str(misfit) if misfit else "the model follows this curve", WORST if misfit else None)
+    if misfit is None or result.worst is misfit:
+        return KeyEntry(result.verdict, WORST if misfit else None)
     return KeyEntry(f"{result.word}; here {misfit}", WORST)
 
 

@@ -171,7 +171,7 @@ def test_a_fit_prints_a_row_per_axis_and_all_coefficients_in_details():
     lines = str(fit()).splitlines()
     assert max(map(len, lines)) <= 100
     for name, result in fit().items():
-        (row,) = (line for line in lines if line.startswith(name) and "p = " in line)
+        (row,) = (line for line in lines if line.startswith(name) and line.endswith(result.word))
         basic = [c.in_unit() for c in result.coefficients.values() if c.symbol in "NBK"]
         assert row.count("±") == sum(c.detected for c in basic)
         assert row.count("<") == sum(not c.detected for c in basic)

@@ -123,7 +123,7 @@ def test_lines_are_those_of_the_terms_and_of_their_sum():
 
 
 def test_strips_show_measured_over_model_in_per_cent():
-    fit, spectrum = bench.fit("small"), of_small(aj.power_spectrum)
+    fit, spectrum = bench.fit("small", "Q + N + K"), of_small(aj.power_spectrum)
     strip = strip_of(aj.plot_allan(fit, "gyro_y"))
     points = points_of(strip)["residual"][0].get_ydata()
     ratio = fit.curve.deviation[:, 1] / fit.model_deviation("gyro_y", fit.curve.cluster_time)
@@ -132,7 +132,9 @@ def test_strips_show_measured_over_model_in_per_cent():
     assert low < points.min() < points.max() < high, "all of them are shown"
     residual = points
     points = points_of(strip_of(aj.plot_psd(spectrum, fit, "gyro_y")))["residual"][0].get_ydata()
-    model = fit["gyro_y"].model.sampled(100.0)
+    # Terms below their limits are not in the line.
+    absent = [c.term for c in fit["gyro_y"].coefficients.values() if not c.detected]
+    model = fit["gyro_y"].model.without(absent)
     ratio = spectrum.density[:, 1] / (2.0 * np.asarray(model.sampled_psd(spectrum.frequency, 100.0)))
     # The lowest ordinates stand alone; all together, weighted with their ordinates, have one mean.
     np.testing.assert_allclose(points[:4], 100.0 * (ratio[:4] - 1.0), rtol=1e-9)
@@ -171,7 +173,8 @@ def test_a_misfit_is_marked_in_the_figure_of_its_curve():
     assert str(misfit) in texts(figure)
     other = aj.plot_psd(aj.power_spectrum(bench.recording("line")), fit)
     assert "worst place" not in lines_of(panels(other)["gyro_x"])
-    assert "does not fit the Allan deviation" in texts(other)
+    assert fit["gyro_x"].verdict.startswith("does not fit: Allan deviation")
+    assert fit["gyro_x"].verdict in texts(other)
     (result,) = fit.results
     moving = dataclasses.replace(fit, results=(result.unmeasured(not_measured=("at rest",)),))
     assert texts(moving.plot()).count("not a measurement") == 1
@@ -218,9 +221,13 @@ def test_what_is_not_known_has_no_line(plot):
         model_lines(plot, dataclasses.replace(fit, results=(*others, result)), "accel_z")[1]
         for result in (last, unsure, last.unmeasured(not_measured=("at rest",)))
     )
-    # The model is the sum of its terms as before.
     assert (set(known) - set(not_detected), set(known)) == ({"acceleration random walk"}, set(moving))
-    np.testing.assert_array_equal(not_detected["model"].get_ydata(), known["model"].get_ydata())
+    # A term below its limit is not in the model's line, but those of a curve that is no measurement are.
+    np.testing.assert_array_equal(moving["model"].get_ydata(), known["model"].get_ydata())
+    if plot == "psd":
+        alone = not_detected["white noise" if "white noise" in not_detected else "velocity random walk"]
+        np.testing.assert_allclose(not_detected["model"].get_ydata(), alone.get_ydata(), rtol=1e-9)
+    assert (not_detected["model"].get_ydata() < known["model"].get_ydata()).all()
 
 
 def test_a_sinusoid_is_a_vertical_line_a_resonance_a_peak_and_a_ramp_is_not_drawn():

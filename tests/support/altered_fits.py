@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import numpy as np
+
 import allanjax as aj
 
 
@@ -24,6 +26,7 @@ def with_terms(fit: aj.Fit, models: dict[str, aj.Model]) -> aj.Fit:
                 ends = (0.98 * p.start, 1.02 * p.start)
                 known = {"value": p.start, "std": p.start / 100, "interval": ends, "upper_limit": None}
                 found[p.label] = dataclasses.replace(N, **of, **known, unit="", usual_unit="")
-            result = dataclasses.replace(result, _model=model, _coefficients=found)
+            covariance = np.diag([c.std**2 for c in found.values()])
+            result = dataclasses.replace(result, _model=model, _coefficients=found, _covariance=covariance)
         results.append(result)
     return dataclasses.replace(fit, template=model, results=tuple(results))

@@ -24,7 +24,7 @@ def coefficient(label: str, value: float, error: float, limit: float | None = No
 
 def axis(name: str, coefficients: Sequence[dict], **more: Any) -> dict:
     of_all = {"name": name, "sensor": name.split("_")[0], "converged": True, "reason": "", "p_value": 0.5}
-    of_all |= {"measured": all(c["measured"] for c in coefficients), "not_measured": [], "discrepancy": 0.0}
+    of_all |= {"measured": all(c["measured"] for c in coefficients), "not_measured": [], "verdict": "fits"}
     return of_all | {"coefficients": list(coefficients), "selection": None, "extension": None} | more
 
 
