@@ -16,6 +16,7 @@ from allanjax.estimate.design import Solution, Tangent, free_powers, of_owners
 from allanjax.estimate.deterministic import Line, amplitude_quantiles
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model, ModelParameter
+from allanjax.noise.terms import AngleRandomWalk, Quantization
 from allanjax.record.recording import Axis
 
 # Ends of intervals and the one-sided limit, in standard deviations below the value.
@@ -59,14 +60,17 @@ def infer(model: Model, tangent: Tangent, V: _Curves, active: _Flags, solution: 
     power, owner = solution.power, tangent.owner
     has_shape = active[:, owner] & (power[:, owner] > 0.0)
     free = np.broadcast_to(free_powers(model), active.shape)
-    # Terms that are not in use may be below their limits; those with a shape have none to be fitted.
-    hidden = free & ~active & ~np.isin(np.arange(power.shape[1]), owner)
+    # A slow term resembles others, which may be there below their limits. Those with a shape have none.
+    slow = np.array([not isinstance(term, AngleRandomWalk | Quantization) for term in model.terms])
+    hidden = free & ~active & slow & ~np.isin(np.arange(power.shape[1]), owner)
     fitted = active & free
     axes = Hypotheses(tangent, V, active, fitted, hidden, power, solution.power_error, has_shape)
     covariance = axes.linearized(power, np.concatenate([axes.fitted, has_shape], axis=1))[2]
     # Both sides of every term of every axis are tested together.
     axis, term, side = (x.ravel() for x in np.indices((*power.shape, 2)))
-    v, distance = axes.of_axes(axis).tested(term, side == 0)
+    each = axes.of_axes(axis)
+    each = each._replace(hidden=each.hidden & slow[term][:, None])
+    v, distance = each.tested(term, side == 0)
     ends = ends_of((v[::2], distance[::2]), (v[1::2], distance[1::2]), axes.ceiling().ravel())
     return estimates_of(model, active, power, solution.shape, covariance, ends.reshape(*power.shape, -1))
 

@@ -123,7 +123,7 @@ def test_lines_are_those_of_the_terms_and_of_their_sum():
 
 
 def test_strips_show_measured_over_model_in_per_cent():
-    fit, spectrum = bench.fit("small", "Q + N + K"), of_small(aj.power_spectrum)
+    fit, spectrum = bench.fit("small", "N + B"), of_small(aj.power_spectrum)
     strip = strip_of(aj.plot_allan(fit, "gyro_y"))
     points = points_of(strip)["residual"][0].get_ydata()
     ratio = fit.curve.deviation[:, 1] / fit.model_deviation("gyro_y", fit.curve.cluster_time)
