@@ -17,7 +17,8 @@ from allanjax.base.late import presented
 from allanjax.base.tables import PerAxis
 from allanjax.critic.finding import Detail, Discrepancy, Finding, merged, written
 from allanjax.critic.stage import Stage
-from allanjax.estimate.result import Fit, Misfit
+from allanjax.estimate.misfit import Misfit
+from allanjax.estimate.result import Fit
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import ordered, warnings_of
 from allanjax.noise.estimate import Estimate

@@ -17,7 +17,8 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import finite_or_none
 from allanjax.estimate.likely_models import class_of
-from allanjax.estimate.result import AxisFit, Fit, Misfit, extended_model, fitted_model
+from allanjax.estimate.misfit import Misfit
+from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
 from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
 from allanjax.noise.estimate import Estimate, Variation

@@ -37,14 +37,11 @@ from allanjax.estimate.inference import (
     deterministic_coefficients,
     infer,
 )
+from allanjax.estimate.misfit import Misfit, misfit_of, spectral_misfit, widened
 from allanjax.estimate.result import (
     AxisFit,
-    Misfit,
     extended_model,
     fitted_model,
-    misfit_of,
-    spectral_misfit,
-    widened,
 )
 from allanjax.estimate.spectral.components import BROAD, QUICK, columns_of
 from allanjax.estimate.spectral.fit import (

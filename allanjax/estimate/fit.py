@@ -46,7 +46,8 @@ from allanjax.estimate.deterministic import (
     without_lines,
 )
 from allanjax.estimate.exact import check_exact, fit_exact
-from allanjax.estimate.result import AxisFit, Fit, misfit_of
+from allanjax.estimate.misfit import misfit_of
+from allanjax.estimate.result import AxisFit, Fit
 from allanjax.estimate.selection import AxisSelection, TermSelection, candidates_in_record, rank_terms, ranked
 from allanjax.estimate.spectral import search
 from allanjax.estimate.spectral.components import MARKOV, NONE
@@ -316,8 +317,8 @@ def _fitted(
     if objective != "exact":
         # Missing samples, which that likelihood leaves out, have no values.
         columns = [[x[:, k] for x in (values, *recording.others)] for k in range(len(axes))]
-        each = zip(results, columns, strict=True)
-        results = tuple(for_each(lambda of_axis: with_variations(*of_axis, rate), each))
+        pairs = zip(results, columns, strict=True)
+        results = tuple(for_each(lambda pair: with_variations(*pair, rate), pairs))
     return Fit(name, template, curve, results, notes, objective, selection, recording.dead)
 
 

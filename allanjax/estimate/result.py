@@ -1,9 +1,4 @@
-"""Results of a fit: coefficients with their intervals for each axis, corrections, and the misfit.
-
-The relative error that brings χ² to its degrees of freedom (`AxisFit.discrepancy`) widens intervals correctly
-while it is small, not for a model that is off by a factor, as data below the model are off by one at most.
-The misfit therefore compares the ratio of the two curves, place by place.
-"""
+"""Results of a fit: coefficients with their intervals for each axis, corrections, verdict and curve."""
 
 from __future__ import annotations
 
@@ -12,18 +7,17 @@ import dataclasses
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
 from allanjax.allan.deviation import AllanDeviation
-from allanjax.base.chi_squared import quantile
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
-from allanjax.base.wording import chi_squared, format_with_error, percent, plain, record_size, significant
+from allanjax.base.wording import chi_squared, format_with_error, plain, record_size, significant
 from allanjax.estimate.likely_models import (
     Likely,
     allowed,
@@ -32,6 +26,7 @@ from allanjax.estimate.likely_models import (
     likely_models,
     side_by_side,
 )
+from allanjax.estimate.misfit import Misfit, deviation
 from allanjax.inspection.facts import Fact, listed, warnings_of, why_no_measurement
 from allanjax.noise.estimate import SYMBOLS, Estimate, called, title_of
 from allanjax.noise.model import Model
@@ -44,143 +39,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from allanjax.estimate.design import Solution
     from allanjax.estimate.deterministic import AxisSpectrum
     from allanjax.estimate.selection import TermSelection
 
-#: Root mean square deviation, and one over an octave, beyond which coefficients are not a measurement, as
-#: errors are propagated to first order only, and a coefficient is determined by one or two octaves. (Two
-#: ADIS16405 on a bench, which have resonances, are off by up to 45 % at a place and 20 % rms.)
-LIMIT, OCTAVE = 0.3, 0.5
-# Curves differ for certain where the model is outside this central interval of all estimates (χ²); relative
-# deviation up to which a model fits within it; and share of a term in the power at a place that it feels.
-_SURE, _TOLERATED, _FELT = 0.997, 0.1, 0.1
-# Characters of a line.
-_LINE = 98
-# Relative deviation that is not worth mentioning.
-_TRIFLE = 0.005
-# Number of parts per octave over which the levels of a spectrum are averaged.
-_PARTS = 3
-# Words: deviations above this ratio are a factor, a scatter above this share of a deviation is reported, and
-# so is a limit of the bandwidth within this ratio of its value, and so many places, the strongest ones.
-_FACTOR, _MUCH, _NEAR, _NAMED = 1.5, 0.3, 3.0, 3
-# One, to rounding; and the least share of N that counts as white noise.
-_ALMOST, _LITTLE = 1.0 + 1e-6, 1e-6
+# Share of a term in the power at a place that it feels; and characters of a line.
+_FELT, _LINE = 0.1, 98
+# A limit of the bandwidth within this ratio of its value is reported, and so many places, the strongest ones.
+_NEAR, _NAMED = 3.0, 3
+# Least share of N that counts as white noise.
+_LITTLE = 1e-6
 _Coefficients: TypeAlias = Mapping[str, Estimate]
 _Covariance: TypeAlias = Float[np.ndarray, "params params"]
-_Places: TypeAlias = Float[np.ndarray, " m"]
-
-
-@dataclasses.dataclass(frozen=True)
-class Misfit:
-    """The deviation of an axis's measured curve from the fitted one beyond its scatter.
-
-    Attributes:
-        largest: measured/model − 1 at the place where the certain difference is largest; 0 if the two differ
-            nowhere by more than single estimates scatter.
-        at: that place, a cluster time [s] or a frequency [Hz]; nan if there is none.
-        unit: its unit: "s" of an Allan deviation, "Hz" of a root PSD.
-        rms: root mean square of ln(measured/model) over all places, less scatter, as a relative deviation.
-        sustained: relative deviation that is certainly exceeded over an octave (each Allan deviation averages
-            over one), in a root PSD over most of an octave.
-        scatter: relative deviation that chance may cause at that place.
-        felt: which of N, B and K have a notable share of the model's power there.
-    """
-
-    largest: float
-    at: float
-    unit: Literal["s", "Hz"]
-    rms: float
-    sustained: float
-    scatter: float = 0.0
-    felt: tuple[str, ...] = ()
-
-    @property
-    def excessive(self) -> bool:
-        """Whether the curve is so far off that the coefficients are not a measurement."""
-        return self.rms > LIMIT or self.sustained > OCTAVE
-
-    @property
-    def matters(self) -> bool:
-        """Whether the model does not fit: what is not chance is more than a tenth."""
-        return self.sure > _TOLERATED
-
-    @property
-    def sure(self) -> float:
-        """Relative deviation at that place that is not chance."""
-        return float(np.expm1(abs(np.log1p(self.largest)) - np.log1p(self.scatter)))
-
-    @property
-    def size(self) -> str:
-        """The largest deviation in words, e.g. "2.7 %" or "×4.3"."""
-        return deviation(self.largest)
-
-    @property
-    def curve(self) -> str:
-        """Name of the curve."""
-        return "Allan deviation" if self.unit == "s" else "root PSD"
-
-    def __str__(self) -> str:
-        certain = np.log1p(self.scatter) <= _MUCH * abs(np.log1p(self.largest))
-        chance = "" if certain else f" (up to {deviation(self.scatter)} may be chance)"
-        side = "above" if self.largest > 0.0 else "below"
-        place = f"{self.curve} {self.size} {side} the model at {plain(self.at, 3)} {self.unit}{chance}"
-        felt = f"{listed(self.felt)} may feel it" if self.felt else "N, B and K do not feel it"
-        return f"{place}; {felt}"
-
-
-def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "Hz"]) -> Misfit | None:
-    """Misfit of deviations at increasing places, by measured/model and the squares' degrees of freedom.
-
-    There is none if they differ nowhere by more than single estimates scatter, or by a trifle.
-    """
-    log = np.log(np.maximum(ratio, 1e-300))
-    beyond = (1.0 - _SURE) / 2.0 / len(log)
-    ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
-    low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
-    certain = np.maximum(np.maximum(low, -high), 0.0)
-    k = int(np.argmax(certain))
-    if certain[k] <= _TRIFLE:
-        return None
-    # In squares, less the half width of the interval on the model's side.
-    rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
-    sustained = certain[k]
-    if unit == "Hz":
-        # The largest of the medians over octaves; of an even number of places the lower one.
-        starts = place[2.0 * place <= place[-1] * _ALMOST]
-        octaves = (certain[(place >= f) & (place <= 2.0 * f * _ALMOST)] for f in starts)
-        sustained = max((np.sort(x)[(len(x) - 1) // 2] for x in octaves), default=0.0)
-    scatter = abs(log[k]) - certain[k]
-    largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
-    return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
-
-
-def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:
-    """Solutions [axes] whose discrepancy is no less than their curves' rms deviation.
-
-    The discrepancy alone would be too small, as the fit bends towards data that it cannot follow.
-    """
-    # In powers it is twice that of deviations.
-    least = [0.0 if misfit is None else 2.0 * misfit.rms for misfit in misfits]
-    return solution._replace(power_error=np.maximum(np.asarray(solution.power_error), least))
-
-
-def spectral_misfit(frequency: _Places, level: _Places, mean: _Places, dof: _Places) -> Misfit | None:
-    """Misfit of a root PSD: levels at frequencies [Hz], averaged over thirds of octaves, to their means."""
-    known = dof > 0.0
-    frequency, ratio, dof = frequency[known], (level / mean)[known], dof[known]
-    part = np.floor(_PARTS * np.log2(frequency / frequency.min()) + 1e-9).astype(int)
-    sums = np.array([np.bincount(part, w) for w in (dof, dof * ratio, dof * np.log(frequency))])
-    total, power, place = sums[:, sums[0] > 0.0]
-    return misfit_of(np.exp(place / total), np.sqrt(power / total), total, "Hz")
-
-
-def deviation(relative: float) -> str:
-    """A relative deviation in words: "47 %", or a large one as a factor in either direction, "×18"."""
-    factor = np.exp(abs(np.log(max(1.0 + relative, 1e-300))))
-    if factor < _FACTOR:
-        return percent(abs(relative))
-    return f"×{significant(factor, 2)}" if factor < 99.5 else f"×{factor:,.0f}"
 
 
 class AxisEstimates:

@@ -31,7 +31,7 @@ from allanjax.critic.finding import (
     values_of,
 )
 from allanjax.critic.result import AxisCritique, Critique
-from allanjax.estimate.result import LIMIT
+from allanjax.estimate.misfit import LIMIT
 from allanjax.noise.estimate import Estimate
 from allanjax.record.recording import Axis
 

@@ -431,7 +431,8 @@ REMEDIES = {
     "vibrating": (loud(0, 4096, by=150.0), 1.0, {}, {STRETCH: None, "--vibrating": ""}),
     "touched": (loud(300, 400, 400), 1.0, {}, {STRETCH: "--stop 2.5", "--as-is": ""}),
     # The same spectrum, only louder: a gain may have changed.
-    "loud": (loud(1200, 4096), 1.0, {}, {"--start 0.0 --stop 11.4": "", "--start 11.5 --stop 41.0": "", "--as-is": ""}),
+    "loud": (loud(1200, 4096), 1.0, {},
+             {"--start 0.0 --stop 11.4": "", "--start 11.5 --stop 41.0": "", "--as-is": ""}),
     "warm": (values(17, 4096) + 2.0 * SIGMA * WARM[:, None], 1.0, {"temperature": WARM},
              {"--objective whittle --regressors temperature": ""}),
 }  # fmt: skip
