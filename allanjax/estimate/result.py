@@ -371,6 +371,15 @@ class AxisFit(ByValue, AxisEstimates):
         head = self.word if self.fits else "does not fit"
         return f"{head}: {self.worst}"
 
+    @property
+    def story(self) -> str:
+        """Verdict with χ², how N, B and K vary, corrections and level, in one line."""
+        known = [] if not self.converged else [chi_squared(self.chi2, self.dof, self.p_value)]
+        for c in self._coefficients.values():
+            varies = "" if c.variation is None else str(c.variation)
+            known += [f"{c.symbol} {varies}"] if varies else []
+        return "; ".join(filter(None, (self.verdict, *known, self.correction, self.level)))
+
     def plot(self, path: str | os.PathLike[str] | None = None, *, ax: Axes | None = None) -> Figure:
         """Draw the axis's Allan deviations, the model and its terms; see `plot_allan`."""
         if self._fit is None:
@@ -644,10 +653,7 @@ def _in_one_line(head: str, items: Sequence[str]) -> str:
 
 def details(title: str, results: Sequence[AxisFit], notes: Sequence[str] = ()) -> str:
     """Table of all coefficients with intervals and limits, a line below per axis, and these notes."""
-    lines = []
-    for r in results:
-        test = chi_squared(r.chi2, r.dof, r.p_value) if r.converged else ""
-        lines.append(f"{r.axis.name}: {'; '.join(filter(None, (r.verdict, test, r.correction, r.level)))}")
+    lines = [f"{r.axis.name}: {r.story}" for r in results]
     return as_text(title, all_coefficients([r for r in results if r.converged]), [*lines, *notes])
 
 
@@ -674,5 +680,4 @@ def detail(estimate: Estimate, in_unit: str | None = None) -> tuple[str, str, st
             if c.rivals:
                 reason = f"may be {' or '.join(SYMBOLS.get(term, term) for term in c.rivals)}"
     unit = "" if c.unit == "1" or not text else f" {c.unit}"
-    varies = "" if c.variation is None else str(c.variation)
-    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark, varies)))
+    return c.axis.name, c.title, text + unit, "; ".join(filter(None, (reason, c.remark)))

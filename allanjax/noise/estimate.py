@@ -46,7 +46,7 @@ class Variation:
         words = []
         if self.size > 0.0:
             low, high = (percent(end, 2).removesuffix(" %") for end in self.interval)
-            words.append(f"varies by {percent(self.size, 2)} ({low} … {high}) over the record")
+            words.append(f"varies by {percent(self.size, 2)} over the record ({low} … {high})")
         if self.louder > 0.0:
             more = f", which add {percent(self.excess, 2)}" if self.excess > 0.0 else ""
             words.append(f"{percent(self.louder, 2)} of the record is in louder bursts{more}")

@@ -12,7 +12,7 @@ import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan, rate_unit
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import chi_squared, record_size
+from allanjax.base.wording import record_size
 from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
@@ -166,11 +166,9 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     for r in fit.results:
         if not r.converged:
             continue
-        test = chi_squared(r.chi2, r.dof, r.p_value)
-        text = "; ".join(filter(None, (r.verdict, test, r.correction, r.level)))
         further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
         table = [Table([Cell("further term"), Cell("value")], further)] if further else []
-        yield Fold(r.axis.name, [Text(text), *table])
+        yield Fold(r.axis.name, [Text(r.story), *table])
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
