@@ -57,6 +57,8 @@ _ODDS, _PARSIMONY = 20.0, 5.0
 _CERTAIN, _WORTH_SAYING = 0.95, 0.1
 # Number of times that the evidence is recomputed with the model error of the best set.
 _ROUNDS = 2
+# Samples up to which a record is short: a process of some samples is then hardly more than a filter's colour.
+_SHORT = 1 << 13
 # Sets more nats than this behind the best one are not tried with a second free time.
 _FAR = 7.0
 
@@ -359,7 +361,7 @@ def ranked(
             "record at least 64 samples, or fit given terms (--terms)"
         )
     bins, statistics = joint or joint_statistics((recording.values, *recording.others), recording.rate)
-    model = basic_candidates() if candidates is None else model_to_fit(candidates)
+    model = candidates_for(bins.n) if candidates is None else model_to_fit(candidates)
     return rank_terms(Candidates.of(model, bins), statistics, recording.axes, recording.name)
 
 
@@ -384,6 +386,11 @@ def pooled(selections: Sequence[AxisSelection]) -> AxisSelection:
     statistics = SpectralStatistics(*map(np.concatenate, zip(*each, strict=True)))
     candidates = Candidates.of(basic_terms(), bins)._replace(statistics=statistics)
     return candidates.ranked_for(selections[0].axis)
+
+
+def candidates_for(n: int) -> Model:
+    """The terms among which a fit of n samples chooses: short records do not bear a free correlation time."""
+    return basic_terms() if n <= _SHORT else basic_candidates()
 
 
 def basic_candidates(processes: int = 1) -> Model:

@@ -22,7 +22,7 @@ from allanjax.estimate.axis_fits import check_count, check_terms, fit_judged, fi
 from allanjax.estimate.deterministic import AxisSpectrum
 from allanjax.estimate.fit import Objective, terms_to_fit, with_doubts, with_what_was_seen
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.estimate.selection import Candidates, basic_candidates, rank_terms
+from allanjax.estimate.selection import Candidates, candidates_for, rank_terms
 from allanjax.inspection import Ends, Inspection, Windows, look
 from allanjax.noise.notation import ModelLike
 from allanjax.record.columns import Axis, DeadAxis, axes_of, recognise, scales_of
@@ -250,7 +250,7 @@ class AllanAccumulator:
         curve, axes, statistics = living.result(), living.axes, living._spectra.statistics()
         selection = None
         if model is None and not inspection.refusal:
-            candidates = Candidates.of(basic_candidates(), statistics[0])
+            candidates = Candidates.of(candidates_for(curve.n), statistics[0])
             selection = rank_terms(candidates, statistics[1], axes, self.name)
         template, active = terms_to_fit(model, selection, axes, objective)
         check_terms(template, _FROM_RECORD)
