@@ -22,7 +22,7 @@ from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.estimate.spectral import model as structures
-from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
+from allanjax.estimate.spectral.components import BUTTERWORTH, NONE
 from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
 from allanjax.estimate.spectral.search import Record, at_all, at_some, completed, narrow, refitted, searched
 from allanjax.noise.estimate import Estimate
@@ -291,10 +291,10 @@ def _filter(view: View, found: Fitted) -> Candidate:
     std = float(np.sqrt(slope @ found.covariance[-2:, -2:] @ slope))
     bounds = np.log([structures.LOWEST_BANDWIDTH * rate, rate])
     # Filters steeper than the steepest one in the search look like it.
-    steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
+    steepest: Limit = "above" if structure.kind == BUTTERWORTH[-1] else ""
     estimates = [
         view.log_estimate("bandwidth", *limited(log, std, bounds), "Hz"),
-        view.estimate("order", structures.order_of(structure), 0.0, "1", steepest),
+        view.estimate("order", structure.kind.order, 0.0, "1", steepest),
     ]
     corner = float(np.exp(log))
     doubt = _doubt_of_filter(structure, rate, corner)

@@ -146,7 +146,7 @@ class Structure:
     """
 
     components: tuple[Component, ...]
-    kind: int = kinds.NONE
+    kind: kinds.Kind = kinds.NONE
     response: tuple[float, float] = (0.0, math.log(5.0))
     others: Others | None = None
     further: NoiseTerm | None = None
@@ -264,13 +264,18 @@ class Structure:
         return self.plus(own) if k is None else self._changed({k: own})
 
     @property
-    def filter(self) -> tuple[float, ...]:
+    def filter(self) -> tuple[Any, ...]:
         """Kind and shape of the response."""
         return self.kind, *self.response
 
-    def with_response(self, kind: int, bandwidth: float) -> Structure:
-        """Structure with a response of this bandwidth [radians per sample], and of Q = √½ if it has one."""
-        response = math.log(bandwidth), math.log(math.sqrt(0.5) - 0.5)
+    @property
+    def corner(self) -> float:
+        """Half-power frequency of the response, but for a resonance [radians per sample]."""
+        return self.bandwidth[0] * self.kind.narrowing
+
+    def with_response(self, kind: kinds.Kind, corner: float) -> Structure:
+        """Structure with a response of this `corner`, and of Q = √½ if it has one."""
+        response = math.log(corner / kind.narrowing), math.log(math.sqrt(0.5) - 0.5)
         return dataclasses.replace(self, kind=kind, response=response)
 
     def without_response(self) -> Structure:
@@ -315,7 +320,7 @@ def response_of(of: Structure, rate: float) -> Response | None:
     if of.kind == kinds.NONE:
         return None
     w, quality = of.bandwidth
-    return kinds.response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+    return of.kind.of(w * rate / (2.0 * math.pi), quality)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -571,7 +576,7 @@ class Spectrum:
     rough: Float[np.ndarray, " m"]
     size: Float[np.ndarray, " m"]
     error: Any = _ERROR**2
-    known: dict[tuple[float, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
+    known: dict[tuple[Any, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -644,7 +649,7 @@ class Spectrum:
         priors = self._priors(structure)
         lower, upper, centre, precision, width = np.array(priors).T
         free = np.ones(len(priors), bool)
-        free[-2:] = structure.kind != kinds.NONE, structure.kind in kinds.SHAPED
+        free[-2:] = structure.kind != kinds.NONE, structure.kind.is_shaped
         joint = Joint(structure, free, lower, np.maximum(upper, lower), centre, precision)
         found = maximize(structure.parameters, joint, self.levels, self.rough, tolerance)
         better = structure.with_parameters(found.theta)
@@ -692,13 +697,6 @@ def model_of(structure: Structure, rate: float) -> Model:
         return Model(tuple(term for term, _ in terms))
     inside, after = (Model(tuple(term for term, passes in terms if passes == side)) for side in (True, False))
     return (response * inside if len(inside) else inside) + after
-
-
-def order_of(structure: Structure) -> int:
-    """Order of the response: its number of poles, 1 of a moving average."""
-    if structure.kind >= kinds.BUTTERWORTH_1:
-        return structure.kind - kinds.BUTTERWORTH_1 + 1
-    return 2 if structure.kind in kinds.SHAPED else 1
 
 
 def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
