@@ -112,7 +112,7 @@ class View:
         if self.structure is None:
             return self.base
         base = 1.0 if self.base is None else self.base
-        return base * spectrum_factor(self.structure, self.family, self.coefficients**2 / base)
+        return base * spectrum_factor(self.structure, self.family)[0]
 
     @functools.cached_property
     def coefficients(self) -> Float[np.ndarray, " n-1"]:

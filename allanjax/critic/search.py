@@ -207,7 +207,7 @@ def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     state = prune(state, _sought(state.end, effects), last=True)
     steps, view, anew, model = list(state.steps), state.end, state.is_anew, None
     if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
-        (own, model), anew, place = finished(view, mine[0]), True, steps.index(mine[0])
+        (own, model), anew, place = finished(view, mine), True, steps.index(mine[0])
         steps[place:] = [*own, *(s for s in steps[place:] if s not in mine)]
         view = view if own else view.with_structure(None)
     if anew:

@@ -611,8 +611,9 @@ class Spectrum:
         kind of filter is known, as they hide it.
         """
         allowed = 0.0 if filters else _DEEP
-        error = model_error(fitted.structure, fitted.maximum, self.bins, allowed, skirt=0.0)
-        return self.with_error(error + _ERROR**2)
+        of = fitted.structure
+        error = model_error(of, fitted.maximum, self.bins, allowed, skirt=0.0) + _ERROR**2
+        return self.with_error(error + error_of_ends(of, of.parameters, self.levels, self.bins))
 
     def with_full_weight(self, fitted: Fitted) -> Spectrum:
         """Spectrum whose levels count as if the model of a fit were exact."""

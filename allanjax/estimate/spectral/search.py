@@ -161,12 +161,14 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     weight, it is edited once more.
     """
     compared, now = now, pruned(spectrum, _slow(spectrum, now)) if slow else now
-    of = spectrum
+    of, fits = spectrum, False
     if (exact := _exact(record, spectrum, now)) is not None:
         of, again = exact
         compared = again = _edited(of, pruned(of, again), functools.partial(_edits, together=True), *_LAST)
-        now = again if _excess(of, again) <= 0.0 else now
-    if of.bins is not spectrum.bins:
+        now, fits = (again, True) if _excess(of, again) <= 0.0 else (now, False)
+    if fits:
+        spectrum = of.with_full_weight(now)
+    elif of.bins is not spectrum.bins:
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
