@@ -63,6 +63,8 @@ LINE = 4.0
 _SHORTEST = 8.0
 #: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
 LOWEST_BANDWIDTH = 0.005
+# Factor by which what the ends add exceeds its expectation in one record of fifty, by an exponential law.
+_CHANCE_OF_ENDS = 4.0
 # Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
 _ERROR = 0.005
 # Number of factors of e beyond which the errors of a response count in a search: a judgement.
@@ -492,7 +494,9 @@ def model_error(
     of = of.with_parameters(maximum.theta)
     if (response := response_of(of, bins.rate)) is not None:
         fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
-        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
+        # What comes after the filter, such as rounding, hides its errors.
+        passing = of.inside * maximum.theta[: len(of.inside)] @ maximum.unit / maximum.mean
+        common += (_FILTER * np.maximum(fallen, 0.0) * passing) ** 2
     resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
     for k, own in zip(of.oscillators, resonances, strict=True):
         share = own.power * maximum.unit[k] / maximum.mean
@@ -503,10 +507,11 @@ def model_error(
 
 
 def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from the two ends of a record.
+    """Relative variance of the levels from the two ends of a record: the floor below which none counts.
 
     Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there.
+    coefficients it has, and is the same in all levels there. By chance it is several times as large as
+    expected, so that nothing can be told from it up to there.
     """
     if of.kind == kinds.NONE:
         return np.zeros(len(bins.size))
@@ -517,7 +522,7 @@ def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> F
     passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
     # More than the model has is not from the ends either.
     share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * share**2
+    return bins.per_octave() * np.minimum(_CHANCE_OF_ENDS * share, 1.0) ** 2
 
 
 def share_with_error(dof: Any, variance: Any) -> Any:

@@ -171,6 +171,7 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     elif of.bins is not spectrum.bins:
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
+    now = pruned(spectrum, spectrum.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
     return spectrum, final._replace(doubt=_doubt(of, compared))
 
