@@ -39,6 +39,7 @@ from allanjax.estimate.spectral.model import (
     resonance,
     response_of,
 )
+from allanjax.noise.response import HALF_POWER
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 from allanjax.spectrum.peaks import LOWEST, Peak, level_beside, peaks_of
@@ -58,16 +59,19 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
-# Kinds of responses: of low order, and those that a search opens with, the last ones if there is a deep stop
-# band; orders that are tried beside one, and that from which on no low one is; bandwidths that a response is
-# tried with [cycles per sample], or in units of another one; the largest one to start from [radians per
+# Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
+# stop band; orders that are tried beside one, and that from which on no low one is; corners that a response
+# is tried with [cycles per sample], or in units of another one; the largest one to start from [radians per
 # sample]; and the power above which a response has not fallen.
 _LOW = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MEANS[0], kinds.BIQUAD, *kinds.BUTTERWORTH[:4])
+_EVERY = (*_LOW, *kinds.MEANS[1:], *kinds.BUTTERWORTH[4:])
 _OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MEANS[0], *kinds.BUTTERWORTH[1:3])
 _STEEP = (kinds.MEANS[2], kinds.BUTTERWORTH[5])
 _NEXT, _STEEPER = 2, 5
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
 _BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.98
+# Samples from which on a mean starts with whole ones.
+_SEVERAL = 3.0
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
@@ -197,7 +201,7 @@ def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
 def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[Spectrum, Fitted]]:
     """Other models, and spectra with their full weight."""
     structure = now.structure
-    for groups in (_placements(spectrum, structure), _others(structure, structure.corner)):
+    for groups in (_placements(spectrum, structure), _others(structure, structure.corner, _EVERY)):
         for tried in _ranked(spectrum, groups)[:_TRIED]:
             fit = spectrum.fit(tried)
             full = spectrum.with_full_weight(fit)
@@ -295,7 +299,7 @@ def _responses(spectrum: Spectrum, structure: Structure) -> list[list[Structure]
 
 
 def _filtered(
-    structures: Iterable[Structure], responses: Sequence[kinds.Kind], corners: Iterable[float]
+    structures: Iterable[Structure], responses: Sequence[kinds.Kind], corners: Float[np.ndarray, " k"]
 ) -> list[list[Structure]]:
     """Those structures that differ with each other response of these corners, by its kind."""
     different = {s.components: s for s in structures}.values()
@@ -303,27 +307,38 @@ def _filtered(
         [
             s.with_response(kind, w)
             for s in different
-            for w in corners
+            for w in _starts(kind, corners)
             if kind != s.kind or abs(w / s.corner - 1.0) > 1e-6
         ]
         for kind in responses
     ]
 
 
+def _starts(kind: kinds.Kind, corners: Float[np.ndarray, " k"]) -> list[float]:
+    """Corners to start from: those of means over whole samples, since their zeros fit or do not."""
+    if not kind.is_mean:
+        return corners.tolist()
+    one = 2.0 * np.pi * HALF_POWER * kind.narrowing
+    samples = one / corners
+    return (one / np.unique(np.where(samples < _SEVERAL, samples, np.rint(samples)))).tolist()
+
+
 def _kinds(kind: kinds.Kind) -> list[kinds.Kind]:
     """Kinds to try in place of one: steep ones, and several means, beside one that is steep or a mean."""
-    own = kinds.MEANS if kind.is_mean or kind.order > _NEXT else ()
+    own = kinds.MEANS if kind.is_mean or kind.order > 1 else ()
     if kind in kinds.BUTTERWORTH[_NEXT:]:
         own += kinds.BUTTERWORTH[kind.order - _NEXT - 1 : kind.order + _NEXT]
     return list(dict.fromkeys((*_LOW, *own) if kind.order < _STEEPER else own))
 
 
-def _others(structure: Structure, corner: float) -> list[list[Structure]]:
+def _others(
+    structure: Structure, corner: float, responses: Sequence[kinds.Kind] = ()
+) -> list[list[Structure]]:
     """Structures with another response of about this corner [radians per sample], by its kind."""
     rounded = structure.column(QUANTIZATION)
     moved = structure.placed([structure.place(QUANTIZATION)], not rounded.inside)
     places = structure, moved, _all_placed(structure, True), _all_placed(structure, False)
-    return _filtered(places, _kinds(structure.kind), np.minimum(corner * _BESIDE, _HIGHEST))
+    return _filtered(places, responses or _kinds(structure.kind), np.minimum(corner * _BESIDE, _HIGHEST))
 
 
 def _all_placed(structure: Structure, inside: bool) -> Structure:
