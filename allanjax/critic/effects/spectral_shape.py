@@ -25,7 +25,16 @@ from allanjax.critic.step import Step
 from allanjax.estimate.spectral import model as structures
 from allanjax.estimate.spectral.components import BUTTERWORTH, NONE
 from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
-from allanjax.estimate.spectral.search import Record, at_all, at_some, completed, narrow, refitted, searched
+from allanjax.estimate.spectral.search import (
+    Record,
+    at_all,
+    at_some,
+    completed,
+    in_full,
+    narrow,
+    refitted,
+    searched,
+)
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response
@@ -103,7 +112,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
         return None
     record, start = _problem(view)
     spectrum, found = searched(record, start)
-    found = _of_resonances(spectrum, found, record.n)
+    spectrum, found = in_full(spectrum, _of_resonances(spectrum, found, record.n))
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)

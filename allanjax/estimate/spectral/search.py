@@ -157,6 +157,13 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     return spectrum, pruned(spectrum, spectrum.fit(rough.structure))
 
 
+def in_full(spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted]:
+    """Spectrum whose levels have their full weight, and the fit to it, if that explains them."""
+    full = spectrum.with_full_weight(now)
+    again = full.fit(now.structure)
+    return (full, again) if _excess(full, again) <= 0.0 else (spectrum, now)
+
+
 def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True) -> tuple[Spectrum, Fitted]:
     """Final fit with the slow processes that predict best, without idle components.
 
