@@ -262,13 +262,10 @@ class View:
         return self.model_evidence.of_rest(self.coefficients, lowest).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
-        """View whose spectrum has this structure, after which it has the noise of harmless rounding at least."""
-        if (
-            structure is not None
-            and structure.kind != NONE
-            and self.rounding > structure.column(OUTSIDE).power
-        ):
-            structure = structure.with_column(OUTSIDE, self.rounding)
+        """View whose spectrum has this structure, with the noise of harmless rounding after a response."""
+        if structure is not None and structure.kind != NONE:
+            least = max(self.rounding, structure.column(OUTSIDE).power)
+            structure = structure.with_column(OUTSIDE, least) if least else structure
         return self._changed(self._known("coefficients"), structure=structure)
 
     @functools.cached_property

@@ -408,7 +408,9 @@ def of_samples(
     on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", _TINY if coarse else 1.0)
     count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
     if count and np.ptp(raw) > 0.0:
-        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
+        # The noise includes that of rounding.
+        before = np.sqrt(np.maximum(stage.variance - (step or 0.0) ** 2 / 12.0, 0.0))
+        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * before)[: len(raw)]
         x += np.mean(raw)
         x /= step or np.min(np.diff(np.unique(raw)))
         np.rint(x, out=x)

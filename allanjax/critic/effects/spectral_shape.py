@@ -181,9 +181,13 @@ def _without_ends(view: View) -> View:
     # Not by the view's own noise, which was estimated with the ends.
     root = np.sqrt(factor * noise * (1.0 if view.base is None else view.base))
     draws = np.random.default_rng(seed_of(view.samples))
-    drawn, hiding = np.sqrt([share, 1.0 - share]) * draws.standard_normal((2, view.n - 1))
-    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
-    more = in_time(np.where(deep, root * (cosine_transform(change) + hiding), 0.0))
+    drawn, hiding, rounding = draws.standard_normal((3, view.n - 1))
+    # What is rounding is not Gaussian.
+    rounded = np.clip(view.rounding * view.rate / (factor * noise), 0.0, 1.0)
+    drawn, hiding, white = np.sqrt(share) * drawn, np.sqrt(1.0 - share) * hiding, view.residual / root
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - white, 0.0))
+    new = np.sqrt(1.0 - rounded) * (white + cosine_transform(change) + hiding) + np.sqrt(rounded) * rounding
+    more = in_time(np.where(deep, root * (new - white), 0.0))
     return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
 
 
