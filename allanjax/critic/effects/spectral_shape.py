@@ -184,7 +184,7 @@ def _without_ends(view: View) -> View:
     drawn, hiding, rounding = draws.standard_normal((3, view.n - 1))
     # What is rounding is not Gaussian.
     rounded = np.clip(view.rounding * view.rate / (factor * noise), 0.0, 1.0)
-    drawn, hiding, white = np.sqrt(share) * drawn, np.sqrt(1.0 - share) * hiding, view.residual / root
+    drawn, hiding, white = np.sqrt(share) * drawn, np.sqrt(1.0 - share) * hiding, view.coefficients / root
     change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - white, 0.0))
     new = np.sqrt(1.0 - rounded) * (white + cosine_transform(change) + hiding) + np.sqrt(rounded) * rounding
     more = in_time(np.where(deep, root * (new - white), 0.0))
@@ -202,10 +202,13 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Mode
     There are no findings and there is no model if there are only basic terms.
     """
     left, first = _left(view), found_so_far[0]
-    # The ends are those of the record again.
+    record, start = _problem(view)
+    ramp = view.coefficients - view.residual
+    # The ends are those of the record again, but the noise is that without them.
     for step in reversed(found_so_far):
         view = step.made(view, undone=True)
-    record, start = _problem(view)
+    squares = (view.coefficients - ramp) ** 2
+    record = record._replace(squares=squares if view.base is None else squares / view.base)
     spectrum, found = searched(record, start) if left else refitted(record, start)
     found = _of_resonances(spectrum, found, record.n) if left else found
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
