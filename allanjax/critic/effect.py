@@ -32,7 +32,9 @@ from allanjax.critic.noise import (
     spectrum_factor,
 )
 from allanjax.critic.policy import judged
-from allanjax.estimate.spectral.model import Structure
+from allanjax.estimate.spectral.components import NONE
+from allanjax.estimate.spectral.model import OUTSIDE, Structure
+from allanjax.inspection.plausible import lattice
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.record.completion import in_time, widening
@@ -112,7 +114,7 @@ class View:
         if self.structure is None:
             return self.base
         base = 1.0 if self.base is None else self.base
-        return base * spectrum_factor(self.structure, self.family, self.coefficients**2 / base)
+        return base * spectrum_factor(self.structure, self.family)[0]
 
     @functools.cached_property
     def coefficients(self) -> Float[np.ndarray, " n-1"]:
@@ -260,8 +262,17 @@ class View:
         return self.model_evidence.of_rest(self.coefficients, lowest).best(self.allowed)
 
     def with_structure(self, structure: Structure | None) -> View:
-        """View whose spectrum has this structure."""
+        """View whose spectrum has this structure, with the noise of harmless rounding after a response."""
+        if structure is not None and structure.kind != NONE:
+            least = max(self.rounding, structure.column(OUTSIDE).power)
+            structure = structure.with_column(OUTSIDE, least) if least else structure
         return self._changed(self._known("coefficients"), structure=structure)
+
+    @functools.cached_property
+    def rounding(self) -> float:
+        """Square of the white noise by which rounding adds to the samples, step²/12; 0 if it was undone."""
+        step = None if "rounding" in self.found else lattice(self.recorded(self.raw))
+        return 0.0 if step is None else step**2 / (12.0 * self.rate)
 
     def with_findings(self, *found: str, nuisances: tuple[Float[np.ndarray, " slow"], ...] = ()) -> View:
         """View with these findings and `nuisances` (coefficients of subtracted waveforms); caches stay."""

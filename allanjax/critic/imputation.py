@@ -26,6 +26,21 @@ _WINDOW = 200
 _DEEP = 1e-12
 
 
+def local_mean(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Mean of the samples around each one."""
+    return uniform_filter1d(x, _width(x), mode="reflect")
+
+
+def local_deviation(x: Float[np.ndarray, " n"]) -> float:
+    """Standard deviation of samples about their local mean."""
+    width = _width(x)
+    return float(np.sqrt(np.mean((x - local_mean(x)) ** 2) * width / (width - 1.0)))
+
+
+def _width(x: Float[np.ndarray, " n"]) -> int:
+    return min(_WINDOW, len(x) // 8)
+
+
 def draw_between(
     x: Float[np.ndarray, " n"], lower: Float[np.ndarray, " n"], upper: Float[np.ndarray, " n"], seed: int
 ) -> tuple[Float[np.ndarray, " n"], float]:
@@ -33,8 +48,7 @@ def draw_between(
     rng = np.random.default_rng(seed)
     open_, y = upper > lower, x.astype(float)
     lower, upper = lower[open_], upper[open_]
-    width = min(_WINDOW, len(x) // 8)
-    centre, sigma = uniform_filter1d(y, width, mode="reflect"), float(np.std(np.diff(y)) / np.sqrt(2.0))
+    centre, sigma = local_mean(y), float(np.std(np.diff(y)) / np.sqrt(2.0))
     for k in range(_SWEEPS):
         slow = centre[open_]
         a, b = ((limit - slow) / max(sigma, 1e-300) for limit in (lower, upper))
@@ -45,8 +59,8 @@ def draw_between(
         u = low + (high - low) * rng.random(len(a))
         z = ndtri(np.clip(u, _DEEP, 1.0 - _DEEP))
         y[open_] = slow + sigma * np.where(flip, -z, z)
-        centre = uniform_filter1d(y, width, mode="reflect")
-        before, sigma = sigma, float(np.sqrt(np.mean((y - centre) ** 2) * width / (width - 1.0)))
+        centre = local_mean(y)
+        before, sigma = sigma, local_deviation(y)
         if k + 1 >= _FEWEST and abs(sigma - before) < _CHANCE * sigma / np.sqrt(2.0 * len(y)):
             break
     return y, sigma

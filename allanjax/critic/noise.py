@@ -14,7 +14,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.ndimage import uniform_filter1d
 
 from allanjax.estimate.design import correlation_times
 from allanjax.estimate.evidence import TermSets, evidence, term_sets
@@ -338,8 +337,8 @@ def odds(sets: Sequence[Noise]) -> Float[np.ndarray, " sets"]:
     return likely / likely.sum()
 
 
-# Response below which the record's ends are modelled, and number of coefficients in a local mean.
-_DEEP, _LOCAL = 0.01, 401
+# Response below which the record's ends are modelled.
+_DEEP = 0.01
 # Least share of the noise in the whole spectrum.
 _LEAST_SHARE = 1e-12
 # Number of frequencies between which what the ends add is interpolated.
@@ -349,12 +348,12 @@ _STEP, _LINEAR = 0.01, 8192
 
 
 def spectrum_factor(
-    structure: Structure, family: NoiseFamily, squares: Float[np.ndarray, " n-1"]
-) -> Float[np.ndarray, " n-1"]:
+    structure: Structure, family: NoiseFamily
+) -> tuple[Float[np.ndarray, " n-1"], Float[np.ndarray, " n-1"]]:
     """Ratio of the whole spectrum to that of the slow terms, a power law and white noise before the response.
 
-    It is evaluated at knots, between which it is linear. Where the record's ends exceed the filtered noise,
-    it follows the record's own squared coefficients, so that these carry no information.
+    Also the spectrum of the latter [rate²]. Both are evaluated at knots, between which they are linear. What
+    the record's ends add is the floor below which no response falls.
     """
     knots, every, rate = _knots(structure, family.n), np.arange(family.n - 1), family.rate
     frequency, own = family.frequency[knots], [structure.components[k] for k in structure.there]
@@ -379,13 +378,10 @@ def spectrum_factor(
     noise = np.maximum(noise, _LEAST_SHARE * (inside + after))
     response = response_of(structure, rate)
     power = 1.0 if response is None else np.asarray(response.power(frequency, rate))
-    factor = np.interp(every, knots, (inside * power + after) / noise)
+    factor, below = (np.interp(every, knots, x) for x in ((inside * power + after) / noise, noise))
     if response is not None and len(deep := np.flatnonzero(factor < _DEEP)):
-        ends = np.interp(deep, knots, inside / noise) * _of_ends(structure, family.n, deep)
-        own_level = squares / np.interp(every, knots, noise)
-        own_level = uniform_filter1d(own_level, _LOCAL, mode="nearest")[deep]
-        factor[deep] = np.where(ends > factor[deep], np.maximum(own_level, 1e-9), factor[deep] + ends)
-    return factor
+        factor[deep] += np.interp(deep, knots, inside / noise) * _of_ends(structure, family.n, deep)
+    return factor, below
 
 
 def _knots(structure: Structure, n: int) -> Int[np.ndarray, " knots"]:

@@ -143,6 +143,7 @@ JUDGEMENTS: Mapping[str, tuple[float, str]] = {
     "search.most": (8, "findings in an axis: real units have up to eight"),
     "search.rivals": (1000.0, "largest odds against a rival that is reported"),
     "search.shortest": (1024, "fewest samples of a critique, so that halves have octaves to compare"),
+    "search.worse": (4.0, "factor by which a finding may raise the excess of a model's Allan variance"),
     "sinusoid.periods": (6.0, "fewer periods in a record cannot be distinguished from drift"),
     "spectral_shape.left": (0.0001, "p-value of the rest of a spectrum below which it is searched again"),
     "telegraph.clearly": (

@@ -25,7 +25,7 @@ from scipy.stats import binom, chi2, kurtosistest, norm, skewtest
 
 from allanjax.allan.estimators import cluster_sizes
 from allanjax.critic.bank import any_of, extrapolated
-from allanjax.critic.effects.rounding import HARMLESS
+from allanjax.critic.effects.rounding import is_harmless
 from allanjax.critic.finding import Discrepancy
 from allanjax.critic.stage import Stage, narrow_bins, octave_bins
 from allanjax.record.completion import in_time
@@ -404,11 +404,13 @@ def of_samples(
     format of the file. The second is the share of samples equal to the one before; simulations have the
     recording's resolution.
     """
-    coarse = step is not None and step >= HARMLESS / np.sqrt(np.mean(1.0 / stage.variance))
+    coarse = step is not None and not is_harmless(step, raw)
     on_lattice = Discrepancy("lattice", 0.0, "", float(coarse), 0.0, "1", _TINY if coarse else 1.0)
     count, simulated = int(np.count_nonzero(raw[1:] == raw[:-1])), 0
     if count and np.ptp(raw) > 0.0:
-        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * stage.deviation)[: len(raw)]
+        # The noise includes that of rounding.
+        before = np.sqrt(np.maximum(stage.variance - (step or 0.0) ** 2 / 12.0, 0.0))
+        x = in_time(np.random.default_rng(seed).standard_normal(stage.n - 1) * before)[: len(raw)]
         x += np.mean(raw)
         x /= step or np.min(np.diff(np.unique(raw)))
         np.rint(x, out=x)

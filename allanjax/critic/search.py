@@ -20,7 +20,8 @@ A candidate's log posterior odds are its log Bayes factor `gain` plus the log pr
 - its parameters make sense: each is within the range that the effect declares (`Effect.sensible`).
 
 An effect that is visible directly in the samples has no odds and is tested by its probability alone. A
-finding must also gain on held-out data, if it can be tested on them.
+finding must also gain on held-out data, if it can be tested on them, and may not raise the model's Allan
+variance above the measured one: what fits a stop band by a drift explains neither.
 """
 
 from __future__ import annotations
@@ -70,6 +71,11 @@ class AcceptanceRule(NamedTuple):
 _ODDS, _MOST, _CERTAIN, _CLEARLY, _TOO_MANY = (
     judged("search", name) for name in ("rivals", "most", "certain", "clearly", "imputed")
 )
+
+
+_WORSE = judged("search", "worse")
+# Logarithm to base 2 of the lowest coefficient of which octaves are compared.
+_FIRST_OCTAVE = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -173,7 +179,8 @@ def measure(found: Mapping[Effect, Candidate], view: View, rule: AcceptanceRule)
     """Candidate with the largest evidence that is significant and has a gain on held-out data."""
     ranked = sorted(found.values(), key=lambda candidate: -candidate.gain)
     for place, candidate in enumerate(ranked):
-        if rule.accepts(candidate) and (gain := candidate.held_out()) > 0.0:
+        allowed = rule.accepts(candidate) and not worse(view, candidate.after)
+        if allowed and (gain := candidate.held_out()) > 0.0:
             # Those before it in the ranking have been rejected.
             rivals = [(other.cause, candidate.gain - other.gain) for other in ranked[place + 1 :]]
             # Basic terms that the finding replaces had explained it so far.
@@ -181,6 +188,20 @@ def measure(found: Mapping[Effect, Candidate], view: View, rule: AcceptanceRule)
             odds = (Rival(name, float(np.exp(nats))) for name, nats in rivals if nats < np.log(_ODDS))
             return Step(candidate, gain, tuple(odds), view)
     return None
+
+
+def worse(before: View, after: View) -> bool:
+    """Whether a model's Allan variance exceeds the measured one much farther after a finding than before.
+
+    At a cluster time it is that of the noise in about an octave. The lowest ones scatter too much, and what
+    the highest ones have in excess a steep filter leaves.
+    """
+    edges = 2 ** np.arange(_FIRST_OCTAVE, int(np.log2(before.n)) - 1) - 1
+    excess = []
+    for view in (before, after):
+        measured, model = (np.add.reduceat(x, edges[:-1]) for x in (view.residual**2, view.variance()))
+        excess.append(np.max(np.log(model[:-1] / np.maximum(measured[:-1], 1e-300)), initial=0.0))
+    return bool(excess[1] > excess[0] + np.log(_WORSE))
 
 
 def extend(state: Search, step: Step) -> Search:
@@ -207,7 +228,7 @@ def concluded(state: Search, effects: Sequence[Effect]) -> Search:
     state = prune(state, _sought(state.end, effects), last=True)
     steps, view, anew, model = list(state.steps), state.end, state.is_anew, None
     if mine := [s for s in steps if s.candidate.cause == SpectralShape.name]:
-        (own, model), anew, place = finished(view, mine[0]), True, steps.index(mine[0])
+        (own, model), anew, place = finished(view, mine), True, steps.index(mine[0])
         steps[place:] = [*own, *(s for s in steps[place:] if s not in mine)]
         view = view if own else view.with_structure(None)
     if anew:

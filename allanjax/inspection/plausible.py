@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.windows import AT_REST, DEG, Windows
+from allanjax.inspection.windows import AT_REST, DEG, Windows, rms_within
 from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
@@ -61,8 +61,8 @@ _LEAST, _MANY = 4, 100
 _FEW_LEVELS = 4
 # Samples from which the step is determined.
 _LOOKED_AT = 1 << 14
-# Share of equal neighbours at which the noise is 0.4 steps; with more, rounding hides the noise.
-_HIDDEN = 0.6
+# Octaves of samples, from one on, in which their noise is compared with the steps.
+_OCTAVES = 6
 # Share of equal neighbours, beyond those due to rounding, that shows that samples are repeated.
 _HELD = 0.1
 # Rms of the noise in steps below which rounding, a third or 2 % of the variance, hides it or is reported.
@@ -314,14 +314,15 @@ def resolved(
         steps = np.where(np.isfinite(windows.resolution), windows.resolution, 0.0)
     else:
         steps = np.array([lattice(x[:_LOOKED_AT]) or 0.0 for x in columns])
-    noise = rms / np.where(steps > 0.0, steps, 1.0)
+    # Behind a filter neighbours differ little, but the samples still pass through many steps.
+    noise, apart = (x / np.where(steps > 0.0, steps, 1.0) for x in (rms_within(windows, _OCTAVES), rms))
     # Share of equal neighbours in rounded Gaussian noise.
-    chance = np.where(noise > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(noise, 1e-12), 0.0) * (steps > 0.0)
+    chance = np.where(apart > 0.0, 0.5 / np.sqrt(np.pi) / np.maximum(apart, 1e-12), 0.0) * (steps > 0.0)
     facts = []
     for k, axis in enumerate(axes):
         name, size = (axis.name,), float(noise[k])
         few = f"the noise of {axis.name} is {plain(size, 2)} steps of {amount(steps[k], axis, 3)}"
-        if steps[k] > 0.0 and (noise[k] < _TOO_FEW or (repeated[k] > _HIDDEN and chance[k] > _HIDDEN)):
+        if steps[k] > 0.0 and noise[k] < _TOO_FEW:
             text = f"{few}; the coefficients describe the rounding; record with a finer resolution"
             facts.append(Fact("resolution", text, name, "not a measurement", size, "steps"))
         elif repeated[k] > _HELD + 2.0 * chance[k]:

@@ -416,11 +416,12 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     return sorted(evidence, key=lambda motion: motion.factor)
 
 
-def rms_within(windows: Windows) -> Float[np.ndarray, " axes"]:
-    """Return the rms of the samples about the mean of their window."""
+def rms_within(windows: Windows, most: int | None = None) -> Float[np.ndarray, " axes"]:
+    """Return the rms of the samples about the mean of their window, or of parts of 2^most samples."""
     # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
-    scales = 2.0 ** np.arange(len(windows.power))
-    return np.sqrt((windows.power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
+    power = windows.power[:most]
+    scales = 2.0 ** np.arange(len(power))
+    return np.sqrt((power.sum(axis=1) * (scales / 2.0)[:, None]).sum(axis=0) / windows.count.sum())
 
 
 def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bool) -> str:

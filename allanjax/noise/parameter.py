@@ -71,9 +71,9 @@ def parameter(
     return eqx.field(default=default, metadata={"parameter": declared})
 
 
-def option(default: int) -> Any:
-    """Declare a whole number that the user chooses, e.g. a filter's order (a dataclass field)."""
-    return eqx.field(default=default, static=True, metadata={"option": True})
+def option(default: int, most: int | None = None) -> Any:
+    """Declare a whole number that the user chooses, e.g. an order, from 1 to `most` (a dataclass field)."""
+    return eqx.field(default=default, static=True, metadata={"option": most})
 
 
 class Parametrized(Module):
@@ -149,6 +149,10 @@ class Parametrized(Module):
                     bound = f"< {p.upper:g}"
                 if bound:
                     raise AllanjaxError(f"{self.name()}: {p.name} must be {bound}, not {value!r}")
+        for name, value in self.options.items():
+            most = type(self).__dataclass_fields__[name].metadata["option"]
+            if most and not (isinstance(value, int) and 1 <= value <= most):
+                raise AllanjaxError(f"{self.name()}: {name} must be from 1 to {most}, not {value!r}")
 
 
 def _shown(value: Value) -> str:

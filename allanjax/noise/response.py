@@ -15,6 +15,7 @@ constant part, too: its numerator is of the same degree in s as its denominator.
 from __future__ import annotations
 
 import abc
+import functools
 import math
 from typing import Any, Self
 
@@ -320,15 +321,11 @@ class Butterworth(_Bilinear):
 
     Its power response is 1/(1 + [tan(πf/rate)/tan(πf_c/rate)]^{2·order}). `bandwidth` f_c in Hz, at which the
     power is halved, below half the sample rate; from 0.995 of that on the filter is the one of 0.995. `order`
-    1 to 4, which no fit estimates.
+    1 to 8; a fit keeps it.
     """
 
     bandwidth: Value = parameter("f_c", "frequency")
-    order: int = option(default=2)
-
-    def __check_init__(self) -> None:
-        if not isinstance(self.order, int) or self.order not in range(1, 5):
-            raise AllanjaxError(f"butterworth: the order must be 1, 2, 3 or 4, not {self.order!r}")
+    order: int = option(default=2, most=8)
 
     def poles(self, rate: float) -> Poles:
         return bilinear_poles(self._analog(self._apart(rate)))
@@ -357,10 +354,12 @@ class Butterworth(_Bilinear):
 #
 #     R = [(1 − δ)F_m + δF_{m+1}]/[(1 − δ)m² + δ(m + 1)²],    F_m = sin²(πmf/rate)/sin²(πf/rate),
 #
-# with all aliases of sinc²(fτ). Of other noise it is taken to be the same factor.
+# with all aliases of sinc²(fτ). Of other noise it is taken to be the same factor. A cascade of several equal
+# ones, the sinc filter of a converter, has a power of R, and as autocovariance the convolution of so many.
 
-#: Product of bandwidth and duration: sinc²(x) = 1/2, Brent's method.
-HALF_POWER = 0.44294647068945237
+#: Product of half-power bandwidth and duration for each order: sinc^{2·order}(x) = 1/2, Brent's method.
+HALF_POWERS = (0.4429464706894523, 0.31891669868522327, 0.26193816997314145, 0.2275119577344974)
+HALF_POWER = HALF_POWERS[0]
 #: Longest duration [samples]; a filter that averages more leaves no noise to analyse.
 LONGEST = 64
 
@@ -372,23 +371,30 @@ _STARTS = (1.5, 2, 2.5, 3, 3.5, *range(4, LONGEST))
 
 
 class MovingAverage(Response):
-    """Mean of the input over the last τ = 0.443/f_c, as in an integrating converter.
+    """Mean of the input over the last τ = 0.443/f_c, `order` times one after the other, as in a converter.
 
-    `bandwidth` f_c in Hz, at which the power of slow noise is halved; a mean of m samples has 0.443·rate/m.
-    It lies between 0.443/64 of the sample rate (64 samples) and 0.443 (one sample, which changes nothing).
+    `bandwidth` f_c in Hz, at which one mean halves the power of slow noise; a mean of m samples has
+    0.443·rate/m. It lies between 0.443/64 of the sample rate (64 samples) and 0.443 (one sample, which
+    changes nothing). `order` 1 to 4; a fit keeps it.
     """
 
     bandwidth: Value = parameter("f_c", "frequency", starts=tuple(HALF_POWER / m for m in _STARTS))
+    order: int = option(default=1, most=len(HALF_POWERS))
 
     @classmethod
-    def of(cls, duration: float) -> Self:
-        """Mean over a duration [s]."""
-        return cls(HALF_POWER / duration)
+    def of(cls, duration: float, order: int = 1) -> Self:
+        """Means over a duration [s]."""
+        return cls(HALF_POWER / duration, order)
 
     @property
     def duration(self) -> float:
-        """The duration τ [s]."""
+        """The duration τ of one mean [s]."""
         return HALF_POWER / float(self.bandwidth)
+
+    @property
+    def half_power(self) -> float:
+        """Frequency at which all means together halve the power of slow noise [Hz]."""
+        return HALF_POWERS[self.order - 1] / self.duration
 
     def sampled(self, rate: float) -> Self:
         value = self.bandwidth
@@ -413,15 +419,15 @@ class MovingAverage(Response):
             return (m * xp.sinc(m * x) / xp.sinc(x)) ** 2
 
         norm = (1.0 - share) * m**2 + share * (m + 1.0) ** 2
-        return ((1.0 - share) * mean(m) + share * mean(m + 1.0)) / norm
+        return (((1.0 - share) * mean(m) + share * mean(m + 1.0)) / norm) ** self.order
 
     def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
         """Phase covariance G after the filter: that before it, weighted (τ − |d|h)+ at d samples away."""
         xp = namespace(self, process, lag, rate)
         samples = self._samples(rate)
         count = LONGEST if xp is jnp else math.ceil(samples)
-        d = np.arange(1 - count, count)
-        weight = xp.maximum(samples - abs(d), 0.0)
+        weight = of_means(samples, count, self.order)
+        d = np.arange(len(weight)) - len(weight) // 2
         moved = abs(xp.asarray(lag)[..., None] + d / rate)
         # In one row, since G is known up to a multiple of lag² that lags of a row have in common.
         rows = moved.reshape(*moved.shape[:-2], -1)
@@ -439,19 +445,30 @@ class MovingAverage(Response):
         return jnp.fft.irfft(amplitude * jnp.fft.rfft(x - line), n) + line
 
     def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
-        """Coefficients of a mean over whole samples; else of the minimum-delay filter with this response."""
+        """Coefficients of means over whole samples; else of the minimum-delay filter with this response."""
         samples = float(self._samples(rate))
         count = math.ceil(samples - 1e-9)
         if abs(samples - count) <= 1e-9:
-            return np.full(count, 1.0 / count), np.ones(1)
-        weight = np.maximum(samples - np.arange(count + 1), 0.0)
-        b = _spectral_factor(weight)
-        return b / b.sum(), np.ones(1)
+            b = np.full(count, 1.0 / count)
+        else:
+            b = _spectral_factor(np.maximum(samples - np.arange(count + 1), 0.0))
+        return repeated(b / b.sum(), self.order), np.ones(1)
 
     def _samples(self, rate: float) -> Any:
         """The duration in sample intervals, between 1 and 64."""
         xp = namespace(self, rate)
         return xp.clip(HALF_POWER * rate / xp.asarray(self.bandwidth, float), 1.0, float(LONGEST))
+
+
+def of_means(samples: Any, count: int, order: int) -> Float[Array, " lags"]:
+    """Autocovariance of `order` means of white noise over so many samples, up to `count`, at all lags."""
+    xp = namespace(samples)
+    return repeated(xp.maximum(samples - abs(np.arange(1 - count, count)), 0.0), order)
+
+
+def repeated(pulse: Any, order: int) -> Any:
+    """Convolution of a pulse with itself, of so many."""
+    return functools.reduce(namespace(pulse).convolve, [pulse] * order, np.ones(1))
 
 
 def _spectral_factor(weight: Float[np.ndarray, " q"]) -> Float[np.ndarray, " q"]:

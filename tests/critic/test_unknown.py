@@ -1,5 +1,7 @@
 """What no known effect describes is told by its place, not by a wrong name."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -8,6 +10,8 @@ from scipy.signal import butter, lfilter, sosfilt
 import allanjax as aj
 
 N, RATE = 1 << 16, 100.0
+# Three means of five samples, as in a converter.
+MEANS = np.convolve(np.convolve(np.ones(5), np.ones(5)), np.ones(5)) / 125.0
 T = np.arange(N) / RATE
 
 
@@ -127,7 +131,11 @@ def test_a_periodic_square_wave_is_no_random_telegraph():
     ("cause", "make"),
     [
         ("low_pass", lambda x: lfilter([0.4], [1.0, -0.6], x)),
-        ("low_pass", lambda x: sosfilt(butter(2, 30.0, fs=RATE, output="sos"), x)),
+        *(
+            ("low_pass", functools.partial(sosfilt, butter(order, f, fs=RATE, output="sos")))
+            for order, f in ((2, 30.0), (6, 17.5), (8, 35.0))
+        ),
+        ("low_pass", lambda x: lfilter(MEANS, 1.0, x)),
         ("bias_step", lambda x: x + 0.15 * (T > 301.7)),
         ("variance_change", lambda x: x * np.where((T > 100.0) & (T < 300.0), 1.2, 1.0)),
         ("outliers", lambda x: x + 8.0 * (np.arange(N) % 6553 == 99)),
@@ -166,6 +174,29 @@ def test_harmless_rounding_is_nothing(step):
     """A resolution below a third of the deviation adds less than 1 % to the variance: Sheppard's step²/12."""
     found = aj.critique(np.rint(white(9) / step) * step, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
     assert found.findings == ()
+
+
+@pytest.mark.parametrize("step", [0.2, 1.0])
+def test_rounding_behind_a_steep_filter_is_compared_with_the_samples(step):
+    """The stop band is far below any rounding, which is harmless all the same where it is in white noise."""
+    x = sosfilt(butter(6, 17.5, fs=RATE, output="sos"), white(11))
+    step *= x.std()
+    found = aj.critique(np.rint(x / step) * step, rate=RATE, gyro_unit="deg/s", names=["gyro_x"])
+    assert {f.cause for f in found.findings} == {"low_pass", *["rounding"] * int(step == x.std())}
+    # A twentieth is some four standard errors of it, fitted with white noise of a twelfth of the variance.
+    (low_pass,) = (f for f in found.findings if f.cause == "low_pass")
+    assert low_pass.parameters["bandwidth"].value == pytest.approx(17.5, rel=0.05)
+    assert low_pass.parameters["order"].value in (5, 6, 7)
+
+
+def test_a_steep_filter_of_two_axes_neither_moves_nor_drifts():
+    """Both told once, with the bandwidth; before, one had a disturbance of 60,000 nats."""
+    x = sosfilt(butter(6, 35.0, fs=RATE, output="sos"), [white(12), white(13)]).T
+    found = aj.critique(x, rate=RATE, gyro_unit="deg/s", names=["gyro_x", "gyro_y"])
+    (one,) = found.findings
+    assert (one.cause, one.axes) == ("low_pass", ("gyro_x", "gyro_y"))
+    for axis in found.results:
+        assert min(d.p_value for d in axis.after) > 1e-4
 
 
 def test_shocks_that_decay_are_no_telegraph():

@@ -130,6 +130,29 @@ def test_a_line_in_a_deep_stop_band_leaves_a_fit():
     assert isinstance(result.model.response, aj.Butterworth)
 
 
+def test_steep_filters_are_found_with_their_order():
+    """Of a sixth and of an eighth order, and three means, rounded to a deviation or not."""
+    n, rng = 2**16, np.random.default_rng(14)
+    means = np.convolve(np.convolve(np.ones(4), np.ones(4)), np.ones(4)) / 64.0
+    filters = [(*butter(6, 0.7),), (*butter(8, 0.35),), (means, [1.0])]
+    x = np.transpose([lfilter(*own, rng.standard_normal(n + 999))[999:] for own in filters])
+    for step in (0.0, x.std(axis=0)):
+        rounded = step * np.rint(x / step) if np.any(step) else x
+        found = aj.fit(recording(rounded, RATE), as_is=True, vibrating=True).results
+        responses = [result.model.response for result in found]
+        assert [type(r) for r in responses] == [aj.Butterworth, aj.Butterworth, aj.MovingAverage]
+        # Rounding hides the zeros of means, and with them whether there are three or four.
+        assert [r.order for r in responses] in ([6, 8, 3], [6, 8, 4 if np.any(step) else 3])
+        half = [35.0, 17.5, 0.2619382 * RATE / 4.0]
+        # With four means in place of three it is 2 % off.
+        assert [r.half_power for r in responses] == pytest.approx(half, rel=0.03)
+        # White noise that the rounding adds, of step²/12.
+        truth = 0.1 * np.hypot(1.0, step * np.ones(3) / np.sqrt(12.0))
+        assert [abs(r["N"].value - N) < 4.0 * r["N"].std for r, N in zip(found, truth, strict=True)] == [
+            1
+        ] * 3
+
+
 def test_a_deep_stop_band_has_what_the_ends_of_a_record_add():
     """It scatters as two numbers do, in all levels alike; these did not fit then."""
     n = 2**16

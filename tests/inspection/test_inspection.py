@@ -327,8 +327,8 @@ def test_noise_below_the_resolution_and_samples_that_are_held():
         assert {(f.kind, f.consequence) for f in result.facts} == expected
         for k, fact in enumerate(result.facts):
             assert fact.axes == (NAMES[k],)
-            # The rms of differences of rounded noise, over the root of two, in steps.
-            rms = np.diff(x[:, k]).std() / np.sqrt(2.0)
+            # The rms of rounded noise about the means of 64 samples, of one degree of freedom less, in steps.
+            rms = np.sqrt(x[: len(x) // 64 * 64, k].reshape(-1, 64).var(axis=1).mean())
             assert fact.size == pytest.approx(rms / SIGMA[k] / steps, rel=0.01)
     # Of 15 neighbours in a block of 16, eight are equal if each sample comes twice.
     for held, share in ((2, 53), (4, 80), (1, 0)):

@@ -36,7 +36,7 @@ def test_digital_filters_are_those_that_scipy_designs():
     f = np.linspace(0.0, 0.499 * RATE, 60)
     options = {"fs": RATE, "output": "sos"}
     for at in RATE * np.array([2e-4, 0.1, 0.25, 0.496]):
-        designs = {aj.Butterworth(at, k): signal.butter(k, at, **options) for k in (1, 2, 3, 4)}
+        designs = {aj.Butterworth(at, k): signal.butter(k, at, **options) for k in range(1, 9)}
         designs[aj.Biquad(at, 1.0 / np.sqrt(3.0))] = signal.bessel(2, at, **options, norm="phase")
         for filter_, sos in designs.items():
             power = abs(signal.freqz_sos(sos, f, fs=RATE)[1]) ** 2
@@ -74,6 +74,9 @@ def test_bandwidths_halve_the_power_of_an_analog_filter():
     assert mean.power(mean.bandwidth, RATE) == pytest.approx(0.5, rel=1e-3)
     assert np.sinc(mean.half_power * mean.duration) ** 2 == pytest.approx(0.5, rel=1e-12)
     assert mean.duration == pytest.approx(1.5)
+    for order in (2, 3, 4):
+        means = aj.MovingAverage.of(1.5, order)
+        assert np.sinc(1.5 * means.half_power) ** (2 * order) == pytest.approx(0.5, rel=1e-12)
 
 
 class Echo(aj.Response):
@@ -116,7 +119,8 @@ REFUSED = [
     (lambda: (ONE * WHITE).allan_variance(1.0), "rate"),
     (lambda: (Echo(3.0) * WHITE).state_space(RATE), "echo"), (lambda: aj.LowPass1(0.0), "bandwidth"),
     (lambda: aj.LowPass2(4.0, 0.5), "quality_factor"), (lambda: aj.Biquad(4.0, 0.5), "quality_factor"),
-    *((lambda order=order: aj.Butterworth(4.0, order), "order") for order in (0, 5, 2.0, "2")),
+    *((lambda order=order: aj.Butterworth(4.0, order), "order") for order in (0, 9, 2.0, "2")),
+    (lambda: aj.MovingAverage(4.0, 5), "order"),
     (lambda: (aj.Butterworth(20.1) * WHITE).sampled(RATE), "bandwidth"),
     (lambda: (aj.MovingAverage(0.27) * WHITE).sampled(RATE), "bandwidth"),
     (lambda: (aj.MovingAverage(17.8) * WHITE).sampled(RATE), "bandwidth"),
@@ -160,8 +164,8 @@ def test_samples_have_the_covariance_of_the_model(name):
     assert_allclose(space.allan_variance(m / RATE), allan, rtol=1e-7)
     f = np.array([0.011, 0.31, 3.0, 7.1, 19.0])
     psd = model.sampled(RATE).sampled_psd(f, RATE)
-    # In a stop band the states cancel, to the rounding of the largest density.
-    assert_allclose(space.spectrum(f), psd, rtol=1e-8, atol=np.finfo(float).eps * psd.max())
+    # In a stop band up to eight states cancel, each to the rounding of the largest density.
+    assert_allclose(space.spectrum(f), psd, rtol=1e-8, atol=8.0 * np.finfo(float).eps * psd.max())
 
 
 @pytest.mark.parametrize("term", [aj.BiasInstability(1e-4), aj.PowerLaw(1e-4, 0.5), aj.PowerLaw(1e-4, 1.9)])

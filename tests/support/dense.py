@@ -181,14 +181,16 @@ def pulse_autocorrelation(response: aj.Response, rate: float) -> np.ndarray:
     if kind == "MovingAverage":
         # sinc²(x) = 1/2 at x = 0.44295, so that the mean is over 0.44295/f samples.
         half = float(mp.findroot(lambda x: mp.sincpi(x) ** 2 - 0.5, 0.443))
-        found = np.maximum(half / f - np.arange(70), 0.0)
+        once = np.maximum(half / f - abs(np.arange(-70, 71)), 0.0)
+        every = functools.reduce(np.convolve, [once] * response.order)
+        found = every[len(every) // 2 :]
     elif kind == "LowPass1":
         found = np.exp(-2.0 * np.pi * f * np.arange(_lasting(f)))
     elif kind == "LowPass2":
         Q = response.quality_factor
         found = oscillator(np.arange(_lasting(f / (2.0 * Q))), f, Q)
     else:
-        one = np.append(1.0, np.zeros(_lasting(f / 4.0)))
+        one = np.append(1.0, np.zeros(_lasting(f / 8.0)))
         designed = kind in ("Butterworth", "Biquad")
         pulse = signal.lfilter(*design(response, rate), one) if designed else response.filtered(one, rate)
         found = signal.correlate(pulse, pulse, "full", "direct")[len(pulse) - 1 :]

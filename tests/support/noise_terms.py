@@ -39,8 +39,9 @@ TERMS = RANDOM | DETERMINISTIC
 RESPONSES: dict[str, aj.Response] = {
     "one pole": aj.LowPass1(4.0), "two poles": aj.LowPass2(5.0, 2.3), "butterworth 1": aj.Butterworth(7.0, 1),
     "butterworth 2": aj.Butterworth(6.0, 2), "butterworth 3": aj.Butterworth(10.0, 3),
-    "butterworth 4": aj.Butterworth(13.0, 4), "biquad": aj.Biquad(3.7, 0.577),
+    "butterworth 8": aj.Butterworth(13.0, 8), "biquad": aj.Biquad(3.7, 0.577),
     "mean of 5": aj.MovingAverage.of(5.0 / RATE), "mean of 3.7": aj.MovingAverage.of(3.7 / RATE),
+    "four means of 2.3": aj.MovingAverage.of(2.3 / RATE, 4),
 }  # fmt: skip
 
 #: Terms and filters that are others' formulas at other values, which one compiled program takes as data.

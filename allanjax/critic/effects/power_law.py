@@ -40,6 +40,9 @@ class PowerLaw(Effect):
             return None
         exponent, distinct = found.parameters["exponent"].value, judged("power_law", "distinct")
         near = [name for name, own in _BASIC.items() if abs(exponent - own) < distinct]
+        if "white noise" in near:
+            # White noise is in the model: what differs from it is the shape of another effect.
+            return None
         return dataclasses.replace(
             found,
             support=(view.rate / (2.0 * view.n), view.rate / 2.0),

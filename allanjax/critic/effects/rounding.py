@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from allanjax.critic.effect import Candidate, Effect, View
-from allanjax.critic.imputation import draw_between
+from allanjax.critic.imputation import draw_between, local_deviation, local_mean
 from allanjax.critic.policy import judged
 from allanjax.inspection.plausible import TOLERANCE, lattice
 
-#: Resolution, relative to the noise's standard deviation, below which rounding is harmless.
-HARMLESS = judged("rounding", "harmless")
+
+def is_harmless(step: float, samples: Float[np.ndarray, " n"]) -> bool:
+    """Whether a resolution is so fine, compared with the samples' scatter, that rounding does no harm.
+
+    It adds white noise of step²/12. Compared with the samples, not with their spectrum, of which a filter
+    leaves parts that are weaker than any rounding.
+    """
+    return step < judged("rounding", "harmless") * local_deviation(samples)
 
 
 class Rounding(Effect):
@@ -20,17 +27,18 @@ class Rounding(Effect):
     is_preprocessing = True
 
     def detect(self, view: View) -> Candidate | None:
-        q = lattice(view.recorded(view.raw))
-        if q is None or not np.array_equal(view.samples, view.raw):
-            return None
-        # The variance of any noise around its local mean is at least half that of its differences.
-        if q < HARMLESS * 0.5 * float(np.std(np.diff(view.samples))):
+        recorded = view.recorded(view.raw)
+        q = lattice(recorded)
+        if q is None or is_harmless(q, recorded) or not np.array_equal(view.samples, view.raw):
             return None
         # Missing samples were drawn without rounding and need none.
         half = np.where(view.drawn, 0.0, q / 2.0)
-        x, sigma = draw_between(view.samples, view.samples - half, view.samples + half, view.n)
-        if q < HARMLESS * sigma:
-            return None
+        limits = view.samples - half, view.samples + half
+        (x, deviation), (other, _) = (draw_between(view.samples, *limits, view.n + k) for k in range(2))
+        # Two draws have this share in common, to which noise that is faster than the local mean is damped.
+        share = 1.0 - 0.5 * float(np.mean((x - other) ** 2)) / deviation**2
+        slow = local_mean(x)
+        x = slow + (x - slow) / np.sqrt(share)
         # It is visible directly in the samples: all are so close to multiples that chance is excluded.
         return Candidate(
             self.name,

@@ -15,16 +15,26 @@ from jaxtyping import Float
 from scipy.optimize import approx_fprime
 from scipy.special import gammaincc
 
+from allanjax.base.arrays import seed_of
 from allanjax.critic.bank import any_of
 from allanjax.critic.effect import FREQUENCIES, Candidate, Effect, Place, View
 from allanjax.critic.finding import Detail, Limit, limited
-from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of_noise
+from allanjax.critic.noise import MARKOV, POWER_LAW, coefficient_folds, share_of_noise, spectrum_factor
 from allanjax.critic.policy import judged
 from allanjax.critic.step import Step
 from allanjax.estimate.spectral import model as structures
-from allanjax.estimate.spectral.components import BUTTERWORTH_4, NONE
+from allanjax.estimate.spectral.components import BUTTERWORTH, NONE
 from allanjax.estimate.spectral.model import FIXED, Fitted, Spectrum, Structure, model_of, response_of
-from allanjax.estimate.spectral.search import Record, at_all, at_some, completed, narrow, refitted, searched
+from allanjax.estimate.spectral.search import (
+    Record,
+    at_all,
+    at_some,
+    completed,
+    in_full,
+    narrow,
+    refitted,
+    searched,
+)
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response
@@ -102,14 +112,15 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
         return None
     record, start = _problem(view)
     spectrum, found = searched(record, start)
-    found = _of_resonances(spectrum, found, record.n)
+    spectrum, found = in_full(spectrum, _of_resonances(spectrum, found, record.n))
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
+    after = after if start.kind != NONE else _without_ends(after)
     gain = found.evidence - before.evidence
     occam = before.loss - found.loss - gain
     gain = min(gain, after.log_evidence_all_terms - view.log_evidence_all_terms - occam)
-    return (_without_ends(after), gain) if gain > 0.0 else None
+    return (after, gain) if gain > 0.0 else None
 
 
 def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | None:
@@ -155,20 +166,28 @@ def _of_resonances(spectrum: Spectrum, found: Fitted, n: int) -> Fitted:
 def _without_ends(view: View) -> View:
     """View whose ends are redrawn in the stop band of its response; they count as imputed.
 
-    Whitening amplifies the stop band, and with it the kinks of the mirrored record.
+    Whitening amplifies the stop band, and with it the kinks of the mirrored record. Noise as strong as what
+    these add, but all over the record, is drawn in their place: it hides what is weaker.
     """
-    if view.structure is None or view.factor is None:
+    if view.structure is None:
         return view
-    share = share_of_noise(view.structure, view.family, view.factor)
+    factor, noise = spectrum_factor(view.structure, view.family)
+    share = share_of_noise(view.structure, view.family, factor)
     if not (deep := share < 1.0).any():
         return view
     k = np.arange(view.n)
     # Gradually, as an edge would be an outlying sample.
     near = np.clip(1.0 - np.minimum(k, view.n - 1 - k) / (_ENDS * view.n), 0.0, 1.0)
-    root = np.sqrt(view.variance())
-    drawn = np.sqrt(share) * np.random.default_rng(0).standard_normal(view.n - 1)
-    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - view.residual / root, 0.0))
-    more = in_time(np.where(deep, root * cosine_transform(change), 0.0))
+    # Not by the view's own noise, which was estimated with the ends.
+    root = np.sqrt(factor * noise * (1.0 if view.base is None else view.base))
+    draws = np.random.default_rng(seed_of(view.samples))
+    drawn, hiding, rounding = draws.standard_normal((3, view.n - 1))
+    # What is rounding is not Gaussian.
+    rounded = np.clip(view.rounding * view.rate / (factor * noise), 0.0, 1.0)
+    drawn, hiding, white = np.sqrt(share) * drawn, np.sqrt(1.0 - share) * hiding, view.coefficients / root
+    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - white, 0.0))
+    new = np.sqrt(1.0 - rounded) * (white + cosine_transform(change) + hiding) + np.sqrt(rounded) * rounding
+    more = in_time(np.where(deep, root * (new - white), 0.0))
     return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
 
 
@@ -177,13 +196,19 @@ def _left(view: View) -> bool:
     return chance_of_peak(view.squared_whitened) < _LEFT
 
 
-def finished(view: View, first: Step) -> tuple[list[Step], Model | None]:
-    """Final structure first found in a step: filter and resonances as findings, by gain; and the model.
+def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Model | None]:
+    """Final structure, found in some steps: filter and resonances as findings, by gain; and the model.
 
     There are no findings and there is no model if there are only basic terms.
     """
+    left, first = _left(view), found_so_far[0]
     record, start = _problem(view)
-    left = _left(view)
+    ramp = view.coefficients - view.residual
+    # The ends are those of the record again, but the noise is that without them.
+    for step in reversed(found_so_far):
+        view = step.made(view, undone=True)
+    squares = (view.coefficients - ramp) ** 2
+    record = record._replace(squares=squares if view.base is None else squares / view.base)
     spectrum, found = searched(record, start) if left else refitted(record, start)
     found = _of_resonances(spectrum, found, record.n) if left else found
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
@@ -197,24 +222,26 @@ def finished(view: View, first: Step) -> tuple[list[Step], Model | None]:
         found = spectrum.fit(less[losses.index(min(losses))])
     else:
         return [], None
-    without = [spectrum.fit(each) for each in less]
+    without, settled = (
+        [spectrum.fit(each) for each in less],
+        _without_ends(view.with_structure(found.structure)),
+    )
     order, steps = sorted(range(len(groups)), key=lambda k: without[k].evidence), []
     for place, k in enumerate(order):
-        if groups[k] == [_RESPONSE]:
-            # For a filter, the odds are the only statistic.
-            own, chance, after = _filter(view, found), None, first.candidate.after
-        else:
-            # Everything else is fitted to the spectrum without it.
-            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
-            own, after = _resonance(view, found, groups[k]), first.before
         later = [component for j in order[place + 1 :] for component in groups[j]]
         partial = spectrum.fit(_without(found.structure, later)) if later else found
-        candidate = dataclasses.replace(
-            own,
-            gain=found.evidence - without[k].evidence,
-            p_value=chance,
-            after=after.with_structure(partial.structure),
-        )
+        after = first.before.with_structure(partial.structure)
+        if groups[k] == [_RESPONSE]:
+            # For a filter, the odds are the only statistic.
+            own, chance = _filter(view, found), None
+            samples, imputed = after.samples + settled.samples - view.samples, after.imputed | settled.imputed
+            after = dataclasses.replace(after, samples=samples, imputed=imputed)
+        else:
+            # Everything else is fitted to the spectrum without it.
+            own = _resonance(view, found, groups[k])
+            chance = chance_of_peak(record.squares / at_all(spectrum, without[k]))
+        gain = found.evidence - without[k].evidence
+        candidate = dataclasses.replace(own, gain=gain, p_value=chance, after=after)
         steps.append(Step(candidate, losses[k] - best, (), first.before))
     return steps, model_of(found.structure, view.rate)
 
@@ -291,10 +318,10 @@ def _filter(view: View, found: Fitted) -> Candidate:
     std = float(np.sqrt(slope @ found.covariance[-2:, -2:] @ slope))
     bounds = np.log([structures.LOWEST_BANDWIDTH * rate, rate])
     # Filters steeper than the steepest one in the search look like it.
-    steepest: Limit = "above" if structure.kind == BUTTERWORTH_4 else ""
+    steepest: Limit = "above" if structure.kind == BUTTERWORTH[-1] else ""
     estimates = [
         view.log_estimate("bandwidth", *limited(log, std, bounds), "Hz"),
-        view.estimate("order", structures.order_of(structure), 0.0, "1", steepest),
+        view.estimate("order", structure.kind.order, 0.0, "1", steepest),
     ]
     corner = float(np.exp(log))
     doubt = _doubt_of_filter(structure, rate, corner)

@@ -47,8 +47,6 @@ _ENDLESS = 1e30
 _SAME = 1e-9
 # Share of an oscillation that is left at the end of a record, for each sample, below which nothing is left.
 _NOTHING = 1e-13
-# Duration, in radians of a level's frequency, below which the ends of a moving average contribute a constant.
-_NEARLY_CONSTANT = 0.01
 
 
 class Levels(NamedTuple):
@@ -228,42 +226,60 @@ def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: boo
 COLUMN, MARKOV, OSCILLATOR, OTHER = range(4)
 #: The closed forms.
 CLOSED = {MARKOV: markov, OSCILLATOR: oscillator}
-#: Kinds of response: none; one pole or two, read at the instants of the samples; a moving average; digital
-#: filters of two poles; and Butterworth's of order 1 to 4.
-NONE, ONE_POLE, TWO_POLES, MOVING_AVERAGE, BIQUAD = range(5)
-BUTTERWORTH_1, BUTTERWORTH_2, BUTTERWORTH_3, BUTTERWORTH_4 = range(5, 9)
-#: Kinds that have a quality factor.
-SHAPED = (TWO_POLES, BIQUAD)
-_CLASSES: dict[int, Any] = {
-    ONE_POLE: filters.LowPass1,
-    TWO_POLES: filters.LowPass2,
-    MOVING_AVERAGE: filters.MovingAverage,
-    BIQUAD: filters.Biquad,
-}
 
 
-def response_of_kind(kind: int, bandwidth: float, quality: float) -> Response:
-    """Response of a kind other than none; filters without a quality factor ignore it."""
-    if kind >= BUTTERWORTH_1:
-        return filters.Butterworth(bandwidth, kind - BUTTERWORTH_1 + 1)
-    return _CLASSES[kind](bandwidth, quality) if kind in SHAPED else _CLASSES[kind](bandwidth)
+class Kind(NamedTuple):
+    """Kind of a response: its class, and its order, the number of poles or of means."""
+
+    response: Any
+    order: int
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether it has a quality factor."""
+        return self in (TWO_POLES, BIQUAD)
+
+    @property
+    def is_mean(self) -> bool:
+        """Whether it is a moving average."""
+        return self.response is filters.MovingAverage
+
+    @property
+    def narrowing(self) -> float:
+        """Ratio of the half-power frequency to the bandwidth: below 1 of several means."""
+        return filters.HALF_POWERS[self.order - 1] / filters.HALF_POWER if self.is_mean else 1.0
+
+    def of(self, bandwidth: float, quality: float) -> Response:
+        """Response of this kind; filters without a quality factor ignore it."""
+        if self.is_shaped:
+            return self.response(bandwidth, quality)
+        return self.response(bandwidth, **({"order": self.order} if self.response.option_names() else {}))
 
 
-def kind_of(response: Response | None) -> int:
+#: Kinds of response: none; one pole or two, read at the instants of the samples; digital filters of two
+#: poles; moving averages and Butterworth's of each order.
+NONE, ONE_POLE, TWO_POLES = Kind(None, 0), Kind(filters.LowPass1, 1), Kind(filters.LowPass2, 2)
+BIQUAD = Kind(filters.Biquad, 2)
+MEANS = tuple(Kind(filters.MovingAverage, m) for m in range(1, 5))
+BUTTERWORTH = tuple(Kind(filters.Butterworth, m) for m in range(1, 9))
+
+
+def kind_of(response: Response | None) -> Kind:
     """Kind of a response."""
-    if isinstance(response, filters.Butterworth):
-        return BUTTERWORTH_1 + response.order - 1
-    return {None: NONE, **{own: kind for kind, own in _CLASSES.items()}}[response and type(response)]
+    if response is None:
+        return NONE
+    return Kind(type(response), response.options.get("order", len(response.parameters())))
 
 
-def bandwidths(kind: int) -> tuple[float, float]:
+def bandwidths(kind: Kind) -> tuple[float, float]:
     """Least and largest bandwidth of a kind of response [radians per sample interval]."""
-    if kind == MOVING_AVERAGE:
+    if kind.is_mean:
         return 2.0 * np.pi * filters.HALF_POWER / filters.LONGEST, 2.0 * np.pi * filters.HALF_POWER
-    return math.exp(-20.0), filters.LARGEST_BANDWIDTH * np.pi if kind >= BIQUAD else math.exp(5.0)
+    is_digital = kind == BIQUAD or kind in BUTTERWORTH
+    return math.exp(-20.0), filters.LARGEST_BANDWIDTH * np.pi if is_digital else math.exp(5.0)
 
 
-def _poles(kind: int, wc: Any, Q: Any) -> Poles:
+def _poles(kind: Kind, wc: Any, Q: Any) -> Poles:
     """Poles of a filter of a bandwidth [radians per sample interval], see `noise.response`."""
     if kind == ONE_POLE:
         return filters.one_pole(wc)
@@ -272,24 +288,22 @@ def _poles(kind: int, wc: Any, Q: Any) -> Poles:
     tangent = np.tan(np.minimum(wc, filters.LARGEST_BANDWIDTH * np.pi) / 2.0)
     if kind == BIQUAD:
         return filters.bilinear_poles(filters.biquad_poles(tangent, Q))
-    order = kind - BUTTERWORTH_1 + 1
-    tangent = filters.apart_from_one(tangent, order)
-    return filters.bilinear_poles(filters.butterworth_poles(tangent, order), 1.0 / order)
+    tangent = filters.apart_from_one(tangent, kind.order)
+    return filters.bilinear_poles(filters.butterworth_poles(tangent, kind.order), 1.0 / kind.order)
 
 
-def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
+def passed(levels: Levels, kind: Kind, wc: Any, Q: Any = None) -> Float[np.ndarray, "... 2 m"]:
     """Expected squares at the nodes of white noise of unit power after a filter, of a bandwidth [..., 1, 1].
 
     That is its power response, and what the ends of a record add if the filter has settled when it begins:
     about 1/n of the noise in the pass band, and most of what is left deep in the stop band. The filtered
     noise has r_d = Re Σ c·w^d over the filter's poles w, d ≥ 1.
     """
-    if kind == MOVING_AVERAGE:
+    if kind.is_mean:
         samples = np.clip(2.0 * np.pi * filters.HALF_POWER / wc, 1.0, filters.LONGEST)
-        whole = np.floor(samples)
-        numbers, at = np.unique([whole, whole + 1.0], return_inverse=True)
-        sums = _of_sums(levels, numbers)[at.reshape(2, *whole.shape[:-2])]
-        return _between(samples, whole, sums)[0]
+        of_each = [np.asarray(filters.of_means(x, math.ceil(x), kind.order)) for x in samples.ravel()]
+        found = [_of_lags(levels, r) / np.sum(r) for r in of_each]
+        return np.reshape(found, (*samples.shape[:-2], *levels.square.shape))
     poles = _poles(kind, wc, Q)
     # Of conjugate pairs the first halves, then a real pole, if there is one.
     pairs = len(poles.pole) // 2
@@ -308,37 +322,34 @@ def passed(levels: Levels, kind: int, wc: Any, Q: Any = None) -> Float[np.ndarra
     return power - np.sum(np.real(ends * z**2), axis=0) * (1.0 - s)
 
 
-def _of_sums(levels: Levels, numbers: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 2 m"]:
-    """Expected squares at the nodes of sums of m successive values of white noise, for several m.
+def _of_lags(levels: Levels, r: Float[np.ndarray, " lags"]) -> Float[np.ndarray, "2 m"]:
+    """Expected squares at the nodes of noise of this autocovariance at all lags, the middle one 0.
 
-    That is the power, and what the ends add, −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)]. The sum over the
-    r_d = m − d is S' + S/sin(a), S = (m·sin(a) − sin(ma))/4s.
+    That is its density at the angles a, and what the ends add, −2/n · Σ_d r_d·[d·cos(ad) + sin(ad)/sin(a)],
+    all of which are polynomials of Chebyshev in cos(a).
     """
-    m, s = numbers[:, None, None], levels.square
-    # Where it changes nothing, the frequency is not so small that the sums cancel.
-    small = levels.angle * filters.LONGEST < _NEARLY_CONSTANT
-    sine = np.where(small, 1.0, 2.0 * np.sqrt(s * (1.0 - s)))
-    half = m * levels.angle / 2.0
-    turned, of_half = np.sin(half), np.cos(half)
-    power = turned**2
-    apart = m * sine - 2.0 * turned * of_half
-    slope = (m * (power - s) - apart * sine / (4.0 * s)) / (2.0 * s)
-    total = np.where(small, m * (m**2 - 1.0) / 3.0, slope + apart / (4.0 * s * sine))
-    return power / s - 2.0 / levels.length * total
+    from numpy.polynomial.chebyshev import chebder, chebval
+
+    own, d = r[len(r) // 2 :], np.arange(len(r) // 2 + 1)
+    ends = d * own + np.append(chebder(own / np.maximum(d, 1)), 0.0)
+    cosine = 1.0 - 2.0 * levels.square
+    power = chebval(cosine, np.append(own[0], 2.0 * own[1:]))
+    return power - 2.0 / levels.length * chebval(cosine, ends)
 
 
-def _between(samples: Any, whole: Any, sums: Any) -> tuple[Any, Any]:
-    """A moving average of so many samples and its derivative by these, from sums of `whole` and one more.
+def _of_means(levels: Levels, samples: float, order: int, whole: int) -> tuple[Any, Any]:
+    """Expected squares at the nodes of means over so many samples, and their derivative by these.
 
-    The average lies between those of whole samples; beyond them it is continued.
+    The derivative is that on the side where `whole` samples are the largest whole number below.
     """
-    (lower, upper), more = sums, samples - whole
-    size = (1.0 - more) * whole**2 + more * (whole + 1.0) ** 2
-    value = ((1.0 - more) * lower + more * upper) / size
-    return value, (upper - lower - (2.0 * whole + 1.0) * value) / size
+    lag = abs(np.arange(-whole - 1, whole + 2))
+    once = np.maximum(samples - lag, 0.0)
+    both = filters.repeated(once, order), order * np.convolve(lag <= whole, filters.repeated(once, order - 1))
+    (value, size), (slope, more) = ((_of_lags(levels, r), np.sum(r)) for r in both)
+    return value / size, (slope - value * more / size) / size
 
 
-def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int) -> tuple[Any, Any]:
+def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: Kind) -> tuple[Any, Any]:
     """`passed` of a kind of response, and its derivatives by ln ω_c and ln(Q − ½) (3, 2, m).
 
     The third is half the jump of the first, which a moving average has at whole samples.
@@ -346,18 +357,15 @@ def passed_and_slopes(levels: Levels, shape: Float[np.ndarray, " 2"], kind: int)
     slopes = np.zeros((3, *levels.angle.shape))
     if kind == NONE:
         return np.ones_like(levels.angle), slopes
-    if kind == MOVING_AVERAGE:
+    if kind.is_mean:
         samples = 2.0 * math.pi * filters.HALF_POWER * math.exp(-shape[0])
         wider, narrower = _pieces(samples)
-        pieces = dict.fromkeys((wider, narrower or wider))
-        both = [
-            _between(samples, whole, _of_sums(levels, np.array([whole, whole + 1.0]))) for whole in pieces
-        ]
-        (value, first), (_, last) = both[0], both[-1]
+        value, first = _of_means(levels, samples, kind.order, wider)
+        _, last = _of_means(levels, samples, kind.order, narrower or wider)
         slopes[0], slopes[2] = -samples * (first + last) / 2.0, -samples * (last - first) / 2.0
         return value, slopes
     moves = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    wc, excess = np.exp(shape + _STEP * moves[: 5 if kind in SHAPED else 3]).T[:, :, None, None]
+    wc, excess = np.exp(shape + _STEP * moves[: 5 if kind.is_shaped else 3]).T[:, :, None, None]
     around = passed(levels, kind, wc, 0.5 + excess)
     slopes[: len(around) // 2] = (around[1::2] - around[2::2]) / (2.0 * _STEP)
     return around[0], slopes
@@ -369,9 +377,9 @@ def _pieces(samples: float) -> tuple[int, int]:
     return longer, math.ceil(samples * (1.0 - _SAME)) - 1
 
 
-def piece_of(kind: int, bandwidth: float) -> tuple[float, float]:
+def piece_of(kind: Kind, bandwidth: float) -> tuple[float, float]:
     """Bandwidths between which the response is smooth around this one [radians per sample interval]."""
-    if kind != MOVING_AVERAGE:
+    if not kind.is_mean:
         return 0.0, math.inf
     unit = 2.0 * math.pi * filters.HALF_POWER
     longer, shorter = _pieces(unit / bandwidth)

@@ -63,6 +63,8 @@ LINE = 4.0
 _SHORTEST = 8.0
 #: Least bandwidth [cycles per sample]: white noise behind a slower filter is a Markov process.
 LOWEST_BANDWIDTH = 0.005
+# Factor by which what the ends add exceeds its expectation in one record of fifty, by an exponential law.
+_CHANCE_OF_ENDS = 4.0
 # Relative error of any sensor's model in each bin, since real filters differ from all models: a judgement.
 _ERROR = 0.005
 # Number of factors of e beyond which the errors of a response count in a search: a judgement.
@@ -146,7 +148,7 @@ class Structure:
     """
 
     components: tuple[Component, ...]
-    kind: int = kinds.NONE
+    kind: kinds.Kind = kinds.NONE
     response: tuple[float, float] = (0.0, math.log(5.0))
     others: Others | None = None
     further: NoiseTerm | None = None
@@ -264,13 +266,18 @@ class Structure:
         return self.plus(own) if k is None else self._changed({k: own})
 
     @property
-    def filter(self) -> tuple[float, ...]:
+    def filter(self) -> tuple[Any, ...]:
         """Kind and shape of the response."""
         return self.kind, *self.response
 
-    def with_response(self, kind: int, bandwidth: float) -> Structure:
-        """Structure with a response of this bandwidth [radians per sample], and of Q = √½ if it has one."""
-        response = math.log(bandwidth), math.log(math.sqrt(0.5) - 0.5)
+    @property
+    def corner(self) -> float:
+        """Half-power frequency of the response, but for a resonance [radians per sample]."""
+        return self.bandwidth[0] * self.kind.narrowing
+
+    def with_response(self, kind: kinds.Kind, corner: float) -> Structure:
+        """Structure with a response of this `corner`, and of Q = √½ if it has one."""
+        response = math.log(corner / kind.narrowing), math.log(math.sqrt(0.5) - 0.5)
         return dataclasses.replace(self, kind=kind, response=response)
 
     def without_response(self) -> Structure:
@@ -315,7 +322,7 @@ def response_of(of: Structure, rate: float) -> Response | None:
     if of.kind == kinds.NONE:
         return None
     w, quality = of.bandwidth
-    return kinds.response_of_kind(of.kind, w * rate / (2.0 * math.pi), quality)
+    return of.kind.of(w * rate / (2.0 * math.pi), quality)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -487,7 +494,9 @@ def model_error(
     of = of.with_parameters(maximum.theta)
     if (response := response_of(of, bins.rate)) is not None:
         fallen = -np.log(np.maximum(np.asarray(response.power(f, bins.rate)), 1e-300)) - allowed
-        common += (_FILTER * np.maximum(fallen, 0.0)) ** 2
+        # What comes after the filter, such as rounding, hides its errors.
+        passing = of.inside * maximum.theta[: len(of.inside)] @ maximum.unit / maximum.mean
+        common += (_FILTER * np.maximum(fallen, 0.0) * passing) ** 2
     resonances, angle = [of.components[k] for k in of.oscillators], 2.0 * np.pi * f / bins.rate
     for k, own in zip(of.oscillators, resonances, strict=True):
         share = own.power * maximum.unit[k] / maximum.mean
@@ -498,10 +507,11 @@ def model_error(
 
 
 def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> Float[np.ndarray, " m"]:
-    """Relative variance of the levels from the two ends of a record.
+    """Relative variance of the levels from the two ends of a record: the floor below which none counts.
 
     Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there.
+    coefficients it has, and is the same in all levels there. By chance it is several times as large as
+    expected, so that nothing can be told from it up to there.
     """
     if of.kind == kinds.NONE:
         return np.zeros(len(bins.size))
@@ -512,7 +522,7 @@ def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> F
     passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
     # More than the model has is not from the ends either.
     share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * share**2
+    return bins.per_octave() * np.minimum(_CHANCE_OF_ENDS * share, 1.0) ** 2
 
 
 def share_with_error(dof: Any, variance: Any) -> Any:
@@ -571,7 +581,7 @@ class Spectrum:
     rough: Float[np.ndarray, " m"]
     size: Float[np.ndarray, " m"]
     error: Any = _ERROR**2
-    known: dict[tuple[float, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
+    known: dict[tuple[Any, ...], Float[np.ndarray, "2 m"]] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def of(
@@ -606,8 +616,9 @@ class Spectrum:
         kind of filter is known, as they hide it.
         """
         allowed = 0.0 if filters else _DEEP
-        error = model_error(fitted.structure, fitted.maximum, self.bins, allowed, skirt=0.0)
-        return self.with_error(error + _ERROR**2)
+        of = fitted.structure
+        error = model_error(of, fitted.maximum, self.bins, allowed, skirt=0.0) + _ERROR**2
+        return self.with_error(error + error_of_ends(of, of.parameters, self.levels, self.bins))
 
     def with_full_weight(self, fitted: Fitted) -> Spectrum:
         """Spectrum whose levels count as if the model of a fit were exact."""
@@ -644,7 +655,7 @@ class Spectrum:
         priors = self._priors(structure)
         lower, upper, centre, precision, width = np.array(priors).T
         free = np.ones(len(priors), bool)
-        free[-2:] = structure.kind != kinds.NONE, structure.kind in kinds.SHAPED
+        free[-2:] = structure.kind != kinds.NONE, structure.kind.is_shaped
         joint = Joint(structure, free, lower, np.maximum(upper, lower), centre, precision)
         found = maximize(structure.parameters, joint, self.levels, self.rough, tolerance)
         better = structure.with_parameters(found.theta)
@@ -692,13 +703,6 @@ def model_of(structure: Structure, rate: float) -> Model:
         return Model(tuple(term for term, _ in terms))
     inside, after = (Model(tuple(term for term, passes in terms if passes == side)) for side in (True, False))
     return (response * inside if len(inside) else inside) + after
-
-
-def order_of(structure: Structure) -> int:
-    """Order of the response: its number of poles, 1 of a moving average."""
-    if structure.kind >= kinds.BUTTERWORTH_1:
-        return structure.kind - kinds.BUTTERWORTH_1 + 1
-    return 2 if structure.kind in kinds.SHAPED else 1
 
 
 def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:

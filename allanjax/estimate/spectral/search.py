@@ -39,6 +39,7 @@ from allanjax.estimate.spectral.model import (
     resonance,
     response_of,
 )
+from allanjax.noise.response import HALF_POWER
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 from allanjax.spectrum.peaks import LOWEST, Peak, level_beside, peaks_of
@@ -58,13 +59,19 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
-# Kinds of responses; bandwidths that one is tried with [cycles per sample], or in units of another one; the
-# largest one to start from [radians per sample]; and the power above which a response has not fallen.
-_BUTTERWORTH = range(kinds.BUTTERWORTH_1, kinds.BUTTERWORTH_4 + 1)
-_KINDS = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, kinds.BIQUAD, *_BUTTERWORTH)
-_OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MOVING_AVERAGE, *_BUTTERWORTH[1:3])
+# Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
+# stop band; orders that are tried beside one, and that from which on no low one is; corners that a response
+# is tried with [cycles per sample], or in units of another one; the largest one to start from [radians per
+# sample]; and the power above which a response has not fallen.
+_LOW = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MEANS[0], kinds.BIQUAD, *kinds.BUTTERWORTH[:4])
+_EVERY = (*_LOW, *kinds.MEANS[1:], *kinds.BUTTERWORTH[4:])
+_OPENING = (kinds.ONE_POLE, kinds.TWO_POLES, kinds.MEANS[0], *kinds.BUTTERWORTH[1:3])
+_STEEP = (kinds.MEANS[2], kinds.BUTTERWORTH[5])
+_NEXT, _STEEPER = 2, 5
 _BANDWIDTHS = np.geomspace(0.012, 0.42, 12)
 _BESIDE, _HIGHEST, _FLAT = np.array([0.6, 0.75, 0.9, 1.0, 1.15, 1.4, 1.8]), 2.8, 0.98
+# Samples from which on a mean starts with whole ones.
+_SEVERAL = 3.0
 # Correlation times that a slow process starts from, in powers of the number of samples.
 _SLOW_TIMES = (0.35, 0.55, 0.75, 0.95)
 # Proposals of a round whose powers are fitted, and of these the ones that are fitted jointly; and how far
@@ -150,6 +157,13 @@ def refitted(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     return spectrum, pruned(spectrum, spectrum.fit(rough.structure))
 
 
+def in_full(spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted]:
+    """Spectrum whose levels have their full weight, and the fit to it, if that explains them."""
+    full = spectrum.with_full_weight(now)
+    again = full.fit(now.structure)
+    return (full, again) if _excess(full, again) <= 0.0 else (spectrum, now)
+
+
 def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True) -> tuple[Spectrum, Fitted]:
     """Final fit with the slow processes that predict best, without idle components.
 
@@ -158,14 +172,17 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     weight, it is edited once more.
     """
     compared, now = now, pruned(spectrum, _slow(spectrum, now)) if slow else now
-    of = spectrum
+    of, fits = spectrum, False
     if (exact := _exact(record, spectrum, now)) is not None:
         of, again = exact
         compared = again = _edited(of, pruned(of, again), functools.partial(_edits, together=True), *_LAST)
-        now = again if _excess(of, again) <= 0.0 else now
-    if of.bins is not spectrum.bins:
+        now, fits = (again, True) if _excess(of, again) <= 0.0 else (now, False)
+    if fits:
+        spectrum = of.with_full_weight(now)
+    elif of.bins is not spectrum.bins:
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
+    now = pruned(spectrum, spectrum.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
     return spectrum, final._replace(doubt=_doubt(of, compared))
 
@@ -191,7 +208,7 @@ def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, F
 def _nearby(record: Record, spectrum: Spectrum, now: Fitted) -> Iterator[tuple[Spectrum, Fitted]]:
     """Other models, and spectra with their full weight."""
     structure = now.structure
-    for groups in (_placements(spectrum, structure), _others(structure, structure.bandwidth[0])):
+    for groups in (_placements(spectrum, structure), _others(structure, structure.corner, _EVERY)):
         for tried in _ranked(spectrum, groups)[:_TRIED]:
             fit = spectrum.fit(tried)
             full = spectrum.with_full_weight(fit)
@@ -217,7 +234,7 @@ def _doubt(spectrum: Spectrum, best: Fitted) -> float:
     return 0.5 * math.sqrt(float(odds @ np.where(odds > 0.0, ratio, 0.0) ** 2 / max(odds.sum(), 1e-300)))
 
 
-def _what(structure: Structure) -> tuple[int, frozenset[tuple[float, ...]]]:
+def _what(structure: Structure) -> tuple[kinds.Kind, frozenset[tuple[float, ...]]]:
     """What a structure consists of: the kind of response, and the components with their places."""
     own = (structure.components[k] for k in structure.there)
     return structure.kind, frozenset(
@@ -281,34 +298,54 @@ def _lacks_response(spectrum: Spectrum, now: Fitted) -> bool:
 def _responses(spectrum: Spectrum, structure: Structure) -> list[list[Structure]]:
     """Structures with a response, by its kind, inside which all resonances are, or after it."""
     # Without white noise after it the depth of a deep stop band would decide what the response is.
-    if (floor := _floor(spectrum)) and structure.place(OUTSIDE) is None:
+    floor = _floor(spectrum)
+    if floor and structure.place(OUTSIDE) is None:
         structure = structure.with_column(OUTSIDE, floor)
-    places = structure, _all_placed(structure, True)
-    return _filtered(places, _OPENING, 2.0 * np.pi * _BANDWIDTHS)
+    places, opening = (structure, _all_placed(structure, True)), _OPENING + (_STEEP if floor else ())
+    return _filtered(places, opening, 2.0 * np.pi * _BANDWIDTHS)
 
 
 def _filtered(
-    structures: Iterable[Structure], responses: Sequence[int], widths: Iterable[float]
+    structures: Iterable[Structure], responses: Sequence[kinds.Kind], corners: Float[np.ndarray, " k"]
 ) -> list[list[Structure]]:
-    """Those structures that differ with each other response of these bandwidths, by its kind."""
+    """Those structures that differ with each other response of these corners, by its kind."""
     different = {s.components: s for s in structures}.values()
     return [
         [
             s.with_response(kind, w)
             for s in different
-            for w in widths
-            if kind != s.kind or abs(w / s.bandwidth[0] - 1.0) > 1e-6
+            for w in _starts(kind, corners)
+            if kind != s.kind or abs(w / s.corner - 1.0) > 1e-6
         ]
         for kind in responses
     ]
 
 
-def _others(structure: Structure, width: float) -> list[list[Structure]]:
-    """Structures with another response of about this bandwidth [radians per sample], by its kind."""
+def _starts(kind: kinds.Kind, corners: Float[np.ndarray, " k"]) -> list[float]:
+    """Corners to start from: those of means over whole samples, since their zeros fit or do not."""
+    if not kind.is_mean:
+        return corners.tolist()
+    one = 2.0 * np.pi * HALF_POWER * kind.narrowing
+    samples = one / corners
+    return (one / np.unique(np.where(samples < _SEVERAL, samples, np.rint(samples)))).tolist()
+
+
+def _kinds(kind: kinds.Kind) -> list[kinds.Kind]:
+    """Kinds to try in place of one: steep ones, and several means, beside one that is steep or a mean."""
+    own = kinds.MEANS if kind.is_mean or kind.order > 1 else ()
+    if kind in kinds.BUTTERWORTH[_NEXT:]:
+        own += kinds.BUTTERWORTH[kind.order - _NEXT - 1 : kind.order + _NEXT]
+    return list(dict.fromkeys((*_LOW, *own) if kind.order < _STEEPER else own))
+
+
+def _others(
+    structure: Structure, corner: float, responses: Sequence[kinds.Kind] = ()
+) -> list[list[Structure]]:
+    """Structures with another response of about this corner [radians per sample], by its kind."""
     rounded = structure.column(QUANTIZATION)
     moved = structure.placed([structure.place(QUANTIZATION)], not rounded.inside)
     places = structure, moved, _all_placed(structure, True), _all_placed(structure, False)
-    return _filtered(places, _KINDS, np.minimum(width * _BESIDE, _HIGHEST))
+    return _filtered(places, responses or _kinds(structure.kind), np.minimum(corner * _BESIDE, _HIGHEST))
 
 
 def _all_placed(structure: Structure, inside: bool) -> Structure:
@@ -495,7 +532,7 @@ def _settled(spectrum: Spectrum, now: Fitted, new: Sequence[int], other: bool) -
 
     def edits(_: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
         yield from _moved(structure, [structure.place(QUANTIZATION), *new] if other else new)
-        yield from _others(structure, structure.bandwidth[0]) if other else ()
+        yield from _others(structure, structure.corner) if other else ()
 
     return _edited(spectrum, now, edits)
 
@@ -507,11 +544,11 @@ def _edits(spectrum: Spectrum, structure: Structure, together: bool = False) -> 
     the response itself, which a quick process may be, too; quantization behind a filter, white noise there,
     or the shape of that filter or of a resonance. Several may also be in other places `together`.
     """
-    filtered, (width, _) = structure.kind != kinds.NONE, structure.bandwidth
+    filtered, corner = structure.kind != kinds.NONE, structure.corner
     own, rounded = structure.components, structure.place(QUANTIZATION)
     if filtered:
         yield [structure.without_response()]
-        yield from _others(structure, width)
+        yield from _others(structure, corner)
         yield from _moved(structure, [rounded, *structure.oscillators])
         if structure.place(OUTSIDE) is None:
             yield [structure.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
@@ -519,22 +556,22 @@ def _edits(spectrum: Spectrum, structure: Structure, together: bool = False) -> 
         yield from _responses(spectrum, structure)
     rests = []
     if quick := [k for k in structure.of_kind(kinds.MARKOV) if own[k].time < kinds.QUICK]:
-        rests.append((structure.without(*quick), width))
+        rests.append((structure.without(*quick), corner))
     if filtered and rounded is not None and own[rounded].power > 0.0:
         rest = structure.without(rounded)
-        rests.append((rest, width))
+        rests.append((rest, corner))
         yield [rest.with_column(OUTSIDE, float(np.min(spectrum.rough)))]
         wide = [rest.plus(resonance(w, Q, 0.0, False)) for w in _EDGES for Q in _ROUND]
-        yield from _filtered(wide, _OPENING, np.minimum(width * _BESIDE, _HIGHEST))
+        yield from _filtered(wide, _OPENING, np.minimum(corner * _BESIDE, _HIGHEST))
     for k in structure.oscillators:
         if own[k].quality < kinds.WIDE:
             w, rest, power = own[k].frequency, structure.without(k), own[k].power
-            rests.append((rest, width if filtered else w))
+            rests.append((rest, corner if filtered else w))
             yield [rest.plus(markov(1.0 / w, power))]
             yield [rest.with_column(OUTSIDE, _floor(spectrum) or power)] if filtered else []
-    for rest, width in rests:
+    for rest, corner in rests:
         yield [rest]
-        yield from _others(rest, width)
+        yield from _others(rest, corner)
     if together:
         yield [s for (s,) in _placements(spectrum, structure)]
 
@@ -604,7 +641,7 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
         }
         weakest = sorted(doubt, key=doubt.__getitem__)[:2]
         rounded = structure.place(QUANTIZATION)
-        if structure.kind == kinds.MOVING_AVERAGE and rounded in structure.there:
+        if structure.kind.is_mean and rounded in structure.there:
             # After a mean over less than two samples it is that of another duration.
             weakest.append(rounded)
         best = functools.reduce(_better, (spectrum.fit(structure.without(k)) for k in weakest), now)

@@ -324,11 +324,7 @@ class LowPass(_Exponential):
 
     coefficient: Value = parameter("N_f", time_exponent=0.5)
     bandwidth: Value = parameter("f_c", "frequency")
-    order: int = option(default=1)
-
-    def __check_init__(self) -> None:
-        if self.order not in (1, 2):
-            raise AllanjaxError(f"low_pass: the order must be 1 or 2, not {self.order!r}")
+    order: int = option(default=1, most=2)
 
     def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         w = 2.0 * np.pi * namespace(self).asarray(self.bandwidth, float)
