@@ -3,7 +3,6 @@
 import gc
 import logging
 import os
-import re
 import sys
 import warnings
 from typing import Annotated
@@ -75,7 +74,5 @@ _ORDER = (
     "calibrate simulate convert schema demo"
 )
 for _name in _ORDER.split():
-    _command, _epilog = COMMANDS[_name]
-    # In the list of commands: the first sentence, without its enumeration.
-    _short = re.split("[.:] ", _command.__doc__ or "")[0].removesuffix(".")
-    app.command(_name, help=_command.__doc__, short_help=_short, epilog=_epilog)(_command)
+    _command, _about = COMMANDS[_name]
+    app.command(_name, **_about)(_command)

@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
+from typer import Argument, Option
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
@@ -36,19 +37,23 @@ _STDIN = "-"
 
 Files = Annotated[
     list[str],
-    typer.Argument(
-        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5, .mat, TDMS, ROS bags (.bag, .db3, "
-        ".mcap, or a folder), PX4 .ulg, ArduPilot .bin. Quoted patterns may contain * (any name) and ** (any "
-        "folders); - reads standard input.",
+    Argument(
+        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5, .mat, TDMS, ROS bags "
+        "(.bag, .db3, .mcap, or a folder), PX4 .ulg, ArduPilot .bin. Quoted patterns may contain * "
+        "(any name) and ** (any folders); - reads standard input.",
         metavar="FILE",
     ),
 ]
 Out = Annotated[
-    Path | None, typer.Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json.")
+    Path | None,
+    Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json."),
 ]
+TableAsJson = Annotated[bool, Option("--json", help="Print JSON instead of a table.")]
+TablesAsJson = Annotated[bool, Option("--json", help="Print JSON instead of tables.")]
+JsonInSI = Annotated[bool, Option("--json", help="Print JSON, in SI units.")]
 Vibrating = Annotated[
     bool,
-    typer.Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
+    Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
 ]
 
 
@@ -330,11 +335,14 @@ def result_names(files: Sequence[Path]) -> list[str]:
 
 OptionalFit = Annotated[
     Path | None,
-    typer.Argument(help="Result of allanjax characterize, or a data sheet (.toml).", metavar="RESULT.json"),
+    Argument(
+        help="Result of allanjax characterize, or a data sheet (.toml).",
+        metavar="RESULT.json",
+    ),
 ]
 Sheet = Annotated[
     str | None,
-    typer.Option(help="Use a data sheet: a sensor listed by allanjax convert --list, or a TOML file."),
+    Option(help="Use a data sheet: a sensor listed by allanjax convert --list, or a TOML file."),
 ]
 
 

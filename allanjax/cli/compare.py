@@ -1,13 +1,17 @@
 """The commands `allanjax compare` and `repeat`."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
     RESULTS,
     Files,
     Input,
+    Out,
+    TablesAsJson,
     fitting,
     inputs,
     prepare,
@@ -25,34 +29,50 @@ if TYPE_CHECKING:
 
 
 @command(
+    """Compare sensors of any grade: coefficients with intervals, ratios and whether they differ,
+    Allan deviations over one another, drift after 1 min, 10 min and 1 h, and growth of heading
+    and position errors. Two recordings of one sensor, before and after a change of the setup,
+    are compared in the same way.""",
     "allanjax compare cimu hg1700 motionpak2",
     "allanjax compare allanjax-results/imu.json BMI088 --out comparison.html",
     "allanjax compare before.csv after.csv --label before --label after",
     "allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s --accel-unit m/s²",
 )
 def compare(
-    sensors: list[str],
+    sensors: Annotated[
+        list[str],
+        Argument(
+            metavar="SENSOR",
+            help="Recordings, results of characterize (NAME.json), data sheets (.toml, or a name "
+            "listed by allanjax convert --list), or presets: cimu, hg1700, motionpak2.",
+        ),
+    ],
     options: FitOptions,
-    curve: list[str] | None = None,
-    label: list[str] | None = None,
-    reference: str | None = None,
-    out: list[Path] | None = None,
-    as_json: bool = False,
+    curve: Annotated[
+        list[str] | None,
+        Option(
+            "--curve",
+            metavar="'FILE, RATE, LENGTH'",
+            help="A sensor of which only an Allan curve is known: its file, and the rate and "
+            "length of the record; repeat for more.",
+        ),
+    ] = None,
+    label: Annotated[
+        list[str] | None, Option(help="What to call a sensor; repeat for each, in their order.")
+    ] = None,
+    reference: Annotated[
+        str | None, Option(help="Sensor that the others are compared with. Default: the first.")
+    ] = None,
+    out: Annotated[
+        list[Path] | None,
+        Option(
+            "--out",
+            "-o",
+            help="Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.",
+        ),
+    ] = None,
+    as_json: TablesAsJson = False,
 ) -> None:
-    """Compare sensors of any grade: coefficients with intervals, ratios and whether they differ, Allan
-    deviations over one another, drift after 1 min, 10 min and 1 h, and growth of heading and position errors.
-    Two recordings of one sensor, before and after a change of the setup, are compared in the same way.
-
-    Args:
-        sensors (SENSOR): Recordings, results of characterize (NAME.json), data sheets (.toml, or a name
-            listed by allanjax convert --list), or presets: cimu, hg1700, motionpak2.
-        curve (--curve 'FILE, RATE, LENGTH'): A sensor of which only an Allan curve is known: its file, and
-            the rate and length of the record; repeat for more.
-        label: What to call a sensor; repeat for each, in their order.
-        reference: Sensor that the others are compared with. Default: the first.
-        out (--out, -o): Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.
-        as_json (--json): Print JSON instead of tables.
-    """
     prepare()
     from allanjax.comparison.compare import compare as compared
     from allanjax.record.io.formats import name_of
@@ -113,6 +133,11 @@ def _fitted(file: Input, options: FitOptions) -> "Fit":
 
 
 @command(
+    """Fit recordings of one unit on several days, or of units of one type, jointly: one set of
+    terms per axis, the common value of each coefficient, the scatter between recordings beyond
+    what their intervals explain, and which recording is the odd one out. Takes recordings or
+    results NAME.json of characterize. Prints a table per axis, and writes repeat.json,
+    repeat.csv and repeat.png.""",
     "allanjax repeat monday.csv tuesday.csv wednesday.csv --rate 100 --gyro-unit deg/s --accel-unit g",
     "allanjax repeat results/day*.json --out together",
     "allanjax repeat 'logs/*.parquet' --terms 'N + B + K' --json > repeat.json",
@@ -120,19 +145,10 @@ def _fitted(file: Input, options: FitOptions) -> "Fit":
 def repeat(
     files: Files,
     options: FitOptions,
-    out: Path | None = None,
+    out: Out = None,
     figure_format: FigureFormat = "png",
-    as_json: bool = False,
+    as_json: TablesAsJson = False,
 ) -> None:
-    """Fit recordings of one unit on several days, or of units of one type, jointly: one set of terms per
-    axis, the common value of each coefficient, the scatter between recordings beyond what their intervals
-    explain, and which recording is the odd one out. Takes recordings or results NAME.json of characterize.
-    Prints a table per axis, and writes repeat.json, repeat.csv and repeat.png.
-
-    Args:
-        out: Folder for the results. Default: allanjax-results, or none with --json.
-        as_json (--json): Print JSON instead of tables.
-    """
     directory = None if as_json and out is None else out or RESULTS
     prepare(directory)
     from allanjax.comparison.joint import joint_fit

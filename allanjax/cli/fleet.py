@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from allanjax.cli.common import RESULTS, exit_if_failed, prepare, print_error, print_result, stage
 from allanjax.cli.options import FigureFormat, command
@@ -18,39 +18,51 @@ if TYPE_CHECKING:
 
 
 @command(
+    """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary
+    and writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution
+    of each coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and
+    outlying units; read it first), and recordings/NAME.json as soon as each recording is fitted. If
+    one file fails, the others are still processed. A later run with the same --out only fits
+    recordings without a result; the table covers only the files given.""",
     "allanjax fleet 'logs/*.parquet' --out results",
     r"allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'",
     "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
     "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
 )
 def fleet(
-    patterns: list[str],
+    patterns: Annotated[
+        list[str],
+        Argument(
+            metavar="PATTERN",
+            help="Recordings, or quoted patterns with * (any name) and ** (any folders).",
+        ),
+    ],
     options: FitOptions,
-    group: str | None = None,
-    out: Path = RESULTS,
+    group: Annotated[
+        str | None,
+        Option(
+            help=r"Which units are compared with each other: a regular expression whose "
+            r"parentheses match the group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV "
+            r"file with columns file, group."
+        ),
+    ] = None,
+    out: Annotated[
+        Path,
+        Option(help="Folder for the results; a later run continues from it."),
+    ] = RESULTS,
     figure_format: FigureFormat = "png",
     html: Html = False,
     workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; by default one per core.", min=1)
+        int | None, Option(help="Processes on this machine; by default one per core.", min=1)
     ] = None,
-    piece: int = 20_000_000,
-    scheduler: str | None = None,
+    piece: Annotated[
+        int, Option(help="Samples per piece: longer recordings are read and processed in pieces.")
+    ] = 20_000_000,
+    scheduler: Annotated[
+        str | None,
+        Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
+    ] = None,
 ) -> None:
-    r"""Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary and
-    writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution of each
-    coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and outlying units;
-    read it first), and recordings/NAME.json as soon as each recording is fitted. If one file fails, the
-    others are still processed. A later run with the same --out only fits recordings without a result; the
-    table covers only the files given.
-
-    Args:
-        patterns (PATTERN): Recordings, or quoted patterns with * (any name) and ** (any folders).
-        group: Which units are compared with each other: a regular expression whose parentheses match the
-            group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group.
-        out: Folder for the results; a later run continues from it.
-        piece: Samples per piece: longer recordings are read and processed in pieces.
-        scheduler: Address of a running Dask scheduler to use, e.g. tcp://cluster:8786.
-    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet

@@ -1,13 +1,9 @@
 """Commands and the options that they share, each declared once, so that no command can forget to pass one on.
 
-`@command` replaces a command's parameter `reading` by the options of `ReadOptions`, and its parameter
-`options` by those of `FitOptions`, which include the former. Other parameters are described in the docstring
-below Args, as far as their types do not say it, with their flags or their name on the command line if these
-are not the usual ones: `axis: …`, `as_json (--json): …`, `to (--to TARGET): …`, or `result (RESULT.json): …`
-for one without a flag.
+Annotations declare a command's parameters. `@command` replaces the parameter `reading` by the
+options of `ReadOptions`, and `options` by those of `FitOptions`, which include the former.
 """
 
-import functools
 import inspect
 import re
 from collections.abc import Callable, Iterator
@@ -15,6 +11,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import Vibrating, user_errors
@@ -28,38 +25,33 @@ if TYPE_CHECKING:
 
 #: Format of the figures that a command writes into a folder.
 FigureFormat = Annotated[
-    Literal["png", "svg", "pdf"], typer.Option("--format", help="Format and suffix of the figures.")
+    Literal["png", "svg", "pdf"], Option("--format", help="Format and suffix of the figures.")
 ]
 
 # Types of the reading options that are numbers; the others are text.
 _NUMBERS = {"rate": float, "start": float, "stop": float, "instance": int}
 
-
-_ARGS = "\n    Args:\n"
-# A parameter in a docstring: its name, its flags or its name on the command line, and its help.
-_DESCRIBED = re.compile(r"^ {8}(\w+)(?: \((.+?)\))?: (.+(?:\n {12}.+)*)", re.MULTILINE)
-
-#: Functions of the commands and the ends of their help, by name.
-COMMANDS: dict[str, tuple[Callable[..., None], str | None]] = {}
+#: Functions of the commands and their help, by name.
+COMMANDS: dict[str, tuple[Callable[..., None], dict[str, Any]]] = {}
 
 
-def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Decorator that makes a function a command of its name, with its docstring and examples as help."""
+def command(text: str, *examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Decorator that makes a function a command of its name, with a text and examples as help."""
+    text = " ".join(text.split())
+    # In the list of commands: the first sentence, without its enumeration.
+    short = re.split("[.:] ", text)[0].removesuffix(".")
+    about = {"help": text, "short_help": short, "epilog": epilog(*examples) if examples else None}
 
     def registered(function: Callable[..., None]) -> Callable[..., None]:
-        if function.__doc__ is None:
-            raise SystemExit("allanjax: the options are described in docstrings; run Python without -OO")
         expanded = list(_expanded(function))
 
-        @functools.wraps(function)
         def called(**values: Any) -> None:
             with user_errors():
                 _call(function, values)
 
         called.__signature__ = inspect.Signature(expanded)  # type: ignore[attr-defined]
         called.__annotations__ = {parameter.name: parameter.annotation for parameter in expanded}
-        called.__doc__ = " ".join((function.__doc__ or "").partition(_ARGS)[0].split())
-        COMMANDS[function.__name__] = called, epilog(*examples) if examples else None
+        COMMANDS[function.__name__] = called, about
         return function
 
     return registered
@@ -76,24 +68,11 @@ def epilog(*examples: str) -> str:
 
 def _expanded(function: Callable[..., Any]) -> Iterator[inspect.Parameter]:
     """Parameters of a function; a parameter with a builder is replaced by the builder's parameters."""
-    described = _DESCRIBED.findall((function.__doc__ or "").partition(_ARGS)[2])
-    texts = {name: (called, " ".join(text.split())) for name, called, text in described}
     for parameter in inspect.signature(function).parameters.values():
         if parameter.name in _BUILDERS:
             yield from _expanded(_BUILDERS[parameter.name])
-            continue
-        shown = parameter.annotation
-        if parameter.name in texts:
-            called, text = texts[parameter.name]
-            flags, name = re.findall(r"--?[a-z][\w-]*", called), re.sub(r"--?[a-z][\w-]*,? ?", "", called)
-            if shown is bool and not flags:
-                # Else there would be another flag for no.
-                flags = [f"--{parameter.name.replace('_', '-')}"]
-            is_option = flags or not name
-            about = typer.Option(*flags, help=text) if is_option else typer.Argument(help=text)
-            about.metavar = name or None
-            shown = Annotated[shown, about]
-        yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=shown)
+        else:
+            yield parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
 
 
 def _call(function: Callable[..., Any], values: dict[str, Any]) -> Any:
@@ -121,7 +100,8 @@ _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
             inspect.Parameter.KEYWORD_ONLY,
             default=None,
             annotation=Annotated[
-                _NUMBERS.get(option.name, str) | None, typer.Option(help=option.metadata["help"])
+                _NUMBERS.get(option.name, str) | None,
+                Option(help=option.metadata["help"]),
             ],
         )
         for option in fields(ReadOptions)
@@ -131,27 +111,43 @@ _read_options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
 
 def _fit_options(
     reading: ReadOptions,
-    terms: str | None = None,
-    objective: Literal["allan", "wavelet", "whittle", "exact"] = "allan",
-    regressors: str | None = None,
-    as_is: bool = False,
+    terms: Annotated[
+        str | None,
+        Option(
+            help="Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk, "
+            "markov(correlation_time=100 s held)'. By default the terms are selected from the "
+            "five basic ones and a Markov process by their evidence."
+        ),
+    ] = None,
+    objective: Annotated[
+        Literal["allan", "wavelet", "whittle", "exact"],
+        Option(
+            help="What to fit: the Allan variances; the Haar wavelet variances (by default with "
+            "the five basic terms); the spectrum, with Whittle's likelihood (better for spectral "
+            "lines); or the samples, with their exact likelihood (needs --terms; up to 100,000 "
+            "samples)."
+        ),
+    ] = "allan",
+    regressors: Annotated[
+        str | None,
+        Option(
+            help="Auxiliary columns to regress on, e.g. temperature; needs --objective whittle.",
+        ),
+    ] = None,
+    as_is: Annotated[
+        bool, Option("--as-is", help="Use the whole recording, including disturbed parts.")
+    ] = False,
     vibrating: Vibrating = False,
-    plain: bool = False,
+    plain: Annotated[
+        bool,
+        Option(
+            "--plain",
+            help="Fit the noise terms only. By default, if they do not fit the data, a filter, "
+            "resonances and spectral lines are searched for, too.",
+        ),
+    ] = False,
 ) -> FitOptions:
-    """Options of fits.
-
-    Args:
-        terms: Noise terms to fit, e.g. 'N + B + K' or 'quantization, angle_random_walk,
-            markov(correlation_time=100 s held)'. By default the terms are selected from the five basic ones
-            and a Markov process by their evidence.
-        objective: What to fit: the Allan variances; the Haar wavelet variances (by default with the five
-            basic terms); the spectrum, with Whittle's likelihood (better for spectral lines); or the samples,
-            with their exact likelihood (needs --terms; up to 100,000 samples).
-        regressors: Auxiliary columns to regress on, e.g. temperature; needs --objective whittle.
-        as_is: Use the whole recording, including disturbed parts.
-        plain: Fit the noise terms only. By default, if they do not fit the data, a filter, resonances and
-            spectral lines are searched for, too.
-    """
+    """Options of fits."""
     model = None if terms is None else parsed_model(terms)
     for p in () if model is None else model.parameters:
         if p.parameter.is_amplitude and p.start is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 from urllib.parse import quote
 
-import typer
+from typer import Option
 
 from allanjax.cli.common import Input, stage
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from allanjax.fleet.fleet import FleetResult
 
 #: Whether a command writes a page, too.
-Html = Annotated[bool, typer.Option("--html", help="Also write a page, NAME.html, to open in a browser.")]
+Html = Annotated[bool, Option("--html", help="Also write a page, NAME.html, to open in a browser.")]
 
 
 def write_page(file: Input, folder: Path, *shown: Any) -> Path:

@@ -4,9 +4,10 @@ import dataclasses
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Option
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import (
@@ -41,18 +42,22 @@ if TYPE_CHECKING:
 
 
 @command(
+    """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
+    resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and
+    K. Each line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).""",
     "allanjax check imu.csv",
     "allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
     "allanjax check *.csv --json > checks.json",
 )
-def check(files: Files, reading: ReadOptions, vibrating: Vibrating = False, as_json: bool = False) -> None:
-    """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
-    resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and K. Each
-    line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).
-
-    Args:
-        as_json (--json): Print JSON instead of tables: {schema_version, checks, errors}.
-    """
+def check(
+    files: Files,
+    reading: ReadOptions,
+    vibrating: Vibrating = False,
+    as_json: Annotated[
+        bool,
+        Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}."),
+    ] = False,
+) -> None:
     from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
 
     stopped: list[str] = []
@@ -78,6 +83,9 @@ def check(files: Files, reading: ReadOptions, vibrating: Vibrating = False, as_j
 
 
 @command(
+    """Estimate the noise coefficients of static recordings. Prints one table per file and writes
+    NAME.json, NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file
+    fails, the others are still processed.""",
     "allanjax characterize imu.csv",
     "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
     "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
@@ -89,32 +97,47 @@ def check(files: Files, reading: ReadOptions, vibrating: Vibrating = False, as_j
 def characterize(
     files: Files,
     options: FitOptions,
-    stream: bool = False,
-    spec: Path | None = None,
-    curve: bool = False,
-    duration: str | None = None,
+    stream: Annotated[
+        bool,
+        Option(
+            "--stream",
+            help="Read in chunks, for recordings that do not fit into memory. The Allan variances "
+            "are estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
+        ),
+    ] = False,
+    spec: Annotated[
+        Path | None,
+        Option(
+            "--spec",
+            metavar="LIMITS.yaml",
+            help="Check the coefficients against the limits in this file "
+            "(help(allanjax.check_spec)), and write NAME_spec.xml, JUnit XML. Exit code 1: a limit "
+            "is not met; 3: none, but one is undecided.",
+        ),
+    ] = None,
+    curve: Annotated[
+        bool,
+        Option(
+            "--curve",
+            help="The files are Allan curves (cluster times and a column per axis) without their "
+            "recordings; needs --rate and --duration of these for intervals. NAME_psd.png is not "
+            "written.",
+        ),
+    ] = False,
+    duration: Annotated[
+        str | None,
+        Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
+    ] = None,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: bool = False,
-    verbose: bool = False,
+    as_json: Annotated[
+        bool, Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
+    ] = False,
+    verbose: Annotated[
+        bool, Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
+    ] = False,
 ) -> None:
-    """Estimate the noise coefficients of static recordings. Prints one table per file and writes NAME.json,
-    NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails, the others are
-    still processed.
-
-    Args:
-        stream: Read in chunks, for recordings that do not fit into memory. The Allan variances are estimated
-            at octaves by the pyramid estimator; NAME_psd.png is not written.
-        spec (--spec LIMITS.yaml): Check the coefficients against the limits in this file
-            (help(allanjax.check_spec)), and write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met;
-            3: none, but one is undecided.
-        curve: The files are Allan curves (cluster times and a column per axis) without their recordings;
-            needs --rate and --duration of these for intervals. NAME_psd.png is not written.
-        duration: Length of the recording of a curve: 3h, 20 min, or a number of seconds.
-        as_json (--json): Print JSON instead of tables: {schema_version, fits, errors}.
-        verbose: Print all coefficients with 95 % intervals, limits and χ².
-    """
     from allanjax.comparison.specification import check_spec, read_spec
 
     if spec is not None:
@@ -218,6 +241,11 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
 
 
 @command(
+    """Find what the noise model of static recordings misses, and why: spectral lines, bias steps,
+    outliers, filters and others. Prints a summary of each file and writes NAME_critique.json and
+    one figure per finding. If one file fails, the others are still processed. With --json (schema:
+    allanjax schema critique), the output for one file is its document; with several files, or if
+    none could be read, it is {schema_version, critiques, errors}.""",
     "allanjax critique imu.csv",
     "allanjax critique log.parquet --rate 100 --gyro-unit deg/s --accel-unit g --out findings",
     "allanjax critique *.csv --start 60 --json > critiques.json",
@@ -226,23 +254,22 @@ def critique(
     files: Files,
     reading: ReadOptions,
     vibrating: Vibrating = False,
-    refit: bool = False,
+    refit: Annotated[
+        bool,
+        Option("--refit", help="Also print the coefficients after correction for the findings."),
+    ] = False,
     out: Out = None,
     figure_format: FigureFormat = "png",
     html: Html = False,
-    as_json: bool = False,
+    as_json: Annotated[
+        bool,
+        Option(
+            "--json",
+            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, "
+            "errors, ...} for one file, {schema_version, critiques, errors} for several.",
+        ),
+    ] = False,
 ) -> None:
-    """Find what the noise model of static recordings misses, and why: spectral lines, bias steps, outliers,
-    filters and others. Prints a summary of each file and writes NAME_critique.json and one figure per
-    finding. If one file fails, the others are still processed. With --json (schema: allanjax schema
-    critique), the output for one file is its document; with several files, or if none could be read, it is
-    {schema_version, critiques, errors}.
-
-    Args:
-        refit: Also print the coefficients after correction for the findings.
-        as_json (--json): Print JSON instead: {schema_version, recording, findings, axes, shared_findings,
-            errors, ...} for one file, {schema_version, critiques, errors} for several.
-    """
     from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
@@ -290,19 +317,21 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
 
 
 @command(
+    """Write one page of HTML about static recordings or saved results: verdict, coefficients with
+    intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and
+    exports. The page needs no network, and prints to PDF.""",
     "allanjax report imu.csv --out report.html",
     "allanjax report imu.csv --quick --out report.html",
     "allanjax report allanjax-results/imu.json --out report.html",
 )
-def report(files: Files, options: FitOptions, out: Path = Path("report.html"), quick: bool = False) -> None:
-    """Write one page of HTML about static recordings or saved results: verdict, coefficients with
-    intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and exports.
-    The page needs no network, and prints to PDF.
-
-    Args:
-        out (--out, -o): Page to write.
-        quick: Without the critique, which takes longer than all the rest.
-    """
+def report(
+    files: Files,
+    options: FitOptions,
+    out: Annotated[Path, Option("--out", "-o", help="Page to write.")] = Path("report.html"),
+    quick: Annotated[
+        bool, Option("--quick", help="Without the critique, which takes longer than all the rest.")
+    ] = False,
+) -> None:
     if out.suffix.lower() not in (".html", ".htm"):
         raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")
     prepare(out.parent)

@@ -2,14 +2,17 @@
 
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
+    JsonInSI,
     OptionalFit,
     Sheet,
+    TableAsJson,
     exit_by,
     fit_or_sheet,
     prepare,
@@ -24,6 +27,8 @@ from allanjax.record.io import ReadOptions, read_recording
 
 
 @command(
+    """Write noise parameters for an estimator, autopilot or simulator, from a result, a data sheet
+    or another target's file.""",
     "allanjax export --list",
     "allanjax export allanjax-results/imu.json --to kalibr -o imu.yaml",
     "allanjax export allanjax-results/imu.json --to vins-mono --rate 200",
@@ -32,31 +37,43 @@ from allanjax.record.io import ReadOptions, read_recording
     "allanjax export imu.yaml --from kalibr --to vins-mono",
 )
 def export(
-    result: Path | None = None,
-    to: str | None = None,
-    source: str | None = None,
+    result: Annotated[
+        Path | None,
+        Argument(
+            metavar="RESULT.json",
+            help="Result of characterize or fleet (NAME.json); with --from, that target's file.",
+        ),
+    ] = None,
+    to: Annotated[
+        str | None,
+        Option("--to", metavar="TARGET", help="Name of the target; --list prints the names."),
+    ] = None,
+    source: Annotated[
+        str | None, Option("--from", metavar="TARGET", help="Convert a file of this target.")
+    ] = None,
     sheet: Sheet = None,
-    axes: Literal["each", "worst", "mean"] | None = None,
-    rate: float | None = None,
-    force: bool = False,
-    out: Path | None = None,
-    show_list: bool = False,
+    axes: Annotated[
+        Literal["each", "worst", "mean"] | None,
+        Option(
+            help="Value per axis (if the target has one per axis), largest value of the axes, or "
+            "their mean. Default: each if the target has it, else worst."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        Option(
+            help="Sample or step rate of the target in Hz. Default: the rate of the recording or "
+            "file; for autopilots the rate of their filter."
+        ),
+    ] = None,
+    force: Annotated[
+        bool, Option("--force", help="Also export axes that are not a measurement of the sensor.")
+    ] = False,
+    out: Annotated[
+        Path | None, Option("--out", "-o", help="File to write. Default: standard output.")
+    ] = None,
+    show_list: Annotated[bool, Option("--list", help="List the targets and exit.")] = False,
 ) -> None:
-    """Write noise parameters for an estimator, autopilot or simulator, from a result, a data sheet or
-    another target's file.
-
-    Args:
-        result (RESULT.json): Result of characterize or fleet (NAME.json); with --from, that target's file.
-        to (--to TARGET): Name of the target; --list prints the names.
-        source (--from TARGET): Convert a file of this target.
-        axes: Value per axis (if the target has one per axis), largest value of the axes, or their mean.
-            Default: each if the target has it, else worst.
-        rate: Sample or step rate of the target in Hz. Default: the rate of the recording or file; for
-            autopilots the rate of their filter.
-        force: Also export axes that are not a measurement of the sensor.
-        out (--out, -o): File to write. Default: standard output.
-        show_list (--list): List the targets and exit.
-    """
     from allanjax.presentation.export.targets import TARGETS
 
     if show_list:
@@ -92,31 +109,26 @@ def _text(path: Path) -> str:
 
 
 @command(
+    """Find the white noise N and random walk K to use in a Kalman filter that is corrected at
+    regular intervals: one pair that predicts the errors of the full noise model, and one that
+    bounds them. The bias can be a Gauss–Markov process instead of a random walk.""",
     "allanjax horizon allanjax-results/imu.json --horizon 10",
     "allanjax horizon imu.json --horizon 60 --axis gyro_x --probability 0.99",
     "allanjax horizon --sheet BMI088 --horizon 10",
     "allanjax horizon imu.json --horizon 10 --process markov --json",
 )
 def horizon(
-    seconds: float,
+    seconds: Annotated[float, Option("--horizon", help="Time between corrections in s.")],
     result: OptionalFit = None,
     sheet: Sheet = None,
-    axis: str | None = None,
-    process: Literal["walk", "markov"] = "walk",
-    probability: float = 0.95,
-    as_json: bool = False,
+    axis: Annotated[str | None, Option(help="Axis, e.g. gyro_x; by default all axes.")] = None,
+    process: Annotated[
+        Literal["walk", "markov"],
+        Option(help="How the filter models the bias: as a random walk or a Gauss–Markov process."),
+    ] = "walk",
+    probability: Annotated[float, Option(help="Probability that the bounds hold.")] = 0.95,
+    as_json: TableAsJson = False,
 ) -> None:
-    """Find the white noise N and random walk K to use in a Kalman filter that is corrected at regular
-    intervals: one pair that predicts the errors of the full noise model, and one that bounds them. The
-    bias can be a Gauss–Markov process instead of a random walk.
-
-    Args:
-        seconds (--horizon): Time between corrections in s.
-        axis: Axis, e.g. gyro_x; by default all axes.
-        process: How the filter models the bias: as a random walk or a Gauss–Markov process.
-        probability: Probability that the bounds hold.
-        as_json (--json): Print JSON instead of a table.
-    """
     prepare()
     from allanjax.estimate.horizon import horizon
 
@@ -126,51 +138,60 @@ def horizon(
 
 
 @command(
+    """Estimate how fast the attitude, velocity and position errors of a navigation system with
+    these sensors grow at rest, or in a turn or an acceleration, and how accurately and how soon
+    the sensors can find level and north.""",
     "allanjax navigate allanjax-results/imu.json --latitude 51",
     "allanjax navigate --sheet BMI088 --latitude 51",
     "allanjax navigate imu.json --latitude 51 --azimuth 0.1deg --out navigation.png",
     "allanjax navigate imu.json --latitude 51 --calibration calibration.json --turn-rate 10deg/s --for 9s",
 )
 def navigate(
-    latitude: float,
+    latitude: Annotated[float, Option(help="Latitude of the sensor in deg.")],
     result: OptionalFit = None,
     sheet: Sheet = None,
-    azimuth: str | None = None,
-    time: list[float] | None = None,
-    at_rest: float | None = None,
-    calibration: Path | None = None,
-    uncorrected: bool = False,
-    turn_rate: str | None = None,
-    acceleration: str | None = None,
-    lasting: str | None = None,
-    gyro_bias: str = "0 deg/h",
-    accel_bias: str = "0 m/s²",
-    schuler: bool = False,
-    out: Path | None = None,
-    as_json: bool = False,
+    azimuth: Annotated[
+        str | None,
+        Option(help="Required accuracy (1σ) of the azimuth, e.g. 0.1deg."),
+    ] = None,
+    time: Annotated[
+        list[float] | None,
+        Option(help="Time in s to report; repeat for more. Default: 1 s to 1000 s."),
+    ] = None,
+    at_rest: Annotated[
+        float | None,
+        Option(
+            help="Time at rest before the start, in s, over which biases are averaged. Default: "
+            "600, or the biases of the calibration are used."
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        Option(
+            "--calibration",
+            metavar="CALIBRATION.json",
+            help="Include what a calibration leaves of biases, scale factors and misalignments.",
+        ),
+    ] = None,
+    uncorrected: Annotated[
+        bool, Option("--uncorrected", help="Include the errors that it found, as if not corrected.")
+    ] = False,
+    turn_rate: Annotated[
+        str | None,
+        Option(help="Turn rate about z (down), or about x, y and z: 10 deg/s, or 5,0,10 deg/s."),
+    ] = None,
+    acceleration: Annotated[
+        str | None, Option(help="Acceleration along x, or along x, y and z: 0.5 g, or 0,0,1 g.")
+    ] = None,
+    lasting: Annotated[
+        str | None, Option("--for", help="How long the turn and the acceleration last, e.g. 20 s.")
+    ] = None,
+    gyro_bias: Annotated[str, Option(help="Residual bias (1σ) of the gyros.")] = "0 deg/h",
+    accel_bias: Annotated[str, Option(help="Residual bias (1σ) of the accelerometers.")] = "0 m/s²",
+    schuler: Annotated[bool, Option("--schuler", help="Include the Schuler loop.")] = False,
+    out: Annotated[Path | None, Option("--out", "-o", help="Figure to write, e.g. a.png.")] = None,
+    as_json: JsonInSI = False,
 ) -> None:
-    """Estimate how fast the attitude, velocity and position errors of a navigation system with these sensors
-    grow at rest, or in a turn or an acceleration, and how accurately and how soon the sensors can find level
-    and north.
-
-    Args:
-        latitude: Latitude of the sensor in deg.
-        azimuth: Required accuracy (1σ) of the azimuth, e.g. 0.1deg.
-        time: Time in s to report; repeat for more. Default: 1 s to 1000 s.
-        at_rest: Time at rest before the start, in s, over which biases are averaged. Default: 600, or the
-            biases of the calibration are used.
-        calibration (--calibration CALIBRATION.json): Include what a calibration leaves of biases, scale
-            factors and misalignments.
-        uncorrected: Include the errors that it found, as if not corrected.
-        turn_rate: Turn rate about z (down), or about x, y and z: 10 deg/s, or 5,0,10 deg/s.
-        acceleration: Acceleration along x, or along x, y and z: 0.5 g, or 0,0,1 g.
-        lasting (--for): How long the turn and the acceleration last, e.g. 20 s.
-        gyro_bias: Residual bias (1σ) of the gyros.
-        accel_bias: Residual bias (1σ) of the accelerometers.
-        schuler: Include the Schuler loop.
-        out (--out, -o): Figure to write, e.g. a.png.
-        as_json (--json): Print JSON, in SI units.
-    """
     prepare()
     from allanjax.calibration.result import load_calibration
     from allanjax.navigation.alignment import align
@@ -195,29 +216,32 @@ def navigate(
 
 
 @command(
+    """Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' =
+    A x + w, z = H x + v. The file also gives the names and SI units of the states.""",
     "allanjax statespace allanjax-results/imu.json --axis gyro_x --out gyro_x.npz",
     "allanjax statespace imu.json --axis gyro_x --rate 200 --format c --out gyro_x.h",
 )
 def statespace(
-    result: Path,
-    out: Path,
-    axis: str,
-    rate: float | None = None,
-    duration: float | None = None,
-    form: Literal["npz", "matlab", "c"] = "npz",
+    result: Annotated[
+        Path, Argument(metavar="RESULT.json", help="Result of allanjax characterize: NAME.json.")
+    ],
+    out: Annotated[Path, Option("--out", "-o", help="File to write.")],
+    axis: Annotated[str, Option(help="Axis, e.g. gyro_x.")],
+    rate: Annotated[
+        float | None, Option(help="Sample rate of the filter in Hz; by default the recording's.")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        Option(
+            help="Time in s for which the filter runs, by default the recording's length. Up to "
+            "this time, bias instability is approximated by a sum of Gauss–Markov processes."
+        ),
+    ] = None,
+    form: Annotated[
+        Literal["npz", "matlab", "c"],
+        Option("--format", help="NumPy file, MATLAB script or C header."),
+    ] = "npz",
 ) -> None:
-    """Write the matrices A, H, Q, R and P0 of a Kalman filter for the noise of a fitted axis: x' = A x + w,
-    z = H x + v. The file also gives the names and SI units of the states.
-
-    Args:
-        result (RESULT.json): Result of allanjax characterize: NAME.json.
-        out (--out, -o): File to write.
-        axis: Axis, e.g. gyro_x.
-        rate: Sample rate of the filter in Hz; by default the recording's.
-        duration: Time in s for which the filter runs, by default the recording's length. Up to this time,
-            bias instability is approximated by a sum of Gauss–Markov processes.
-        form (--format): NumPy file, MATLAB script or C header.
-    """
     prepare()
     fit = saved_fit(result)
     measured = fit[axis]
@@ -236,30 +260,39 @@ def statespace(
 
 
 @command(
+    """Run a Kalman filter with a noise model on a recording: estimate the bias over time with its
+    interval, and test whether the innovations are white and of the predicted size, as they
+    should be.""",
     "allanjax kalman imu.csv --fit allanjax-results/imu.json",
     "allanjax kalman imu.csv --terms 'N=0.1 deg/√h + K=1 deg/h/√h' --smooth --out bias.png --out bias.csv",
 )
 def kalman(
     reading: ReadOptions,
-    file: Path,
-    fit: Path | None = None,
-    terms: str | None = None,
-    smooth: bool = False,
-    out: list[Path] | None = None,
-    as_json: bool = False,
+    file: Annotated[Path, Argument(metavar="FILE", help="Recording to filter.")],
+    fit: Annotated[
+        Path | None,
+        Option(
+            "--fit",
+            metavar="RESULT.json",
+            help="Result of allanjax characterize with the model of each axis.",
+        ),
+    ] = None,
+    terms: Annotated[
+        str | None,
+        Option(
+            help="Alternatively a noise model with values, used for every axis (gyros only or "
+            "accelerometers only)."
+        ),
+    ] = None,
+    smooth: Annotated[
+        bool, Option("--smooth", help="Estimate the bias from all samples, not only earlier ones.")
+    ] = False,
+    out: Annotated[
+        list[Path] | None,
+        Option("--out", "-o", help="Figure (e.g. .png) or table (.csv) to write; repeat for more."),
+    ] = None,
+    as_json: JsonInSI = False,
 ) -> None:
-    """Run a Kalman filter with a noise model on a recording: estimate the bias over time with its interval,
-    and test whether the innovations are white and of the predicted size, as they should be.
-
-    Args:
-        file (FILE): Recording to filter.
-        fit (--fit RESULT.json): Result of allanjax characterize with the model of each axis.
-        terms: Alternatively a noise model with values, used for every axis (gyros only or accelerometers
-            only).
-        smooth: Estimate the bias from all samples, not only earlier ones.
-        out (--out, -o): Figure (e.g. .png) or table (.csv) to write; repeat for more.
-        as_json (--json): Print JSON, in SI units.
-    """
     prepare()
     from allanjax.kalman.filtering import kalman_filter
 
@@ -277,21 +310,22 @@ def kalman(
 
 
 @command(
+    """Check a saved result against the limits of a specification, as characterize does with --spec:
+    noise density, random walk, in-run bias and others, with the probability that the true value
+    meets each limit (exit code 1: a limit is not met; 3: none, but one is undecided).
+    help(allanjax.check_spec) describes the file.""",
     "allanjax spec allanjax-results/imu.json limits.yaml",
     "allanjax spec imu.json limits.yaml --out imu_spec.xml --json",
 )
-def spec(result: Path, limits: Path, out: Path | None = None, as_json: bool = False) -> None:
-    """Check a saved result against the limits of a specification, as characterize does with --spec: noise
-    density, random walk, in-run bias and others, with the probability that the true value meets each limit
-    (exit code 1: a limit is not met; 3: none, but one is undecided). help(allanjax.check_spec) describes the
-    file.
-
-    Args:
-        result (RESULT.json): Result of characterize: NAME.json.
-        limits (LIMITS.yaml): Limits, a YAML file.
-        out (--out, -o): File of JUnit XML to write.
-        as_json (--json): Print JSON instead of a table.
-    """
+def spec(
+    result: Annotated[
+        Path,
+        Argument(metavar="RESULT.json", help="Result of characterize: NAME.json."),
+    ],
+    limits: Annotated[Path, Argument(metavar="LIMITS.yaml", help="Limits, a YAML file.")],
+    out: Annotated[Path | None, Option("--out", "-o", help="File of JUnit XML to write.")] = None,
+    as_json: TableAsJson = False,
+) -> None:
     prepare()
     from allanjax.comparison.specification import check_spec
 
@@ -302,13 +336,16 @@ def spec(result: Path, limits: Path, out: Path | None = None, as_json: bool = Fa
     exit_by([judged.verdict])
 
 
-@command("allanjax schema fit > fit.schema.json")
-def schema(name: Literal["check", "fit", "critique", "fleet", "horizon"]) -> None:
-    """Print the JSON schema of what check, characterize, critique, fleet or horizon writes.
-
-    Args:
-        name (NAME): Which schema; fit is that of characterize.
-    """
+@command(
+    """Print the JSON schema of what check, characterize, critique, fleet or horizon writes.""",
+    "allanjax schema fit > fit.schema.json",
+)
+def schema(
+    name: Annotated[
+        Literal["check", "fit", "critique", "fleet", "horizon"],
+        Argument(metavar="NAME", help="Which schema; fit is that of characterize."),
+    ],
+) -> None:
     from allanjax.presentation.schemas import schema
 
     print_json(schema(name))

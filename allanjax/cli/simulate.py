@@ -4,9 +4,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 
 from allanjax.cli.common import Input, Sheet, prepare, print_result, print_written, stage
 from allanjax.cli.options import command, parsed_model
@@ -30,6 +31,8 @@ _TRUTH = {
 
 
 @command(
+    """Simulate a static recording of a known sensor or of given noise terms, and write it to a
+    file.""",
     "allanjax simulate --list",
     "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
     "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
@@ -38,29 +41,34 @@ _TRUTH = {
     "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
 )
 def simulate(
-    preset: str | None = None,
-    terms: str | None = None,
+    preset: Annotated[
+        str | None, Argument(metavar="SENSOR", help="Name of a sensor; --list prints the names.")
+    ] = None,
+    terms: Annotated[
+        str | None,
+        Option(
+            help="Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.",
+        ),
+    ] = None,
     sheet: Sheet = None,
-    sensor: Literal["gyro", "accel"] = "gyro",
-    duration: float = 3600.0,
-    rate: float = 100.0,
-    seed: int = 0,
-    out: Path | None = None,
-    show_list: bool = False,
+    sensor: Annotated[
+        Literal["gyro", "accel"],
+        Option(help="Kind of sensor, with --terms."),
+    ] = "gyro",
+    duration: Annotated[float, Option(help="Length in s.")] = 3600.0,
+    rate: Annotated[
+        float, Option(help="Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.")
+    ] = 100.0,
+    seed: Annotated[int, Option(help="The same seed gives the same recording.")] = 0,
+    out: Annotated[
+        Path | None,
+        Option(
+            help="File to write: .csv, .parquet or .npz. If axes have different sample rates, one "
+            "file per rate is written, with the rate in its name."
+        ),
+    ] = None,
+    show_list: Annotated[bool, Option("--list", help="List the sensors and exit.")] = False,
 ) -> None:
-    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file.
-
-    Args:
-        preset (SENSOR): Name of a sensor; --list prints the names.
-        terms: Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.
-        sensor: Kind of sensor, with --terms.
-        duration: Length in s.
-        rate: Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.
-        seed: The same seed gives the same recording.
-        out: File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per rate is
-            written, with the rate in its name.
-        show_list (--list): List the sensors and exit.
-    """
     from allanjax.noise.simulate import SENSORS
 
     if show_list:
@@ -100,13 +108,16 @@ def simulate(
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
 
 
-@command()
-def demo(out: Path = Path("allanjax-demo")) -> None:
-    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients.
-
-    Args:
-        out: Folder for the recording and the results.
-    """
+@command(
+    """Characterize a simulated six-axis sensor and compare the estimates with the true
+    coefficients.""",
+)
+def demo(
+    out: Annotated[
+        Path,
+        Option(help="Folder for the recording and the results."),
+    ] = Path("allanjax-demo"),
+) -> None:
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.base.earth import STANDARD_GRAVITY
@@ -160,6 +171,9 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
 
 
 @command(
+    """Convert a value from one unit to another, or the values in a data sheet to noise
+    coefficients. Write roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided:
+    without --sided, both results are printed.""",
     "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
     "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
     "allanjax convert --sheet BMI088",
@@ -167,27 +181,24 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
     "allanjax convert --list",
 )
 def convert(
-    value: float | None = None,
-    unit: str | None = None,
-    to: str | None = None,
-    sided: Literal["one", "two"] | None = None,
-    sheet: str | None = None,
-    show_list: bool = False,
-    as_json: bool = False,
+    value: Annotated[float | None, Argument(metavar="VALUE", help="The number.")] = None,
+    unit: Annotated[str | None, Argument(metavar="UNIT", help="Its unit.")] = None,
+    to: Annotated[str | None, Option(help="Unit to convert to.")] = None,
+    sided: Annotated[
+        Literal["one", "two"] | None,
+        Option(help="Whether a density per √Hz is one-sided, as in data sheets, or two-sided."),
+    ] = None,
+    sheet: Annotated[
+        str | None,
+        Option(
+            help="Data sheet to convert to noise coefficients: a TOML file, or a name that --list prints."
+        ),
+    ] = None,
+    show_list: Annotated[
+        bool, Option("--list", help="List the sensors with a built-in data sheet and exit.")
+    ] = False,
+    as_json: Annotated[bool, Option("--json", help="Print JSON; needs --sheet.")] = False,
 ) -> None:
-    """Convert a value from one unit to another, or the values in a data sheet to noise coefficients. Write
-    roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided: without --sided, both results
-    are printed.
-
-    Args:
-        value (VALUE): The number.
-        unit (UNIT): Its unit.
-        to: Unit to convert to.
-        sided: Whether a density per √Hz is one-sided, as in data sheets, or two-sided.
-        sheet: Data sheet to convert to noise coefficients: a TOML file, or a name that --list prints.
-        show_list (--list): List the sensors with a built-in data sheet and exit.
-        as_json (--json): Print JSON; needs --sheet.
-    """
     if show_list:
         from allanjax.noise.datasheet import known_sheets
 

@@ -4,16 +4,16 @@ import json
 import re
 from typing import Any
 
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from allanjax.cli.app import app
 
 
-def run(*words: object, given: bytes | None = None) -> Result:
-    """What `allanjax` with these words, and this standard input, says and returns."""
+def run(*words: object, given: bytes | None = None, **environment: str) -> Result:
+    """What `allanjax` with these words, standard input and environment says and returns."""
     # Errors that no command expects are raised.
-    return CliRunner().invoke(app, [str(word) for word in words], input=given, catch_exceptions=False)
+    said = [str(word) for word in words]
+    return CliRunner().invoke(app, said, given, environment, catch_exceptions=False)
 
 
 def without_progress(stderr: str) -> str:
