@@ -353,6 +353,9 @@ def estimate_of(
     more |= {"label": p.label, "term": p.term_label, "parameter": p.parameter, "held": not p.free}
     more |= {"interval": (ends[0], ends[1]), "interval_68": (ends[2], ends[3])}
     limit = ends[4] if p.free and p.parameter.is_amplitude else None
+    if limit is not None and seen and ends[0] > 0.0:
+        # 1σ is nowhere beyond the 95 % interval, whose law may be skewed.
+        std = float(min(std, value - ends[0], ends[1] - value))
     return Estimate(axis=axis, value=value, std=std, upper_limit=limit, detected=seen, **more)
 
 

@@ -103,13 +103,14 @@ def usable_axes(fit: Fit, sensor: Sensor, force: bool) -> tuple[list[AxisFit], l
     results = [r for r in fit.results if r.axis.sensor == sensor]
     left_out = [r for r in results if not r.measured and not (force and r.converged)]
     wrong = [f"without {r.axis.name}: {r.verdict}" for r in left_out]
-    wrong += [f"{r.axis.name}: {r.verdict}" for r in results if not r.measured and r not in left_out]
+    kept = [r for r in results if r not in left_out]
+    wrong += [f"{r.axis.name}: {r.verdict}" for r in kept if not (r.measured and r.fits)]
     wrong += [
         f"without {dead.axis.name}: no result, {dead.reason}"
         for dead in fit.dead
         if dead.axis.sensor == sensor
     ]
-    return [r for r in results if r not in left_out], wrong
+    return kept, wrong
 
 
 def quantities(result: AxisFit, duration: float) -> Quantities:
