@@ -506,12 +506,14 @@ def model_error(
     return unsteady**2 + common * bins.per_octave()
 
 
-def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> Float[np.ndarray, " m"]:
+def error_of_ends(
+    of: Structure, theta: _Theta, levels: Levels, bins: Bins, chance: float = 1.0
+) -> Float[np.ndarray, " m"]:
     """Relative variance of the levels from the two ends of a record: the floor below which none counts.
 
     Deep in a stop band a level consists of what the ends add, which scatters as two numbers do, however many
-    coefficients it has, and is the same in all levels there. By chance it is several times as large as
-    expected, so that nothing can be told from it up to there.
+    coefficients it has, and is the same in all levels there. `chance` is the factor up to which it may exceed
+    its expectation without saying anything.
     """
     if of.kind == kinds.NONE:
         return np.zeros(len(bins.size))
@@ -522,7 +524,7 @@ def error_of_ends(of: Structure, theta: _Theta, levels: Levels, bins: Bins) -> F
     passing, total = np.sum(power[of.inside], axis=0), np.sum(power, axis=0)
     # More than the model has is not from the ends either.
     share = passing * (1.0 - without / whole) / np.maximum(total, levels.level)
-    return bins.per_octave() * np.minimum(_CHANCE_OF_ENDS * share, 1.0) ** 2
+    return bins.per_octave() * np.minimum(chance * share, 1.0) ** 2
 
 
 def share_with_error(dof: Any, variance: Any) -> Any:
@@ -618,12 +620,14 @@ class Spectrum:
         allowed = 0.0 if filters else _DEEP
         of = fitted.structure
         error = model_error(of, fitted.maximum, self.bins, allowed, skirt=0.0) + _ERROR**2
-        return self.with_error(error + error_of_ends(of, of.parameters, self.levels, self.bins))
+        return self.with_error(
+            error + error_of_ends(of, of.parameters, self.levels, self.bins, _CHANCE_OF_ENDS)
+        )
 
     def with_full_weight(self, fitted: Fitted) -> Spectrum:
         """Spectrum whose levels count as if the model of a fit were exact."""
         of = fitted.structure
-        return self.with_error(error_of_ends(of, of.parameters, self.levels, self.bins))
+        return self.with_error(error_of_ends(of, of.parameters, self.levels, self.bins, _CHANCE_OF_ENDS))
 
     def loss_of(self, fitted: Fitted) -> float:
         """Minus the log-likelihood of these levels under a fit to others [nats]."""
