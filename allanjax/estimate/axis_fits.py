@@ -63,6 +63,8 @@ from allanjax.wavelets.variance import geometry_of as wavelet_geometry
 
 # Cluster sizes and terms to which a fit's arrays are padded: with four per octave, sizes of 6·10⁷ samples.
 ALLAN_CAPACITY = (96, 6)
+# Probability below which it is doubtful that a spectrum follows the model.
+_DOUBTFUL = 1e-3
 _Spectra: TypeAlias = Sequence[AxisSpectrum]
 
 
@@ -203,8 +205,8 @@ def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisF
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
     if not fits:
         other = fit_spectrum(template, result.axis, spectrum, active)
-        # A spectrum that does not follow the model either does not overrule variances that refuse it.
-        refused = result.converged and not sufficient and (other.discrepancy > 0.0 or other.misfit)
+        # A doubtful spectrum does not overrule variances that refuse the model.
+        refused = result.converged and not sufficient and not other.p_value > _DOUBTFUL
         if not refused:
             return other if other.converged else result
         chi2, dof, misfit = other.chi2, other.dof, result.misfit

@@ -62,16 +62,9 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
-# Notebooks whose sentences are of the numbers before intervals covered variation and verdicts had sizes: they
-# are to be read and executed anew.
-OUTDATED = ("01", "02", "03", "04", "05", "10", "12", "13")
-
-
 @pytest.mark.notebook
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook(path, tmp_path, monkeypatch):
-    if path.stem.startswith(OUTDATED):
-        pytest.skip(f"{path.stem} tells of numbers that have changed; read and execute it anew")
     for name in RECORDINGS.get(path.stem, ()):
         if not (DATA / name).exists():
             pytest.skip(f"{path.stem} reads {name}, which is not in the folder that ALLANJAX_DATA names")
