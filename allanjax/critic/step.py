@@ -208,7 +208,7 @@ def _of_structure(structure: Structure, rate: float) -> dict[str, float]:
             name, square = FIXED[own.which], own.power
         elif own.kind == kinds.MARKOV:
             name, square = MARKOV, 2.0 * own.power * rate / own.time
-        elif own.kind == kinds.OSCILLATOR and own.quality < kinds.WIDE:
+        elif own.oscillates and own.quality < kinds.WIDE:
             name, square = WHITE, 2.0 * own.power / (own.frequency * rate * own.quality)
         else:
             continue

@@ -372,7 +372,7 @@ def _plateaus(
             # Squared relative deviations of gamma laws have means 1/k and variances (2 + 6/k)/k².
             chance = np.sum(w / k) + _CERTAIN * np.sqrt(np.sum((w / k) ** 2 * (2.0 + 6.0 / k)))
             if Q < BROAD or w @ (ratio[near] - 1.0) ** 2 > chance + _SHAPED**2 * w.sum():
-                slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0}
+                slopes = {"frequency": -1.0, "quality_factor": 0.5 / Q - 1.0, "spread": 0.0}
                 found[place] = {"": 1.0 / (np.pi * f * Q), **slopes}
     return found
 

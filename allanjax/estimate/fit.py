@@ -13,7 +13,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -59,7 +59,7 @@ from allanjax.estimate.spectral.model import (
     Component,
     Spectrum,
     Structure,
-    resonance,
+    peak_of,
     response_of,
     term_of,
 )
@@ -69,7 +69,16 @@ from allanjax.inspection import Inspection, inspect
 from allanjax.inspection.facts import Fact, ordered
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
-from allanjax.noise.terms import Markov, NoiseTerm, PowerLaw, Resonance, Sinusoid, Telegraph, basic_terms
+from allanjax.noise.terms import (
+    Markov,
+    NoiseTerm,
+    PowerLaw,
+    Resonance,
+    Sinusoid,
+    Telegraph,
+    WanderingResonance,
+    basic_terms,
+)
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.completion import widening
 from allanjax.record.io.given import RecordingLike, as_recording
@@ -77,9 +86,6 @@ from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
 from allanjax.spectrum.cosine import cosine_transform, fast_length, joint_statistics, ramp_column
 from allanjax.spectrum.peaks import MEDIAN, lines_in
-
-if TYPE_CHECKING:
-    pass
 
 # Denser cluster times than octaves gain some 5 % in the middle of the curve, up to four per octave.
 _PER_OCTAVE = 4
@@ -625,7 +631,11 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, InUse]
         here = structure.place(k) is not None if k == QUANTIZATION and after else label in chosen
         terms.append((term, k is not None and structure.column(k).inside, here))
     components = structure.of_kind(MARKOV) + structure.oscillators
-    terms += [(term_of(structure, k, rate), structure.components[k].inside, True) for k in components]
+    for k in components:
+        term, inside = term_of(structure, k, rate), structure.components[k].inside
+        # A spectrum hardly tells how narrow a resonance is at any moment from how far it moves.
+        moves = isinstance(term, WanderingResonance)
+        terms.append((term.hold("quality_factor") if moves else term, inside, True))
     if structure.place(OUTSIDE) is not None:
         terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))
     terms += [(Sinusoid(frequency=line.frequency), False, True) for line in content.lines]
@@ -644,7 +654,7 @@ def _detected(
         if len(wanted := lines_of(template)[1]) != len(lines):
             c, lines = take_out_lines(x, rate, wanted)
         peaks = [term for term in template.terms if isinstance(term, Resonance)]
-        around = [(float(term.frequency or 0.0), float(term.quality_factor or 1.0)) for term in peaks]
+        around = [(peak.frequency, peak.quality) for peak in map(peak_of, peaks)]
         spectrum = AxisSpectrum.in_bins(template, search.bins_around(around, n, rate), c, lines)
         result = fit_spectrum(template, axis, spectrum, active, at_low=True)
         if last is not None and not result.discrepancy <= _WORSE * last[1].discrepancy + _SLIGHT:
@@ -669,15 +679,13 @@ def _tidied(template: Model, active: InUse, result: AxisFit, spacing: float) -> 
     every = dict(zip(model.term_labels, model.terms, strict=True))
     for label, term in every.items():
         if isinstance(term, Resonance):
-            peaks[label] = resonance(
-                float(term.frequency or 0.0), float(term.quality_factor or 1.0), 0.0, False
-            )
+            peaks[label] = peak_of(term)
         elif isinstance(term, Sinusoid):
             lines.append(float(term.frequency or 0.0))
     # Too narrow a resonance spoils its neighbours; these are judged once it is a line.
     gone = sharp = [label for label, peak in peaks.items() if peak.width < LINE * spacing]
     if not sharp:
-        further = [k for k, term in every.items() if type(term) in (PowerLaw, Resonance, Sinusoid)]
+        further = [k for k, term in every.items() if isinstance(term, (PowerLaw, Resonance, Sinusoid))]
         unseen = [c for c in result.coefficients.values() if c.is_amplitude and not c.detected]
         gone = []
         # Overlapping resonances may be detected only together, not singly: the weakest goes first.

@@ -27,6 +27,7 @@ from allanjax.estimate.deterministic import Cosines, Samples, amplitude_quantile
 from allanjax.estimate.likely_models import exact_model
 from allanjax.estimate.result import MAIN, AxisFit
 from allanjax.estimate.spectral.components import BROAD, QUICK
+from allanjax.estimate.spectral.model import peak_of
 from allanjax.noise.estimate import Variation
 from allanjax.noise.model import Model
 from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, PowerLaw, Resonance
@@ -204,8 +205,7 @@ def _weights_of_white(cosines: Sequence[Cosines], rate: float, model: Model) -> 
 def _weights_at_low(n: int, rate: float, model: Model, label: str) -> Weights:
     """Weights of a term that is strong at low frequencies, from the density of the model."""
     peaks = [term for term in model.terms if isinstance(term, Resonance)]
-    places = [(float(p.frequency or 0.0), float(p.quality_factor or 1.0)) for p in peaks]
-    bins = Bins.of(n, rate, [(f, f / Q) for f, Q in places], _FINE)
+    bins = Bins.of(n, rate, [(p.frequency, p.width) for p in map(peak_of, peaks)], _FINE)
     own, total = _densities(model, label, bins.frequency, rate)
     share = own / total
     return Weights(bins.edges, np.where(share < _SOME, 0.0, share), total)

@@ -21,8 +21,6 @@ import allanjax as aj
 DIGITS = 40
 # What is left of a filter's pulse where it is cut off.
 _GONE = 1e-18
-# Nodes of Gauss and Hermite over which a wandering resonance is spread.
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
 
 
 def covariance(model: aj.Model | aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
@@ -160,10 +158,14 @@ def _low_pass(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
 
 
 def _wandering(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
-    shares = _WEIGHTS / _WEIGHTS.sum()
-    each = zip(shares, term.frequency + _NODES * term.spread, strict=True)
-    Q = term.quality_factor
-    return term.amplitude**2 * sum(s * oscillator(t, max(f, 0.01 * term.frequency), Q) for s, f in each)
+    x = np.arange(-6, 7) * 0.5
+    each = zip(np.exp(-(x**2) / 2.0), term.frequency + x * term.spread, strict=True)
+    Q = 0.5 + ((term.quality_factor - 0.5) ** -4 + (0.6 * term.spread / term.frequency) ** 4) ** -0.25
+    return (
+        term.amplitude**2
+        * sum(s * oscillator(t, max(f, 0.01 * term.frequency), Q) for s, f in each)
+        / np.sum(np.exp(-(x**2) / 2.0))
+    )
 
 
 AT_INSTANTS: dict[str, Callable] = {

@@ -29,6 +29,7 @@ from allanjax.noise import response as filters
 from allanjax.noise.process import Poles, averaged_lags
 from allanjax.noise.response import Response
 from allanjax.noise.terms import NoiseTerm
+from allanjax.noise.terms.random import LEAST_FREQUENCY, LEAST_WIDTH, NODES, SHARES
 from allanjax.spectrum.cosine import Bins, Part, exact_expectation
 
 #: Quality factor below which a resonance, and correlation time [samples] below which a Markov process, may be
@@ -221,11 +222,32 @@ def oscillator(levels: Levels, shapes: Float[np.ndarray, "... k 2"], sloped: boo
     return found[..., 0, :, :], found[..., 1:, :, :] if sloped else None
 
 
+def wandering(levels: Levels, shapes: Float[np.ndarray, "... k 3"], sloped: bool = False) -> tuple[Any, Any]:
+    """As `oscillator`, for one of a spread frequency, also by ln Δω: sums over those that it consists of."""
+    w, excess, spread = (x[..., None] for x in np.moveaxis(np.exp(shapes), -1, 0))
+    nodes = w + NODES * spread
+    stays = nodes > LEAST_FREQUENCY * w
+    nodes = np.where(stays, nodes, LEAST_FREQUENCY * w)
+    own, least = excess**-4.0, (LEAST_WIDTH * spread / w) ** 4
+    of_each = np.broadcast_to(-0.25 * np.log(own + least), nodes.shape)
+    value, slopes = oscillator(levels, np.stack([np.log(nodes), of_each], axis=-1), sloped)
+    total = np.einsum("s,...sij->...ij", SHARES, value)
+    if not sloped:
+        return total, None
+    # Derivatives of the nodes' frequencies and quality factors, in ln, by the three shapes.
+    known = own / (own + least)
+    by_frequency = np.where(stays, w / nodes, 1.0), 0.0 * nodes, np.where(stays, NODES * spread / nodes, 0.0)
+    by_quality = 1.0 - known, known, known - 1.0
+    each = [np.stack(np.broadcast_arrays(*by)) for by in zip(by_frequency, by_quality, strict=True)]
+    weights = np.moveaxis([np.broadcast_to(x, (2, *nodes.shape)) for x in each], (0, 1), (-3, -2)) * SHARES
+    return total, np.einsum("...pqs,...sqij->...pij", weights, slopes)
+
+
 #: Kinds of components: without a free shape, so that their levels are columns; with closed forms of their
 #: shapes; and others.
-COLUMN, MARKOV, OSCILLATOR, OTHER = range(4)
+COLUMN, MARKOV, OSCILLATOR, WANDERING, OTHER = range(5)
 #: The closed forms.
-CLOSED = {MARKOV: markov, OSCILLATOR: oscillator}
+CLOSED = {MARKOV: markov, OSCILLATOR: oscillator, WANDERING: wandering}
 
 
 class Kind(NamedTuple):

@@ -32,7 +32,7 @@ from allanjax.estimate.spectral.model import (
     share_with_error,
 )
 from allanjax.noise.model import Model
-from allanjax.noise.terms import Markov, NoiseTerm, Resonance
+from allanjax.noise.terms import Markov, NoiseTerm, Resonance, WanderingResonance
 from allanjax.spectrum.cosine import Bins
 
 _Levels: TypeAlias = Float[np.ndarray, " m"]
@@ -42,9 +42,11 @@ _Shapes: TypeAlias = Float[np.ndarray, " shapes"]
 _Flags: TypeAlias = Bool[np.ndarray, " terms+shapes"]
 # Names and bounds of the shapes of a kind of component, in ln and units of the sample interval; of the shapes
 # of other terms [SI]; and a value to hold what has none.
+_OF_PEAKS = {"frequency": (-30.0, math.log(math.pi)), "quality_factor": (-7.0, 14.0)}
 _SHAPES = {
     kinds.MARKOV: {"correlation_time": (-3.0, 40.0)},
-    kinds.OSCILLATOR: {"frequency": (-30.0, math.log(math.pi)), "quality_factor": (-7.0, 14.0)},
+    kinds.OSCILLATOR: _OF_PEAKS,
+    kinds.WANDERING: {**_OF_PEAKS, "spread": (-30.0, math.log(math.pi))},
 }
 _RESPONSE, _OF_OTHERS, _HELD = ("bandwidth", "quality_factor"), (-60.0, 60.0), math.log(5.0)
 # Power of what is not in use, which has levels, too, for its limit.
@@ -137,7 +139,7 @@ class Arrangement(NamedTuple):
         for c in of.components:
             bounds += [*_SHAPES[c.kind].values()] if c.kind in _SHAPES else [_OF_OTHERS] * len(c.shape)
         least, most = bandwidths(of.kind)
-        bounds += [(math.log(least), math.log(most)), _SHAPES[kinds.OSCILLATOR]["quality_factor"]]
+        bounds += [(math.log(least), math.log(most)), _OF_PEAKS["quality_factor"]]
         lower, upper = np.array(bounds).T
         free = np.zeros(len(lower), bool)
         free[np.append(np.arange(count), self.parameter)] = estimated
@@ -246,7 +248,7 @@ class _Shape(NamedTuple):
 def _shapes_of(model: Model, of_terms: Sequence[int], rate: float) -> list[_Shape]:
     """All shapes of the components with a closed form and of the response, and the free ones of others."""
     angle, found = math.log(2.0 * math.pi / rate), []
-    units = {"correlation_time": math.log(rate), "frequency": angle, "bandwidth": angle}
+    units = {"correlation_time": math.log(rate), "frequency": angle, "bandwidth": angle, "spread": angle}
     known = {(p.term, p.parameter.name): p for p in model.parameters if not p.parameter.is_amplitude}
     for k, kind in enumerate([*of_terms, None]):
         free = [name for (owner, name), p in known.items() if owner == k and p.free]
@@ -264,7 +266,9 @@ def _kind(term: NoiseTerm) -> int:
         return kinds.COLUMN
     if isinstance(term, Markov) and term.has_free_amplitude:
         return kinds.MARKOV
-    return kinds.OSCILLATOR if isinstance(term, Resonance) else kinds.OTHER
+    if isinstance(term, Resonance):
+        return kinds.WANDERING if isinstance(term, WanderingResonance) else kinds.OSCILLATOR
+    return kinds.OTHER
 
 
 class LevelFit(NamedTuple):

@@ -27,7 +27,15 @@ from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.components import Levels, Others
 from allanjax.noise.model import Model
 from allanjax.noise.response import Response
-from allanjax.noise.terms import AngleRandomWalk, Markov, NoiseTerm, Resonance, basic_terms
+from allanjax.noise.terms import (
+    AngleRandomWalk,
+    Markov,
+    NoiseTerm,
+    Resonance,
+    WanderingResonance,
+    basic_terms,
+)
+from allanjax.noise.terms.random import LEAST_WIDTH
 from allanjax.spectrum.cosine import Bins, smoothed
 from allanjax.spectrum.peaks import LOWEST
 
@@ -75,6 +83,8 @@ ROUGH, FINE = 1e-2, 1e-7
 FREQUENCIES = 32.0
 # Prior of ln(Q − ½) of resonances: mean and precision. A judgement.
 _QUALITY = (math.log(10.0), 1.0 / 9.0)
+# Width at half maximum of a normal law, in standard deviations.
+_WIDTH = 2.0 * math.sqrt(2.0 * math.log(2.0))
 # Largest distance of a frequency from its start, in ln.
 _REACH = 0.7
 #: Log prior odds against a component [nats]: a judgement, twenty to one.
@@ -89,8 +99,8 @@ class Component(NamedTuple):
     """Component of a spectrum, of a kind of `spectral.components`, with its power [rate²].
 
     Its shapes are logarithms: of a Markov process T_c in samples; of an oscillator ω_0 in radians per sample
-    and Q − ½; of another term what its free parameters are above their lower bounds. `inside` says whether it
-    passes through the response, and `which` one of the columns it is.
+    and Q − ½, and Δω if its frequency is spread; of another term what its free parameters are above their
+    lower bounds. `inside` says whether it passes through the response, and `which` one of the columns it is.
     """
 
     kind: int
@@ -110,14 +120,29 @@ class Component(NamedTuple):
         return math.exp(self.shape[0])
 
     @property
+    def oscillates(self) -> bool:
+        """Whether it is an oscillator, of one frequency or of a spread one."""
+        return self.kind in (kinds.OSCILLATOR, kinds.WANDERING)
+
+    @property
     def quality(self) -> float:
-        """Quality factor of an oscillator."""
-        return 0.5 + math.exp(self.shape[1])
+        """Quality factor of an oscillator's peak."""
+        return self.frequency / self.width
 
     @property
     def width(self) -> float:
         """Width of an oscillator's peak [radians per sample]."""
-        return self.frequency / self.quality
+        return math.hypot(self.own_width, _WIDTH * self.spread)
+
+    @property
+    def own_width(self) -> float:
+        """Width of an oscillator's peak at any moment [radians per sample]."""
+        return self.frequency / (0.5 + math.exp(self.shape[1]))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of an oscillator's frequency [radians per sample]."""
+        return math.exp(self.shape[2]) if self.kind == kinds.WANDERING else 0.0
 
     def is_close_to(self, other: Component) -> bool:
         """Whether two oscillators are so close that they may be one whose frequency drifts."""
@@ -127,6 +152,20 @@ class Component(NamedTuple):
 def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
     """Resonance at a frequency [radians per sample]."""
     return Component(kinds.OSCILLATOR, power, (math.log(frequency), math.log(quality - 0.5)), inside)
+
+
+def wandering(frequency: float, quality: float, spread: float, power: float, inside: bool) -> Component:
+    """Resonance at a frequency that has this standard deviation [both in radians per sample]."""
+    shape = math.log(frequency), math.log(quality - 0.5), math.log(spread)
+    return Component(kinds.WANDERING, power, shape, inside)
+
+
+def peak_of(term: Resonance) -> Component:
+    """Component of a resonance at 2π samples a second, so that its frequency and width are in Hz."""
+    place = float(term.frequency or 0.0), float(term.quality_factor or 1.0)
+    if isinstance(term, WanderingResonance):
+        return wandering(*place, float(term.spread or 0.0), 0.0, False)
+    return resonance(*place, 0.0, False)
 
 
 def markov(time: float, power: float) -> Component:
@@ -170,7 +209,7 @@ class Structure:
 
     @property
     def oscillators(self) -> list[int]:
-        return self.of_kind(kinds.OSCILLATOR)
+        return [k for k, c in enumerate(self.components) if c.oscillates]
 
     @property
     def parameters(self) -> _Theta:
@@ -536,7 +575,7 @@ def share_with_error(dof: Any, variance: Any) -> Any:
 
 
 def _is_shape(component: Component) -> bool:
-    return component.kind == kinds.OSCILLATOR or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
+    return component.oscillates or (component.kind, component.which) == (kinds.COLUMN, OUTSIDE)
 
 
 class Fitted(NamedTuple):
@@ -673,12 +712,15 @@ class Spectrum:
         for c in structure.components:
             if c.kind == kinds.MARKOV:
                 rows.append((math.log(_SHORTEST), math.log(self.n), 0.0, 0.0, math.log(self.n)))
-            elif c.kind == kinds.OSCILLATOR:
+            elif c.oscillates:
                 lower = max(c.shape[0] - _REACH, math.log(LOWEST * spacing))
                 upper = min(c.shape[0] + _REACH, math.log(np.pi))
                 rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
-                highest = math.log(max(c.frequency / (LINE * spacing), 2.0) - 0.5)
+                least = max(LINE * spacing, LEAST_WIDTH * c.spread)
+                highest = math.log(max(c.frequency / least, 2.0) - 0.5)
                 rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
+            if c.kind == kinds.WANDERING:
+                rows.append((math.log(spacing), math.log(c.frequency / 2.0), 0.0, 0.0, 2.0 * _DECADES))
         least, most = kinds.bandwidths(structure.kind)
         least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
         rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))
@@ -718,6 +760,10 @@ def term_of(structure: Structure, k: int, rate: float) -> NoiseTerm:
         return Markov(math.sqrt(2.0 / time) * root, time)
     if component.kind == kinds.OSCILLATOR:
         return Resonance(root, component.frequency * rate / (2.0 * np.pi), component.quality)
+    if component.kind == kinds.WANDERING:
+        w, excess, spread = np.exp(component.shape).tolist()
+        hertz = rate / (2.0 * np.pi)
+        return WanderingResonance(root, w * hertz, 0.5 + excess, spread * hertz)
     if component.which < OUTSIDE:
         return basic_terms()[FIXED[component.which]].replace(coefficient=root)
     if component.which == FURTHER and (further := structure.further) is not None:

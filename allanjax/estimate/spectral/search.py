@@ -26,6 +26,7 @@ from allanjax.estimate.spectral import components as kinds
 from allanjax.estimate.spectral.fit import chi_squared, degrees_left
 from allanjax.estimate.spectral.model import (
     FINE,
+    LEAST_QUALITY,
     LINE,
     OUTSIDE,
     QUANTIZATION,
@@ -38,6 +39,7 @@ from allanjax.estimate.spectral.model import (
     markov,
     resonance,
     response_of,
+    wandering,
 )
 from allanjax.noise.response import HALF_POWER
 from allanjax.noise.terms import NoiseTerm
@@ -49,7 +51,7 @@ _WORTH = 4.0
 # Oscillators an octave that are proposed, and their quality factors; number of correlation times; and most
 # components of a kind to which a search adds another one.
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
-_MOST = {kinds.OSCILLATOR: 12, kinds.MARKOV: 4}
+_MOST_PEAKS, _MOST_PROCESSES = 12, 4
 # Gains [nats]: log odds of an addition, and of any other change, beyond a fit's tolerance; in likelihood by a
 # slow process, of which two are the expected ones of its two parameters; and from which on a proposal is
 # fitted jointly, less than its evidence costs.
@@ -57,6 +59,9 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 # Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
 # quality factor above which a resonance is narrow, gain of a peak that is surely one.
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
+# Peaks that may move: least width, in that of a line; spread of one, in its width; and widths that it has
+# then at any moment.
+_BROADER, _HALF, _NARROWER = 4.0, 0.3, (0.3, 1.0)
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
@@ -134,6 +139,7 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
             spectrum, now = found
         if now is edited:
             return spectrum, now
+        now = _edited(spectrum, now, _peaks_that_may_move)
         now = edited = pruned(spectrum, _edited(spectrum, now, _edits))
         # Editing may take back what growing added, again and again.
         if now.evidence <= best:
@@ -248,7 +254,7 @@ def _white(spectrum: Spectrum, structure: Structure) -> float:
         c
         for c in structure.components
         if _is(c, WHITE, OUTSIDE)
-        or (c.kind == kinds.OSCILLATOR and c.quality < kinds.BROAD)
+        or (c.oscillates and c.quality < kinds.BROAD)
         or (c.kind == kinds.MARKOV and c.time < kinds.QUICK)
     ]
     return float(np.array([c.power for c in own]) @ spectrum.units(structure, own)[:, 0]) if own else 0.0
@@ -412,7 +418,7 @@ def _grown(
         if exact:
             # A wide resonance would mend the filter's shape.
             new = again.structure.components[len(now.structure.components) :]
-            if any(c.kind == kinds.OSCILLATOR and c.quality < kinds.WIDE for c in new):
+            if any(c.oscillates and c.quality < kinds.WIDE for c in new):
                 continue
             plain = finer = finer.with_full_weight(again)
         else:
@@ -429,7 +435,8 @@ def _grown(
 def _additions(record: Record, spectrum: Spectrum, now: Fitted) -> list[Structure]:
     """Structures with one component more, or with several narrow resonances, the most promising first."""
     structure, inside = now.structure, now.structure.kind != kinds.NONE
-    resonances, processes = (_MOST[k] - len(structure.of_kind(k)) for k in (kinds.OSCILLATOR, kinds.MARKOV))
+    resonances = _MOST_PEAKS - len(structure.oscillators)
+    processes = _MOST_PROCESSES - len(structure.of_kind(kinds.MARKOV))
     level = at_all(spectrum, now)
     left = peaks_of(record.squares, level, _MORE_PEAKS) if resonances else []
     left = [peak for peak in left if peak.gain > _WORTH]
@@ -576,6 +583,38 @@ def _edits(spectrum: Spectrum, structure: Structure, together: bool = False) -> 
         yield [s for (s,) in _placements(spectrum, structure)]
 
 
+def _peaks_that_may_move(spectrum: Spectrum, structure: Structure) -> Iterator[list[Structure]]:
+    """Structures in which neighbouring peaks, or one, are a resonance whose frequency is spread."""
+    own, least = structure.components, _BROADER * LINE * np.pi / spectrum.n
+    places = sorted(structure.oscillators, key=lambda k: own[k].frequency)
+    places = [k for k in places if own[k].width > least]
+    for first, k in enumerate(places):
+        run = [k]
+        if own[k].kind == kinds.OSCILLATOR:
+            yield _as_one(structure, run)
+        else:
+            one = resonance(own[k].frequency, max(own[k].quality, LEAST_QUALITY), own[k].power, own[k].inside)
+            yield [structure.without(k).plus(one)]
+        for beside in places[first + 1 :]:
+            if not own[run[-1]].is_close_to(own[beside]):
+                break
+            run.append(beside)
+            yield _as_one(structure, run)
+
+
+def _as_one(structure: Structure, run: Sequence[int]) -> list[Structure]:
+    """Structures in which some peaks are one whose frequency is spread by as much, with several widths."""
+    several = [structure.components[k] for k in run]
+    power = np.array([c.power for c in several])
+    share, place = power / power.sum(), np.array([c.frequency for c in several])
+    width = np.array([c.width for c in several])
+    w, inside = float(share @ place), several[int(np.argmax(power))].inside
+    spread = math.sqrt(float(share @ ((place - w) ** 2 + (_HALF * width) ** 2)))
+    qualities = np.maximum(w / (float(share @ width) * np.array(_NARROWER)), LEAST_QUALITY).tolist()
+    rest, total = structure.without(*run), float(power.sum())
+    return [rest.plus(wandering(w, quality, spread, total, inside)) for quality in qualities]
+
+
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
     """Structures with one of these components inside the response if it is after it, or after it."""
     for k in _movable(structure, places):
@@ -590,7 +629,7 @@ def _movable(structure: Structure, places: Iterable[int | None]) -> list[int]:
     for k in (k for k in places if k is not None):
         own = structure.components[k]
         # Where the response has not fallen yet there is no difference.
-        top = own.frequency * (1.0 + 1.0 / own.quality) if own.kind == kinds.OSCILLATOR else np.pi
+        top = own.frequency + own.width if own.oscillates else np.pi
         if float(response.power(min(top, np.pi), 2.0 * np.pi)) < _FLAT:
             found.append(k)
     return found

@@ -240,41 +240,40 @@ class Resonance(_Exponential):
         return of.simulate(self, key, n, rate)
 
 
-# Nodes of the quadrature over the frequency: the spectrum stays smooth for spreads up to the width f0/Q_f.
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(11)
-_SHARES = _WEIGHTS / _WEIGHTS.sum()
+#: Frequencies of the oscillators in a wandering resonance, in standard deviations, and their shares of the
+#: power. A frequency is at least so much of the mean; and a width at least so much of the standard deviation,
+#: so that the spectrum is smooth.
+NODES = np.linspace(-3.0, 3.0, 13)
+SHARES = np.exp(-(NODES**2) / 2.0) / np.sum(np.exp(-(NODES**2) / 2.0))
+LEAST_FREQUENCY, LEAST_WIDTH = 0.01, 0.6
 
 
-class WanderingResonance(NoiseTerm):
+class WanderingResonance(Resonance):
     """Noise of a damped oscillator (`Resonance`) whose frequency is spread by a normal law over the record.
 
     Not in the thesis, but found in sensors whose resonances move, e.g. with temperature. `amplitude` is the
     RMS of the rate [rad/s or m/s²], `frequency` f0 in Hz the mean, `quality_factor` Q_f above ½ that at any
-    moment, `spread` Δf in Hz the standard deviation of the frequency. The spectrum is that of eleven
-    oscillators at the nodes of Gauss–Hermite quadrature.
+    moment, `spread` Δf in Hz the standard deviation of the frequency. The spectrum is that of oscillators at
+    13 frequencies up to 3Δf from the mean, whose width is never much below 0.6Δf, so that it is smooth.
     """
 
-    amplitude: Value = parameter("σ", time_exponent=0.0)
-    frequency: Value = parameter("f0", "line")
-    quality_factor: Value = parameter("Q_f", "number", lower=0.5)
     spread: Value = parameter("Δf", "frequency")
-    #: Sample interval [s]; 0 for the continuous rate.
-    sample_interval: float = 0.0
-    narrow_band: ClassVar[bool] = True
 
     def _oscillators(self) -> list[Resonance]:
         """Oscillators that together have the spectrum; their frequencies stay above zero."""
         xp = namespace(self)
-        frequencies = xp.asarray(self.frequency, float)[..., None] + _NODES * self.spread
-        lowest = 0.01 * xp.asarray(self.frequency, float)
+        frequencies = xp.asarray(self.frequency, float)[..., None] + NODES * self.spread
+        lowest = LEAST_FREQUENCY * xp.asarray(self.frequency, float)
+        least = LEAST_WIDTH * self.spread / self.frequency
+        quality = 0.5 + (1.0 / (self.quality_factor - 0.5) ** 4 + least**4) ** -0.25
         return [
             Resonance(
                 self.amplitude * math.sqrt(share),
                 xp.maximum(frequencies[..., k], lowest),
-                self.quality_factor,
+                quality,
                 sample_interval=self.sample_interval,
             )
-            for k, share in enumerate(_SHARES)
+            for k, share in enumerate(SHARES)
         ]
 
     def _sum(self, method: str, *arguments: Any) -> Any:
@@ -286,9 +285,7 @@ class WanderingResonance(NoiseTerm):
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance of the mean square: the oscillators' powers fluctuate independently."""
-        return sum(
-            x**2 * o.power_scatter(duration) for x, o in zip(_SHARES, self._oscillators(), strict=True)
-        )
+        return sum(x**2 * o.power_scatter(duration) for x, o in zip(SHARES, self._oscillators(), strict=True))
 
     def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
         return self._sum("psd", frequency)
@@ -308,7 +305,7 @@ class WanderingResonance(NoiseTerm):
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
         """Simulated samples: a stationary process with this spectrum."""
-        keys = jax.random.split(key, len(_SHARES))
+        keys = jax.random.split(key, len(SHARES))
         draws = [one.simulate(k, n, rate) for k, one in zip(keys, self._oscillators(), strict=True)]
         return jnp.sum(jnp.stack(draws), axis=0)
 
