@@ -491,6 +491,10 @@ class Content(NamedTuple):
             record = Record(without_lines(c, lines, rate) ** 2, rate)
             spectrum, found = search.searched(record, search.refitted(record, rest)[1].structure)
         spectrum, last = search.completed(record, spectrum, found)
+        if last.structure.kind != NONE:
+            halves = _halves(x, rate, lines)
+            if not search.shows_response(halves, last.structure):
+                spectrum, last = search.without_response(record, last)
         structure = last.structure.without(*search.narrow(last.structure, len(x)))
         return cls(structure, lines, spectrum, c, last.doubt)
 
@@ -505,6 +509,15 @@ class Content(NamedTuple):
         of = self.structure
         plain = [*of.of_kind(MARKOV), *map(of.place, range(OUTSIDE))]
         return [k for k in of.there if k in plain and (of.kind == NONE or of.components[k].inside)]
+
+
+def _halves(x: Samples, rate: float, lines: Sequence[Line]) -> list[Record]:
+    """Squared coefficients of both halves of a record without its lines."""
+    half, known, found = fast_length(len(x) // 2), [(line.frequency, False) for line in lines], []
+    for part in (x[:half], x[-half:]):
+        c, own = take_out_lines(part - part.mean(), rate, known)
+        found.append(Record(without_lines(c, own, rate) ** 2, rate))
+    return found
 
 
 def _conspicuous(square: Cosines, rate: float) -> list[float]:

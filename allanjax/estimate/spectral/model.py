@@ -146,7 +146,8 @@ class Component(NamedTuple):
 
     def is_close_to(self, other: Component) -> bool:
         """Whether two oscillators are so close that they may be one whose frequency drifts."""
-        return abs(self.frequency - other.frequency) < CLOSE * 0.5 * (self.width + other.width)
+        widths = self.own_width + other.own_width
+        return abs(self.frequency - other.frequency) < CLOSE * 0.5 * widths
 
 
 def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:
@@ -461,7 +462,9 @@ def maximize(
             converged = abs(predicted) * (1.0 + damping) < tolerance or damping > _STUCK
             new = place(trial, best.scale)
             # Of a small step the gain is lost in rounding.
-            share = 1.0 if 0.0 <= predicted < _SMALL else (best.loss - new.loss) / abs(predicted)
+            is_small = 0.0 <= predicted < _SMALL
+            share = 1.0 if is_small else (best.loss - new.loss) / abs(predicted)
+            converged |= bool(is_small and new.loss >= best.loss and damping < _DAMPING)
             damping *= _LESS if share > _GOOD else _MORE if not share > _POOR else 1.0
             if share > _BAD:
                 best, slopes = new, _slopes(new, joint, levels)
@@ -734,6 +737,7 @@ class Spectrum:
         _, logdet = np.linalg.slogdet(F * np.outer(D, D) + np.eye(len(D)))
         used = [structure.components[k] for k in structure.there]
         more = sum(c.kind != kinds.COLUMN or c.which == OUTSIDE for c in used)
+        more += sum(c.kind == kinds.WANDERING for c in used)
         if structure.kind != kinds.NONE:
             # Quantization beside a filter may be the filter's shape, the more so before it.
             rounded = structure.column(QUANTIZATION)

@@ -37,6 +37,7 @@ from allanjax.estimate.spectral.model import (
     Spectrum,
     Structure,
     markov,
+    model_error,
     resonance,
     response_of,
     wandering,
@@ -62,6 +63,8 @@ _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 
 # Peaks that may move: least width, in that of a line; spread of one, in its width; and widths that it has
 # then at any moment.
 _BROADER, _HALF, _NARROWER = 4.0, 0.3, (0.3, 1.0)
+# What a response has to gain in data that did not choose it [nats].
+_SHOWN = 6.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
@@ -191,6 +194,32 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
     now = pruned(spectrum, spectrum.fit(now.structure))
     final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
     return spectrum, final._replace(doubt=_doubt(of, compared))
+
+
+def shows_response(halves: Sequence[Record], structure: Structure) -> bool:
+    """Whether each half of a record predicts the other one better with the structure's response than without.
+
+    Levels beside its peaks count less: no peak is just like the model's, and a response may mend its flanks.
+    """
+    gain = 0.0
+    for own, other in (halves, halves[::-1]):
+        mine, with_it = refitted(own, structure)
+        without = mine.fit(structure.without_response())
+        error = model_error(with_it.structure, with_it.maximum, mine.bins) + mine.error
+        judged = other.binned(structure).with_error(error)
+        gain += judged.loss_of(without) - judged.loss_of(with_it)
+    return gain > _SHOWN
+
+
+def without_response(record: Record, last: Fitted) -> tuple[Spectrum, Fitted]:
+    """Final fit of a structure without its response, with peaks that move where these explain more.
+
+    White noise keeps the doubt of the fit with the response.
+    """
+    spectrum, now = refitted(record, last.structure.without_response())
+    now = pruned(spectrum, _slow(spectrum, _edited(spectrum, now, _peaks_that_may_move)))
+    final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
+    return spectrum, final._replace(doubt=last.doubt)
 
 
 def _exact(record: Record, spectrum: Spectrum, now: Fitted) -> tuple[Spectrum, Fitted] | None:
@@ -587,7 +616,7 @@ def _peaks_that_may_move(spectrum: Spectrum, structure: Structure) -> Iterator[l
     """Structures in which neighbouring peaks, or one, are a resonance whose frequency is spread."""
     own, least = structure.components, _BROADER * LINE * np.pi / spectrum.n
     places = sorted(structure.oscillators, key=lambda k: own[k].frequency)
-    places = [k for k in places if own[k].width > least]
+    places = [k for k in places if own[k].width > least and own[k].power > 0.0]
     for first, k in enumerate(places):
         run = [k]
         if own[k].kind == kinds.OSCILLATOR:

@@ -243,9 +243,9 @@ class Resonance(_Exponential):
 #: Frequencies of the oscillators in a wandering resonance, in standard deviations, and their shares of the
 #: power. A frequency is at least so much of the mean; and a width at least so much of the standard deviation,
 #: so that the spectrum is smooth.
-NODES = np.linspace(-3.0, 3.0, 13)
+NODES = np.linspace(-3.0, 3.0, 21)
 SHARES = np.exp(-(NODES**2) / 2.0) / np.sum(np.exp(-(NODES**2) / 2.0))
-LEAST_FREQUENCY, LEAST_WIDTH = 0.01, 0.6
+LEAST_FREQUENCY, LEAST_WIDTH = 0.01, 0.35
 
 
 class WanderingResonance(Resonance):
@@ -254,7 +254,7 @@ class WanderingResonance(Resonance):
     Not in the thesis, but found in sensors whose resonances move, e.g. with temperature. `amplitude` is the
     RMS of the rate [rad/s or m/s²], `frequency` f0 in Hz the mean, `quality_factor` Q_f above ½ that at any
     moment, `spread` Δf in Hz the standard deviation of the frequency. The spectrum is that of oscillators at
-    13 frequencies up to 3Δf from the mean, whose width is never much below 0.6Δf, so that it is smooth.
+    21 frequencies up to 3Δf from the mean, whose width is never much below Δf/3, so that it is smooth.
     """
 
     spread: Value = parameter("Δf", "frequency")
