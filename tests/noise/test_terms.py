@@ -195,7 +195,7 @@ def test_the_ends_of_a_record_add_to_its_cosine_spectrum():
 
 def test_the_mean_square_scatters_as_power_scatter_says():
     """Var = 2ΣΣR²/n²; the formula is one for 1/Q_f² ≪ 1, here a hundredth. One that wanders is several."""
-    k, nodes = np.arange(40_000), np.linspace(-3.0, 3.0, 13)
+    k, nodes = np.arange(40_000), np.linspace(-3.0, 3.0, 21)
     weights = norm.pdf(nodes)
     wandering = aj.WanderingResonance(2.0, 7.0, 9.0, 0.3), 7.0 + 0.3 * nodes, weights / weights.sum()
     for term, frequencies, shares in ((aj.Resonance(2.0, 7.0, 9.0), [7.0], [1.0]), wandering):

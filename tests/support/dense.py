@@ -158,9 +158,9 @@ def _low_pass(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
 
 
 def _wandering(term: aj.NoiseTerm, t: np.ndarray) -> np.ndarray:
-    x = np.arange(-6, 7) * 0.5
+    x = np.arange(-10, 11) * 0.3
     each = zip(np.exp(-(x**2) / 2.0), term.frequency + x * term.spread, strict=True)
-    Q = 0.5 + ((term.quality_factor - 0.5) ** -4 + (0.6 * term.spread / term.frequency) ** 4) ** -0.25
+    Q = 0.5 + ((term.quality_factor - 0.5) ** -4 + (0.35 * term.spread / term.frequency) ** 4) ** -0.25
     return (
         term.amplitude**2
         * sum(s * oscillator(t, max(f, 0.01 * term.frequency), Q) for s, f in each)

@@ -85,6 +85,8 @@ FREQUENCIES = 32.0
 _QUALITY = (math.log(10.0), 1.0 / 9.0)
 # Width at half maximum of a normal law, in standard deviations.
 _WIDTH = 2.0 * math.sqrt(2.0 * math.log(2.0))
+# Largest spread of a frequency, in its mean: more is the shape of a broad peak.
+_FARTHEST = 0.12
 # Largest distance of a frequency from its start, in ln.
 _REACH = 0.7
 #: Log prior odds against a component [nats]: a judgement, twenty to one.
@@ -697,6 +699,10 @@ class Spectrum:
             squares[[c.inside for c in components]] *= self.known[structure.filter]
         return 0.5 * (squares[:, 0] + squares[:, 1])
 
+    def again(self, fitted: Fitted) -> Fitted:
+        """A fit to other levels, or to these with other weights, repeated."""
+        return self.fit(fitted.structure)
+
     def fit(self, structure: Structure, tolerance: float = ROUGH) -> Fitted:
         priors = self._priors(structure)
         lower, upper, centre, precision, width = np.array(priors).T
@@ -720,10 +726,11 @@ class Spectrum:
                 upper = min(c.shape[0] + _REACH, math.log(np.pi))
                 rows.append((lower, upper, 0.0, 0.0, math.log(self.n / FREQUENCIES)))
                 least = max(LINE * spacing, LEAST_WIDTH * c.spread)
-                highest = math.log(max(c.frequency / least, 2.0) - 0.5)
-                rows.append((math.log(LEAST_QUALITY - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
+                lowest = LEAST_QUALITY if c.kind == kinds.OSCILLATOR else kinds.WIDE
+                highest = math.log(max(c.frequency / least, lowest + 0.5) - 0.5)
+                rows.append((math.log(lowest - 0.5), highest, *_QUALITY, 4.0 * _DECADES))
             if c.kind == kinds.WANDERING:
-                rows.append((math.log(spacing), math.log(c.frequency / 2.0), 0.0, 0.0, 2.0 * _DECADES))
+                rows.append((math.log(spacing), math.log(_FARTHEST * c.frequency), 0.0, 0.0, 2.0 * _DECADES))
         least, most = kinds.bandwidths(structure.kind)
         least = max(LOWEST * spacing, 2.0 * np.pi * LOWEST_BANDWIDTH, least)
         rows.append((math.log(least), math.log(min(4.0, most)), 0.0, 0.0, 2.0 * _DECADES))

@@ -60,9 +60,9 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 # Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
 # quality factor above which a resonance is narrow, gain of a peak that is surely one.
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
-# Peaks that may move: least width, in that of a line; spread of one, in its width; and widths that it has
-# then at any moment.
-_BROADER, _HALF, _NARROWER = 4.0, 0.3, (0.3, 1.0)
+# Peaks that may move: least width, in that of a line; spread of one, in its width; widths that it has then at
+# any moment; and width of a peak below it.
+_BROADER, _HALF, _NARROWER, _UNDER = 4.0, 0.4, (0.3, 1.0), 4.0
 # What a response has to gain in data that did not choose it [nats].
 _SHOWN = 6.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
@@ -134,7 +134,7 @@ def bins_around(resonances: Sequence[tuple[float, float]], n: int, rate: float) 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
-    (spectrum, now), edited, best = refitted(record, start), None, -np.inf
+    (spectrum, now), edited, last = refitted(record, start), None, None
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
     while True:
@@ -143,11 +143,15 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         if now is edited:
             return spectrum, now
         now = _edited(spectrum, now, _peaks_that_may_move)
-        now = edited = pruned(spectrum, _edited(spectrum, now, _edits))
+        found = _edited(spectrum, now, _edits)
+        now = pruned(spectrum, found)
+        # Levels count as little as befits the peaks that are left.
+        spectrum = spectrum.weighing(now)
+        now = edited = spectrum.again(now)._replace(rivals=tuple(map(spectrum.again, found.rivals)))
         # Editing may take back what growing added, again and again.
-        if now.evidence <= best:
+        if last is not None and now.evidence <= spectrum.again(last).evidence:
             return spectrum, now
-        best = now.evidence
+        last = now
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -632,7 +636,10 @@ def _peaks_that_may_move(spectrum: Spectrum, structure: Structure) -> Iterator[l
 
 
 def _as_one(structure: Structure, run: Sequence[int]) -> list[Structure]:
-    """Structures in which some peaks are one whose frequency is spread by as much, with several widths."""
+    """Structures in which some peaks are one whose frequency is spread by as much, with several widths.
+
+    A broad one may be below it, which the flanks of the others hid.
+    """
     several = [structure.components[k] for k in run]
     power = np.array([c.power for c in several])
     share, place = power / power.sum(), np.array([c.frequency for c in several])
@@ -641,7 +648,9 @@ def _as_one(structure: Structure, run: Sequence[int]) -> list[Structure]:
     spread = math.sqrt(float(share @ ((place - w) ** 2 + (_HALF * width) ** 2)))
     qualities = np.maximum(w / (float(share @ width) * np.array(_NARROWER)), LEAST_QUALITY).tolist()
     rest, total = structure.without(*run), float(power.sum())
-    return [rest.plus(wandering(w, quality, spread, total, inside)) for quality in qualities]
+    alone = [rest.plus(wandering(w, quality, spread, total, inside)) for quality in qualities]
+    broad = max(w / (_UNDER * (float(share @ width) + spread)), LEAST_QUALITY)
+    return alone + [one.plus(resonance(w, broad, total, inside)) for one in alone]
 
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
