@@ -145,7 +145,10 @@ def test_powers_are_those_of_a_bounded_minimizer():
 
 
 def test_a_search_takes_few_joint_fits(monkeypatch):
-    """Of a filter and two resonances: some 23, about three for each component and a third of them swaps."""
+    """Of a filter and two resonances: some 40, about three for each component and a third of them swaps.
+
+    Six of these show whether halves of the record need the filter.
+    """
     inside = aj.AngleRandomWalk(1e-3) + aj.RateRandomWalk(1e-5)
     after = aj.Resonance(3e-3, 9.0, 15.0) + aj.Resonance(2e-3, 33.0, 20.0)
     x, calls = aj.simulate(aj.LowPass1(20.0) * inside + after, 2**16, 100.0, 1), []
@@ -153,4 +156,4 @@ def test_a_search_takes_few_joint_fits(monkeypatch):
     monkeypatch.setattr(place, lambda *args: calls.append(1) or maximize(*args))
     (result,) = aj.fit(recording(x, 100.0), as_is=True, vibrating=True).results
     assert {"low_pass1_bandwidth", "resonance_1_frequency", "resonance_2_frequency"} <= {*result.coefficients}
-    assert 5 < len(calls) <= 35
+    assert 5 < len(calls) <= 48

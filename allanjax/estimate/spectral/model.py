@@ -148,8 +148,11 @@ class Component(NamedTuple):
 
     def is_close_to(self, other: Component) -> bool:
         """Whether two oscillators are so close that they may be one whose frequency drifts."""
-        widths = self.own_width + other.own_width
-        return abs(self.frequency - other.frequency) < CLOSE * 0.5 * widths
+        width = 0.5 * (self.width + other.width)
+        if kinds.WANDERING in (self.kind, other.kind):
+            # One that is known to drift has its own place.
+            width = min(self.width, other.width)
+        return abs(self.frequency - other.frequency) < CLOSE * width
 
 
 def resonance(frequency: float, quality: float, power: float, inside: bool) -> Component:

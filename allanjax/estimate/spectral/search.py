@@ -52,7 +52,7 @@ _WORTH = 4.0
 # Oscillators an octave that are proposed, and their quality factors; number of correlation times; and most
 # components of a kind to which a search adds another one.
 _OCTAVE, _QUALITIES, _TIMES = 8, (1.6, 3.5, 8.0), 20
-_MOST_PEAKS, _MOST_PROCESSES = 12, 4
+_MOST_PEAKS, _MOST_MOVING, _MOST_PROCESSES = 12, 3, 4
 # Gains [nats]: log odds of an addition, and of any other change, beyond a fit's tolerance; in likelihood by a
 # slow process, of which two are the expected ones of its two parameters; and from which on a proposal is
 # fitted jointly, less than its evidence costs.
@@ -60,11 +60,11 @@ _GAIN, _BETTER, _PREDICTS, _HOPEFUL = 1.0, 0.02, 3.0, 5.0
 # Peaks that the search opens with, and the least gain [nats] and quality factor of one; peaks of a round; and
 # quality factor above which a resonance is narrow, gain of a peak that is surely one.
 _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 30.0
-# Peaks that may move: least width, in that of a line; spread of one, in its width; widths that it has then at
-# any moment; and width of a peak below it.
+# Peaks that may move: least width, in that of a line; spread of one, in its width, and widths that it has
+# then, at any moment; and width of a peak below it.
 _BROADER, _HALF, _NARROWER, _UNDER = 4.0, 0.4, (0.3, 1.0), 4.0
 # What a response has to gain in data that did not choose it [nats].
-_SHOWN = 6.0
+_SHOWN = 10.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
@@ -209,6 +209,7 @@ def shows_response(halves: Sequence[Record], structure: Structure) -> bool:
     for own, other in (halves, halves[::-1]):
         mine, with_it = refitted(own, structure)
         without = mine.fit(structure.without_response())
+        without = _edited(mine, without, _peaks_that_may_move)
         error = model_error(with_it.structure, with_it.maximum, mine.bins) + mine.error
         judged = other.binned(structure).with_error(error)
         gain += judged.loss_of(without) - judged.loss_of(with_it)
@@ -621,6 +622,8 @@ def _peaks_that_may_move(spectrum: Spectrum, structure: Structure) -> Iterator[l
     own, least = structure.components, _BROADER * LINE * np.pi / spectrum.n
     places = sorted(structure.oscillators, key=lambda k: own[k].frequency)
     places = [k for k in places if own[k].width > least and own[k].power > 0.0]
+    if len(structure.of_kind(kinds.WANDERING)) >= _MOST_MOVING:
+        return
     for first, k in enumerate(places):
         run = [k]
         if own[k].kind == kinds.OSCILLATOR:
@@ -636,21 +639,20 @@ def _peaks_that_may_move(spectrum: Spectrum, structure: Structure) -> Iterator[l
 
 
 def _as_one(structure: Structure, run: Sequence[int]) -> list[Structure]:
-    """Structures in which some peaks are one whose frequency is spread by as much, with several widths.
+    """Structures in which some peaks are one whose frequency is spread by as much.
 
     A broad one may be below it, which the flanks of the others hid.
     """
     several = [structure.components[k] for k in run]
-    power = np.array([c.power for c in several])
-    share, place = power / power.sum(), np.array([c.frequency for c in several])
-    width = np.array([c.width for c in several])
-    w, inside = float(share @ place), several[int(np.argmax(power))].inside
+    power, place, width = np.array([(c.power, c.frequency, c.width) for c in several]).T
+    share, inside = power / power.sum(), several[int(np.argmax(power))].inside
+    w, mean_width = float(share @ place), float(share @ width)
     spread = math.sqrt(float(share @ ((place - w) ** 2 + (_HALF * width) ** 2)))
-    qualities = np.maximum(w / (float(share @ width) * np.array(_NARROWER)), LEAST_QUALITY).tolist()
+    narrow, wide = (max(w / (share * mean_width), kinds.WIDE) for share in _NARROWER)
+    broad = max(w / (_UNDER * (mean_width + spread)), LEAST_QUALITY)
     rest, total = structure.without(*run), float(power.sum())
-    alone = [rest.plus(wandering(w, quality, spread, total, inside)) for quality in qualities]
-    broad = max(w / (_UNDER * (float(share @ width) + spread)), LEAST_QUALITY)
-    return alone + [one.plus(resonance(w, broad, total, inside)) for one in alone]
+    one, other = (rest.plus(wandering(w, quality, spread, total, inside)) for quality in (narrow, wide))
+    return [one, other, one.plus(resonance(w, broad, total, inside))]
 
 
 def _moved(structure: Structure, places: Iterable[int | None]) -> Iterator[list[Structure]]:
