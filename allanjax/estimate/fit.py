@@ -645,10 +645,10 @@ def _template(content: Content, selection: AxisSelection) -> tuple[Model, InUse]
         terms.append((term, k is not None and structure.column(k).inside, here))
     components = structure.of_kind(MARKOV) + structure.oscillators
     for k in components:
-        term, inside = term_of(structure, k, rate), structure.components[k].inside
+        term, passes = term_of(structure, k, rate), structure.components[k].inside
         # A spectrum hardly tells how narrow a resonance is at any moment from how far it moves.
         moves = isinstance(term, WanderingResonance)
-        terms.append((term.hold("quality_factor") if moves else term, inside, True))
+        terms.append((term.hold("quality_factor") if moves else term, passes, True))
     if structure.place(OUTSIDE) is not None:
         terms.append((PowerLaw(exponent=0.0).hold("exponent"), False, True))
     terms += [(Sinusoid(frequency=line.frequency), False, True) for line in content.lines]

@@ -242,9 +242,9 @@ def test_p_values_of_axes_without_an_effect_are_uniform():
 @pytest.mark.parametrize("shape", ["oscillator", "band"])
 def test_what_a_named_cause_leaves_at_its_own_place_is_told(shape):
     """A resonance describes an oscillator, but not noise that is confined to a band."""
-    n, rate = 1 << 14, 100.0
+    n, rate = 1 << 13, 100.0
     # Some resonances that move describe the band where it is not as strong.
-    rng = np.random.default_rng(6)
+    rng = np.random.default_rng(7)
     drive = rng.standard_normal(n)
     if shape == "oscillator":
         r, w = np.exp(-np.pi * 0.09 / 10.0), 2.0 * np.pi * 0.09

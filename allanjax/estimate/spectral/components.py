@@ -239,7 +239,7 @@ def wandering(levels: Levels, shapes: Float[np.ndarray, "... k 3"], sloped: bool
     by_frequency = np.where(stays, w / nodes, 1.0), 0.0 * nodes, np.where(stays, NODES * spread / nodes, 0.0)
     by_quality = 1.0 - known, known, known - 1.0
     each = [np.stack(np.broadcast_arrays(*by)) for by in zip(by_frequency, by_quality, strict=True)]
-    weights = np.moveaxis([np.broadcast_to(x, (2, *nodes.shape)) for x in each], (0, 1), (-3, -2)) * SHARES
+    weights = np.moveaxis(np.array(each), (0, 1), (-3, -2)) * SHARES
     return total, np.einsum("...pqs,...sqij->...pij", weights, slopes)
 
 

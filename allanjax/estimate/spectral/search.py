@@ -134,12 +134,14 @@ def bins_around(resonances: Sequence[tuple[float, float]], n: int, rate: float) 
 
 def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     """Search from a start: the structure of the spectrum, and the binned spectrum to which it was fitted."""
-    (spectrum, now), edited, last = refitted(record, start), None, None
+    spectrum, now = refitted(record, start)
+    edited: Fitted | None = None
+    last: Fitted | None = None
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
     while True:
-        while (found := _grown(record, spectrum, now)) is not None:
-            spectrum, now = found
+        while (grown := _grown(record, spectrum, now)) is not None:
+            spectrum, now = grown
         if now is edited:
             return spectrum, now
         now = _edited(spectrum, now, _peaks_that_may_move)
@@ -196,8 +198,9 @@ def completed(record: Record, spectrum: Spectrum, now: Fitted, slow: bool = True
         finer = record.binned(now.structure)
         spectrum = finer.weighing(finer.fit(now.structure))
     now = pruned(spectrum, spectrum.fit(now.structure))
-    final = spectrum.fit(now.structure.without(*_idle(now.structure)), FINE)
-    return spectrum, final._replace(doubt=_doubt(of, compared))
+    # What is not needed may show only without the idle ones.
+    now = pruned(spectrum, spectrum.fit(now.structure.without(*_idle(now.structure))))
+    return spectrum, spectrum.fit(now.structure, FINE)._replace(doubt=_doubt(of, compared))
 
 
 def shows_response(halves: Sequence[Record], structure: Structure) -> bool:
@@ -719,10 +722,10 @@ def pruned(spectrum: Spectrum, now: Fitted) -> Fitted:
             if (own[k].kind != kinds.COLUMN or _is(own[k], *judged)) and std[k] > _DOUBTFUL * own[k].power
         }
         weakest = sorted(doubt, key=doubt.__getitem__)[:2]
-        rounded = structure.place(QUANTIZATION)
-        if structure.kind.is_mean and rounded in structure.there:
-            # After a mean over less than two samples it is that of another duration.
-            weakest.append(rounded)
+        if structure.kind.is_mean:
+            # After a mean over less than two samples they make one of another duration.
+            after = structure.place(QUANTIZATION), structure.place(OUTSIDE)
+            weakest += [k for k in after if k in structure.there and k not in weakest]
         best = functools.reduce(_better, (spectrum.fit(structure.without(k)) for k in weakest), now)
         if best is now:
             return now
