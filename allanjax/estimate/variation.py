@@ -167,10 +167,13 @@ class Weights(NamedTuple):
         return c - ramp * ((weighed @ c[used]) / (weighed @ ramp[used]))
 
     def powers(self, c: Cosines, blocks: int) -> Float[np.ndarray, " blocks"]:
-        """Mean square of the weighed series in blocks of a segment, relative to its expectation."""
+        """Mean square of the weighed series in blocks of a segment, relative to its expectation.
+
+        The first and the last block are left out: the kinks of the mirrored record make them louder.
+        """
         from scipy.fft import idct, next_fast_len
 
-        if not blocks:
+        if blocks < 3:
             return np.zeros(0)
         root = np.repeat(np.sqrt(self.share / self.density), self.sizes(c))
         weighed = np.zeros(next_fast_len(len(root) + 1))
@@ -178,7 +181,7 @@ class Weights(NamedTuple):
         squares = idct(weighed, norm="ortho") ** 2
         edges = np.rint(np.arange(blocks + 1) * (len(squares) / blocks)).astype(int)
         means = np.add.reduceat(squares, edges[:-1]) / np.diff(edges)
-        return means * (len(squares) / self.shares(c).sum())
+        return means[1:-1] * (len(squares) / self.shares(c).sum())
 
 
 def _weights_of_white(cosines: Sequence[Cosines], rate: float, model: Model) -> Weights:
