@@ -105,6 +105,26 @@ def test_resonances_take_nothing_from_white_noise_and_are_no_filter():
         assert result["N"].value == pytest.approx(0.1, rel=0.01)
 
 
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_motor_whose_speed_wanders_is_one_resonance_and_no_filter(seed):
+    """A tone whose frequency is a Gauss–Markov process of 3 s; its flanks are no resonance's."""
+    rng, n, spread = np.random.default_rng(seed), 2**17, 0.6
+    kept = np.exp(-1.0 / (3.0 * RATE))
+    drive = np.sqrt(1.0 - kept**2) * rng.standard_normal(n)
+    speed = 31.0 + spread * lfilter([1.0], [1.0, -kept], drive)
+    x = rng.standard_normal(n) + 0.8 * np.sin(2.0 * np.pi * np.cumsum(speed) / RATE)
+    (result,) = aj.fit(recording(0.01 * x, RATE), as_is=True).results
+    assert result.model.response is None
+    (peak,) = [term for term in result.model.terms if isinstance(term, aj.WanderingResonance)]
+    # The record holds some 440 times of correlation: the mean is known to 0.04 Hz. The width of the
+    # oscillators, a third of the spread, takes a part of it.
+    assert peak.frequency == pytest.approx(31.0, abs=0.15)
+    assert peak.spread == pytest.approx(spread, rel=0.25)
+    # White noise is known to 0.3 %; the flanks leave as much.
+    assert result["N"].value == pytest.approx(0.001, rel=0.012)
+    assert result.fits
+
+
 def test_noise_after_a_mean_is_found_where_that_is_zero():
     """Without it, N was up to seven of its standard deviations off in these records."""
     n, x = 2**18, []

@@ -17,6 +17,7 @@ from allanjax.estimate.spectral.model import maximize
 RATE, N = 10.0, 65
 WHITE = aj.AngleRandomWalk(0.1)
 AFTER = aj.Markov(0.02, 1.5) + aj.Resonance(0.03, 2.0, 6.0) + aj.RateRandomWalk(0.002)
+AFTER += aj.WanderingResonance(0.02, 3.0, 9.0, 0.4)
 RESPONSES = [None, aj.LowPass1(1.5), aj.LowPass2(1.5, 0.8), aj.MovingAverage(2.0), aj.Biquad(1.5, 0.8)]
 RESPONSES += [aj.Butterworth(1.7, order) for order in (1, 2, 3, 4, 8)]
 RESPONSES += [aj.MovingAverage(2.0, order) for order in (2, 4)]
