@@ -63,8 +63,8 @@ _PEAKS, _CLEAR_PEAK, _SLIM, _MORE_PEAKS, _NARROW, _SURE = 8, 20.0, 3.0, 3, 8.0, 
 # Peaks that may move: least width, in that of a line; spread of one, in its width, and widths that it has
 # then, at any moment; and width of a peak below it.
 _BROADER, _HALF, _NARROWER, _UNDER = 4.0, 0.4, (0.3, 1.0), 4.0
-# What a response has to gain in data that did not choose it [nats].
-_SHOWN = 10.0
+# What a response has to gain in data that did not choose it [nats], and where no peaks make up for it.
+_SHOWN, _CLEARLY_SHOWN = 10.0, 100.0
 # Bins in an octave; and width of a resonance [coefficients] below which it is a line.
 _PER_OCTAVE, _LINE = 12, 1.25 * LINE
 # Kinds of responses: of low order, all, and those that a search opens with, the last ones if there is a deep
@@ -137,23 +137,26 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     spectrum, now = refitted(record, start)
     edited: Fitted | None = None
     last: Fitted | None = None
+    rivals: tuple[Fitted, ...] = ()
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
     while True:
         while (grown := _grown(record, spectrum, now)) is not None:
             spectrum, now = grown
         if now is edited:
-            return spectrum, now
+            break
         now = _edited(spectrum, now, _peaks_that_may_move)
         found = _edited(spectrum, now, _edits)
         now = pruned(spectrum, found)
         # Levels count as little as befits the peaks that are left.
         spectrum = spectrum.weighing(now)
-        now = edited = spectrum.again(now)._replace(rivals=tuple(map(spectrum.again, found.rivals)))
+        now = edited = spectrum.again(now)
+        rivals = found.rivals
         # Editing may take back what growing added, again and again.
         if last is not None and now.evidence <= spectrum.again(last).evidence:
-            return spectrum, now
+            break
         last = now
+    return spectrum, now._replace(rivals=tuple(map(spectrum.again, rivals)))
 
 
 def narrow(structure: Structure, n: int) -> list[int]:
@@ -208,15 +211,22 @@ def shows_response(halves: Sequence[Record], structure: Structure) -> bool:
 
     Levels beside its peaks count less: no peak is just like the model's, and a response may mend its flanks.
     """
-    gain = 0.0
-    for own, other in (halves, halves[::-1]):
-        mine, with_it = refitted(own, structure)
-        without = mine.fit(structure.without_response())
-        without = _edited(mine, without, _peaks_that_may_move)
-        error = model_error(with_it.structure, with_it.maximum, mine.bins) + mine.error
-        judged = other.binned(structure).with_error(error)
-        gain += judged.loss_of(without) - judged.loss_of(with_it)
-    return gain > _SHOWN
+    fits = [refitted(half, structure) for half in halves]
+    judges = []
+    for (spectrum, fit), other in zip(fits, halves[::-1], strict=True):
+        error = model_error(fit.structure, fit.maximum, spectrum.bins) + spectrum.error
+        judges.append(other.binned(structure).with_error(error))
+
+    def gain_over(rivals: Sequence[Fitted]) -> float:
+        each = zip(judges, fits, rivals, strict=True)
+        return sum(judge.loss_of(rival) - judge.loss_of(fit) for judge, (_, fit), rival in each)
+
+    rivals = [spectrum.fit(structure.without_response()) for spectrum, _ in fits]
+    if gain_over(rivals) > _CLEARLY_SHOWN:
+        return True
+    # Peaks may move instead.
+    both = zip(fits, rivals, strict=True)
+    return gain_over([_edited(own, rival, _peaks_that_may_move) for (own, _), rival in both]) > _SHOWN
 
 
 def without_response(record: Record, last: Fitted) -> tuple[Spectrum, Fitted]:
