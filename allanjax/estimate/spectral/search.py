@@ -88,6 +88,8 @@ _RANKED, _TRIED, _HOPELESS = 12, 3, 100.0
 # How many edits of a model that fits are fitted jointly, how far behind the best one these may be, and what
 # they have to gain [nats].
 _LAST = 10, 1000.0, 0.5
+# Most rounds of growing and editing.
+_ROUNDS = 6
 # Most components that are placed anew together.
 _PLACED = 5
 # Evidence that a resonance costs, a process or a response, and what follows it [nats]: rough values.
@@ -140,7 +142,8 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
     rivals: tuple[Fitted, ...] = ()
     if _lacks_response(spectrum, now):
         spectrum, now = _opened(record, now)
-    while True:
+    # Editing may take back what growing added, again and again, as levels are weighed anew.
+    for _ in range(_ROUNDS):
         while (grown := _grown(record, spectrum, now)) is not None:
             spectrum, now = grown
         if now is edited:
@@ -152,7 +155,6 @@ def searched(record: Record, start: Structure) -> tuple[Spectrum, Fitted]:
         spectrum = spectrum.weighing(now)
         now = edited = spectrum.again(now)
         rivals = found.rivals
-        # Editing may take back what growing added, again and again.
         if last is not None and now.evidence <= spectrum.again(last).evidence:
             break
         last = now
