@@ -513,7 +513,8 @@ class Content(NamedTuple):
 
 def _halves(x: Samples, rate: float, lines: Sequence[Line]) -> list[Record]:
     """Squared coefficients of both halves of a record without its lines."""
-    half, known, found = fast_length(len(x) // 2), [(line.frequency, False) for line in lines], []
+    half, found = fast_length(len(x) // 2), list[Record]()
+    known = [(line.frequency, False) for line in lines]
     for part in (x[:half], x[-half:]):
         c, own = take_out_lines(part - part.mean(), rate, known)
         found.append(Record(without_lines(c, own, rate) ** 2, rate))

@@ -663,7 +663,7 @@ def _as_one(structure: Structure, run: Sequence[int]) -> list[Structure]:
     share, inside = power / power.sum(), several[int(np.argmax(power))].inside
     w, mean_width = float(share @ place), float(share @ width)
     spread = math.sqrt(float(share @ ((place - w) ** 2 + (_HALF * width) ** 2)))
-    narrow, wide = (max(w / (share * mean_width), kinds.WIDE) for share in _NARROWER)
+    narrow, wide = (max(w / (narrower * mean_width), kinds.WIDE) for narrower in _NARROWER)
     broad = max(w / (_UNDER * (mean_width + spread)), LEAST_QUALITY)
     rest, total = structure.without(*run), float(power.sum())
     one, other = (rest.plus(wandering(w, quality, spread, total, inside)) for quality in (narrow, wide))
