@@ -34,6 +34,7 @@ from allanjax.inspection.facts import NOT_A_MEASUREMENT, Fact
 from allanjax.noise.model import Model
 from allanjax.noise.terms import DriftRamp
 from allanjax.record.completion import in_time
+from allanjax.record.held import between_changes
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.spectrum.cosine import fast_length
 
@@ -318,8 +319,9 @@ def _first_view(recording: Recording, k: int, baseline: tuple[Model, Model] | No
         factor = 1.0 + density / np.maximum(noise, 1e-12 * density) if density.any() else None
         if any(term.deterministic for term in others.terms):
             y = _without_deterministic(others, x, rate)
-    scale, auxiliary = float(recording.own_scales[k]), recording.auxiliary
-    return View(recording.axes[k], scale, rate, x, y, factor, auxiliary, allowed, drawn, drawn)
+    axis, scale = recording.axes[k], float(recording.own_scales[k])
+    channels = {name: between_changes(np.asarray(z, float)) for name, z in recording.auxiliary.items()}
+    return View(axis, scale, rate, x, y, factor, channels, allowed, drawn, drawn)
 
 
 def further_terms(model: Model) -> Model:

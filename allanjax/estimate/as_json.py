@@ -51,7 +51,7 @@ _KEYS: Mapping[type, dict[str, str]] = {
     Fact: _keys("kind text axes consequence size unit spans share"),
     Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
-        measured moving not_measured verdict=word misfit allan_misfit coefficients= covariance= selection=
+        measured moving not_measured verdict=word misfit other_misfit coefficients= covariance= selection=
         selection_discrepancy= selection_averaged= extension= regression="""),
     Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
         octave_deviation=sustained scatter felt_by=felt"""),
@@ -290,6 +290,7 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
     if extension := a.get("extension"):
         own = _model(extension, classes)
         template, plain = own, _result(extension["plain"], axis, template, classes)
+    misfit, other = a.get("misfit"), a.get("other_misfit")
     parameters = {p.label: p.parameter for p in template.parameters}
     found = {c["label"]: _estimate(c, parameters[c["label"]], axis) for c in a["coefficients"]}
     return read(
@@ -300,7 +301,8 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
         _covariance=np.array(a["covariance"]["values"], float).reshape(len(found), len(found)),
         _model=(fitted_model if own is None else extended_model)(template, found),
         regression={name: (x["value"], x["std"]) for name, x in a["regression"].items()},
-        **{key: a.get(key) and read(Misfit, a[key]) for key in ("misfit", "allan_misfit")},
+        misfit=misfit and read(Misfit, misfit),
+        other_misfit=other and read(Misfit, other),
         own_template=own,
         plain=plain,
     )

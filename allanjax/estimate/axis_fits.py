@@ -193,26 +193,26 @@ def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisF
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
     random = np.array([not term.deterministic for term in template.terms])
-    sufficient, fits, misfit = result.converged and result.discrepancy == 0.0, False, result.misfit
-    if sufficient:
+    sufficient, fits, misfit = result.converged and result.discrepancy == 0.0, False, None
+    if result.converged:
         noise = [term for term in result.model.sampled(spectrum.bins.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]
         mean = np.array(power) @ columns_of(noise, spectrum.bins).mean(axis=1)
         projection = spectrum.project(mean, spectrum.used(active))
         chi2 = chi_squared(projection.level / mean, projection.dof)
         dof = projection.estimates - count_estimated(template, active & random)
-        fits = bool(chi2 <= beyond_doubt(dof))
+        fits = sufficient and bool(chi2 <= beyond_doubt(dof))
         misfit = spectral_misfit(spectrum.bins.frequency, projection.level, mean, projection.dof)
-    if not fits:
-        other = fit_spectrum(template, result.axis, spectrum, active)
-        # A doubtful spectrum does not overrule variances that refuse the model.
-        refused = result.converged and not sufficient and not other.p_value > _DOUBTFUL
-        if not refused:
-            return other if other.converged else result
-        chi2, dof, misfit = other.chi2, other.dof, result.misfit
-    return dataclasses.replace(
-        result, misfit=misfit, chi2=chi2, dof=dof, p_value=float(upper_tail(chi2, dof))
-    )
+    if fits:
+        p_value = float(upper_tail(chi2, dof))
+        return dataclasses.replace(result, misfit=misfit, chi2=chi2, dof=dof, p_value=p_value)
+    other = fit_spectrum(template, result.axis, spectrum, active)
+    # A doubtful spectrum does not overrule variances that refuse the model.
+    refused = result.converged and not sufficient and not other.p_value > _DOUBTFUL
+    if not refused:
+        return other if other.converged else result
+    test = {name: getattr(other, name) for name in ("chi2", "dof", "p_value")}
+    return dataclasses.replace(result, other_misfit=misfit, **test)
 
 
 def with_curve(
@@ -233,7 +233,7 @@ def with_curve(
             if result.spectrum is not None and not (profiled or result.regression):
                 ratio = curve.deviation[:, k] / np.sqrt(mean)
                 misfit = misfit_of(curve.cluster_time, ratio, edf[:, k], "s")
-                result = dataclasses.replace(result, allan_misfit=misfit)
+                result = dataclasses.replace(result, other_misfit=misfit)
                 # A spectrum whose few lowest levels are far off may still pass its test.
                 if result.discrepancy > 0.0 and result.measured and misfit and misfit.excessive:
                     result = result.unmeasured(misfit=misfit)

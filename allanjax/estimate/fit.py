@@ -81,6 +81,7 @@ from allanjax.noise.terms import (
 )
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.record.completion import widening
+from allanjax.record.held import between_changes
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.io.options import GapChoice
 from allanjax.record.recording import Axis, Recording
@@ -411,7 +412,7 @@ def _checked(template: Model, objective: Objective) -> Model:
 
 
 def _regressors(recording: Recording, names: Sequence[str], objective: Objective) -> Regressors:
-    """Auxiliary channels of these names, their means subtracted."""
+    """Auxiliary channels of these names, their means and, if they hold values, their steps taken out."""
     if names and objective != "whittle":
         raise AllanjaxError(
             'regressors need the likelihood of the spectrum; use objective="whittle" (--objective whittle)'
@@ -423,7 +424,7 @@ def _regressors(recording: Recording, names: Sequence[str], objective: Objective
             raise AllanjaxError(
                 f"{recording.name or 'the recording'} has no auxiliary channel {name!r}; it has {there}"
             )
-        channel = np.asarray(recording.auxiliary[name], float)
+        channel = between_changes(np.asarray(recording.auxiliary[name], float))
         channels[name] = channel - channel.mean()
         if not np.isfinite(channel).all() or not channels[name].any():
             raise AllanjaxError(
@@ -595,7 +596,7 @@ def extended(
     if N.std > 0.0:
         wider = N.widened(math.hypot(1.0, content.doubt * N.value / N.std))
         result = result.with_estimates({**result.coefficients, N.label: wider})
-    return dataclasses.replace(result, own_template=own, plain=plain, allan_misfit=misfit), selection
+    return dataclasses.replace(result, own_template=own, plain=plain, other_misfit=misfit), selection
 
 
 def _selection(content: Content, axis: Axis) -> AxisSelection:

@@ -30,6 +30,9 @@ LIMIT, OCTAVE = 0.3, 0.5
 _SURE, _TRIFLE, _TOLERATED = 0.997, 0.005, 0.1
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
+# Octaves over which a spectrum is averaged besides: what no single place shows for certain, all of them may.
+# (An Allan variance contains nearly all that those at longer times tell.)
+_OCTAVES = 1.0, 3.0
 # Words: deviations above this ratio are a factor, and a scatter above this share of a deviation is reported.
 _FACTOR, _MUCH = 1.5, 0.3
 # One, to rounding.
@@ -73,8 +76,9 @@ class Misfit:
 
     @property
     def sure(self) -> float:
-        """Relative deviation at that place that is not chance."""
-        return float(np.expm1(abs(np.log1p(self.largest)) - np.log1p(self.scatter)))
+        """Relative deviation at that place, less what may be chance, in squares."""
+        square = np.log1p(self.largest) ** 2 - np.log1p(self.scatter) ** 2
+        return float(np.expm1(np.sqrt(max(square, 0.0))))
 
     @property
     def size(self) -> str:
@@ -100,25 +104,34 @@ def misfit_of(place: _Places, ratio: _Places, edf: _Places, unit: Literal["s", "
 
     There is none if they differ nowhere by more than single estimates scatter, or by a trifle.
     """
-    log = np.log(np.maximum(ratio, 1e-300))
+    count, octave = len(place), np.log2(place)
+    after, windows = octave - octave[:, None], [np.eye(count)]
+    if unit == "Hz":
+        windows += [(after >= 0.0) & (after <= width) for width in _OCTAVES]
+    weight = np.concatenate(windows) * edf
+    total = weight.sum(axis=1)
+    log = 0.5 * np.log(np.maximum(weight @ ratio**2 / total, 1e-300))
     beyond = (1.0 - _SURE) / 2.0 / len(log)
-    ends = quantile(np.array([[1.0 - beyond], [beyond]]), edf)
-    low, high = log + 0.5 * np.log(edf / np.maximum(ends, 1e-300))
+    ends = quantile(np.array([[1.0 - beyond], [beyond]]), total)
+    low, high = log + 0.5 * np.log(total / np.maximum(ends, 1e-300))
     certain = np.maximum(np.maximum(low, -high), 0.0)
-    k = int(np.argmax(certain))
-    if certain[k] <= _TRIFLE:
+    if certain.max() <= _TRIFLE:
         return None
     # In squares, less the half width of the interval on the model's side.
-    rms = np.sqrt(np.mean(certain * (2.0 * abs(log) - certain)))
-    sustained = certain[k]
+    square = certain * (2.0 * abs(log) - certain)
+    k = int(np.argmax(square))
+    at = np.exp(weight[k] @ np.log(place) / total[k])
+    largest, scatter = log[k], abs(log[k]) - certain[k]
+    rms = np.sqrt(np.mean(square[:count]))
+    certain = certain[:count]
+    sustained = certain.max()
     if unit == "Hz":
         # The largest of the medians over octaves; of an even number of places the lower one.
         starts = place[2.0 * place <= place[-1] * _ALMOST]
         octaves = (certain[(place >= f) & (place <= 2.0 * f * _ALMOST)] for f in starts)
         sustained = max((np.sort(x)[(len(x) - 1) // 2] for x in octaves), default=0.0)
-    scatter = abs(log[k]) - certain[k]
-    largest, rms, sustained, scatter = np.expm1([log[k], rms, sustained, scatter]).tolist()
-    return Misfit(largest, float(place[k]), unit, rms, sustained, scatter)
+    largest, rms, sustained, scatter = np.expm1([largest, rms, sustained, scatter]).tolist()
+    return Misfit(largest, float(at), unit, rms, sustained, scatter)
 
 
 def widened(solution: Solution, misfits: Sequence[Misfit | None]) -> Solution:

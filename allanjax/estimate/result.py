@@ -17,6 +17,7 @@ from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.wording import chi_squared, format_with_error, plain, record_size, significant
 from allanjax.estimate.likely_models import (
     Likely,
@@ -143,7 +144,7 @@ class AxisFit(ByValue, AxisEstimates):
             that brings χ² down to `dof`, or the rms of `misfit` if that is larger; 0 if the model fits.
             Standard deviations and intervals include it.
         misfit: how far the fitted curve is off and where; None if the model fits.
-        allan_misfit: for a fit of the spectrum, the same for its Allan deviations, if they are off, too.
+        other_misfit: the same for the other curve, the Allan deviations or the root PSD, if it is off, too.
         regression: amplitude of each regressor and its standard deviation, in SI per the regressor's unit.
         spectrum: with Whittle's likelihood, the statistics that were fitted; neither saved nor compared.
         mean, rms: mean of the samples [rad/s or m/s²], and their rms about the mean.
@@ -175,7 +176,7 @@ class AxisFit(ByValue, AxisEstimates):
     _model: Model = dataclasses.field(default_factory=lambda: Model(()))
     regression: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     misfit: Misfit | None = None
-    allan_misfit: Misfit | None = None
+    other_misfit: Misfit | None = None
     spectrum: AxisSpectrum | None = dataclasses.field(default=None, compare=False)
     mean: float = np.nan
     rms: float = np.nan
@@ -235,7 +236,7 @@ class AxisFit(ByValue, AxisEstimates):
     @property
     def worst(self) -> Misfit | None:
         """The larger of the misfits; None if the model fits."""
-        known = [misfit for misfit in (self.misfit, self.allan_misfit) if misfit]
+        known = [misfit for misfit in (self.misfit, self.other_misfit) if misfit]
         return max(known, key=lambda misfit: misfit.sure, default=None)
 
     @property
@@ -325,7 +326,10 @@ class AxisFit(ByValue, AxisEstimates):
         return f"mean {mean} {unit}, rms {rms} {unit}"
 
     def with_misfits_felt(self, rate: float) -> AxisFit:
-        """A copy whose misfits tell which of N, B and K have a share there, at a sample rate [Hz]."""
+        """A copy whose misfits tell which of N, B and K have a share there, at a sample rate [Hz].
+
+        The 95 % intervals of these contain what the misfit may have changed.
+        """
         likely = exact_model(self.model.sampled(rate))
 
         def felt(misfit: Misfit | None) -> Misfit | None:
@@ -342,7 +346,15 @@ class AxisFit(ByValue, AxisEstimates):
             own = [SYMBOLS[x] for x in MAIN if power.get(x, 0.0) > least and self.coefficients[x].detected]
             return dataclasses.replace(misfit, felt=tuple(own))
 
-        return dataclasses.replace(self, misfit=felt(self.misfit), allan_misfit=felt(self.allan_misfit))
+        result = dataclasses.replace(self, misfit=felt(self.misfit), other_misfit=felt(self.other_misfit))
+        worst = result.worst
+
+        def factor(c: Estimate) -> float:
+            if worst is None or c.symbol not in worst.felt or not c.std > 0.0:
+                return 1.0
+            return max(1.0, worst.sure * c.value / (TWO_SIDED_95 * c.std))
+
+        return result._scaled(factor)
 
     @property
     def word(self) -> str:

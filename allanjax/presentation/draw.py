@@ -481,7 +481,7 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
 
     What is wrong with the other curve is in the figure of that.
     """
-    misfit = next((m for m in (result.misfit, result.allan_misfit) if m and m.unit == unit), None)
+    misfit = next((m for m in (result.misfit, result.other_misfit) if m and m.unit == unit), None)
     if result.converged and not result.measured:
         return KeyEntry(str(misfit) if misfit else "the model follows this curve", WORST if misfit else None)
     if misfit is None or result.worst is misfit:
@@ -491,7 +491,7 @@ def verdict_entry(result: AxisFit, unit: Literal["s", "Hz"]) -> KeyEntry:
 
 def worst_place(result: AxisFit, unit: Literal["s", "Hz"]) -> float:
     """Where the model fits the curve that is drawn worst; nan if it fits."""
-    return next((m.at for m in (result.misfit, result.allan_misfit) if m and m.unit == unit), np.nan)
+    return next((m.at for m in (result.misfit, result.other_misfit) if m and m.unit == unit), np.nan)
 
 
 def _further() -> dict[str, Any]:

@@ -171,6 +171,26 @@ def test_exact_fits_leave_missing_samples_out():
     check_maximum(result, Gaussian(spoilt, RATE, lost), model, result.model, 0.01, 0.1)
 
 
+def test_a_temperature_that_holds_its_values_is_no_random_walk():
+    """Regressed on as steps, it leaves what looks like a random walk, here five to twelve times K."""
+    n, rate, N, K, seed = 100_000, 20.0, 5.8e-5, 8.1e-8, 4
+    t, (white, steps) = np.arange(n) / rate, np.random.default_rng(seed).normal(size=(2, n))
+    noise = N * np.sqrt(rate) * white + K / np.sqrt(rate) * np.cumsum(steps)
+    exact = 25.0 - 6.0 * np.exp(-t / 1500.0) + 0.8 * np.sin(2.0 * np.pi * t / 1900.0 + seed)
+    read_every_second = np.repeat(exact[::20], 20)
+    found = {}
+    shown = {"exact": exact, "held": read_every_second, "rounded": np.round(exact, 1)}
+    for name, temperature in (shown | {"both": np.round(read_every_second, 1)}).items():
+        whole = recording(noise + 1.9e-4 * exact, rate, temperature=temperature)
+        fit = aj.fit(whole, "N + K", "whittle", regressors=["temperature"], as_is=True)
+        found[name] = fit["gyro_0"]
+    for result in found.values():
+        assert result["K"].interval[0] < K < result["K"].upper_limit
+        # As with the exact temperature, of which the curve is off by 5 mK, a tenth of a step.
+        assert result["K"].upper_limit == pytest.approx(found["exact"]["K"].upper_limit, rel=0.15)
+        assert result.regression["temperature"][0] == pytest.approx(1.9e-4, rel=0.01)
+
+
 def test_a_regressor_is_estimated_by_generalized_least_squares():
     """And the noise by the likelihood of contrasts that are orthogonal to the mean and the regressor."""
     model = WHITE + WALK
