@@ -37,7 +37,7 @@ from allanjax.estimate.spectral.search import (
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.noise.response import Response
+from allanjax.noise.response import HALF_POWER, Response
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.completion import in_time
 from allanjax.spectrum.cosine import cosine_transform
@@ -77,6 +77,8 @@ _ENDS = 0.02
 _LEFT = judged("spectral_shape", "left")
 # Correlation time [samples] below which a Markov process without white noise is filtered white noise.
 _SHORT = 20.0
+# Evidence [nats] by which a likelier cause may be behind, and relative distance from a whole number of samples.
+_AS_LIKELY, _WHOLE = 3.0, 5e-3
 # Number of points of the response in the search for its half-power frequency, the share of half the sample
 # rate up to which this is sought, and the step of derivatives.
 _POINTS, _REACHED, _STEP = 4096, 0.8, 1e-3
@@ -113,6 +115,7 @@ def candidate_structure(view: View) -> tuple[View, float] | None:
     record, start = _problem(view)
     spectrum, found = searched(record, start)
     spectrum, found = in_full(spectrum, _of_resonances(spectrum, found, record.n))
+    found = _with_what_is_known(view, spectrum, found)
     if found.structure.has_shape_of(start):
         return None
     before, after = spectrum.fit(start), view.with_structure(found.structure)
@@ -151,6 +154,30 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
         if gain > 0.0:
             spectrum, now, total = finer, found, total + gain
     return (view.with_structure(now.structure), total) if total > 0.0 else None
+
+
+def _with_what_is_known(view: View, spectrum: Spectrum, found: Fitted) -> Fitted:
+    """Fit in which white noise after a response may be rounding, and a mean is over whole samples.
+
+    The levels in a stop band hardly distinguish rounding from quantization, and those around the zeros of a
+    mean not a whole number of samples from one that nearly is.
+    """
+    structure = found.structure
+    place, kind = structure.place(structures.QUANTIZATION), structure.kind
+    after = kind != NONE and place in structure.there and not structure.components[place].inside
+    if after and view.rounding > 0.0:
+        white = structure.without(place).with_column(structures.OUTSIDE, view.rounding)
+        rounded = spectrum.fit(white)
+        if rounded.evidence > found.evidence - _AS_LIKELY:
+            found = rounded
+    if kind.is_mean:
+        whole = 2.0 * np.pi * HALF_POWER * kind.narrowing
+        samples = whole / found.structure.corner
+        nearest = np.rint(samples)
+        if abs(samples / nearest - 1.0) < _WHOLE:
+            exact = found.structure.with_response(kind, whole / nearest)
+            found = found._replace(structure=exact)
+    return found
 
 
 def _of_resonances(spectrum: Spectrum, found: Fitted, n: int) -> Fitted:
@@ -212,7 +239,7 @@ def finished(view: View, found_so_far: Sequence[Step]) -> tuple[list[Step], Mode
     spectrum, found = searched(record, start) if left else refitted(record, start)
     found = _of_resonances(spectrum, found, record.n) if left else found
     spectrum, found = completed(record, spectrum, found, MARKOV in view.allowed)
-    found = _of_resonances(spectrum, found, record.n)
+    found = _with_what_is_known(view, spectrum, _of_resonances(spectrum, found, record.n))
     while groups := _groups(found.structure):
         less = [_without(found.structure, group) for group in groups]
         best, *losses = _held_out_losses(record, spectrum, [found.structure, *less])
