@@ -92,7 +92,8 @@ def test_every_option_of_every_command_is_described_under_its_name():
     names = [name for name in app if name[0] != "-"]
     assert {*RENAMED} < {*names}
     for name in names:
-        found = app[name].assemble_argument_collection(parse_docstring=True)
+        with app.app_stack([name]):
+            found = app[name].assemble_argument_collection(parse_docstring=True)
         arguments = [argument for argument in found if not argument.children]
         assert [argument.name for argument in arguments if not argument.parameter.help] == [], name
         options = {option for argument in arguments for option in argument.names if option[0] == "-"}
@@ -113,19 +114,18 @@ def test_commands_need_no_docstrings():
 
 
 def test_words_come_in_any_order_and_the_last_value_counts():
-    for name in ("a.npz", "b.npz", "-c.npz"):
-        aj.write(bench.recording("white"), name)
-    words = ("a.npz", "--gaps", "fill", "--json", "b.npz", "--gaps=error", "--vibrating", "--", "-c.npz")
-    assert [entry["file"] for entry in json.loads(ran("check", *words))["checks"]] == [
-        "a.npz",
-        "b.npz",
-        "-c.npz",
-    ]
-    refused = run("check", "a.npz", "--gaps", "error", "--columns", "-,gyro_x")
-    assert (refused.exit_code, "columns= has 2 entries" in refused.stderr) == (1, True)
-    assert ran("convert", -180, "deg/s", "--to", "m", "--to", "rad/s").startswith(
-        "-180 deg/s = -3.14159 rad/s"
-    )
+    files = ["a.csv", "b.csv", "-c.csv"]
+    table = pd.DataFrame({"gyro_x [rad/s]": np.random.default_rng(8).standard_normal(1000)})
+    for name in files:
+        table.to_csv(name, index=False)
+    done = run("check", "a.csv", "--rate", 10, "--json", "b.csv", "--rate=100", "--vibrating", "--", "-c.csv")
+    checks = json.loads(done.stdout)["checks"]
+    assert [entry["file"] for entry in checks] == files
+    assert [entry["recording"]["rate_hz"] for entry in checks] == [100.0] * 3
+    refused = run("check", "a.csv", "--columns", "-,gyro_x,-")
+    assert (refused.exit_code, "columns= has 3 entries" in refused.stderr) == (1, True)
+    converted = ran("convert", -180, "deg/s", "--to", "m", "--to", "rad/s")
+    assert converted == "-180 deg/s = -3.14159 rad/s\n"
 
 
 def test_characterize_prints_the_table_and_writes_the_results():

@@ -26,14 +26,17 @@ class Result(NamedTuple):
 def run(*words: object, given: bytes = b"", **environment: str) -> Result:
     """What `allanjax` with these words, standard input and environment says and returns."""
     out, err, code = io.StringIO(), io.StringIO(), 0
-    stdin = io.TextIOWrapper(io.BytesIO(given))
-    with mock.patch.dict("os.environ", environment), mock.patch("sys.stdin", stdin):
-        with redirect_stdout(out), redirect_stderr(err):
-            # Errors that no command expects are raised.
-            try:
-                allanjax.cli.app.run([str(word) for word in words])
-            except SystemExit as end:
-                code = int(end.code or 0)
+    with (
+        mock.patch.dict("os.environ", environment),
+        mock.patch("sys.stdin", io.TextIOWrapper(io.BytesIO(given))),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        # Errors that no command expects are raised.
+        try:
+            allanjax.cli.app.run([str(word) for word in words])
+        except SystemExit as end:
+            code = int(end.code or 0)
     return Result(code, out.getvalue(), err.getvalue())
 
 
