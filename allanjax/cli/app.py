@@ -101,6 +101,8 @@ app["--help"].group = _OPTIONS
 app.command(_version, name="--version", group=_OPTIONS)
 for _place, _command in enumerate(_COMMANDS):
     app.command(_command, sort_key=_place)
+    _help = app[_command.__name__]["--help"]
+    _help.show, _help.group = True, _OPTIONS
 
 
 def main() -> None:

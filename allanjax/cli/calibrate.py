@@ -2,6 +2,9 @@
 
 import math
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import RESULTS, prepare, print_result, refuse, saved_fit, stage, write_result
@@ -10,7 +13,7 @@ from allanjax.record.io import read_recording
 
 
 def calibrate(
-    *files: str,
+    *files: Annotated[str, Parameter(name="FILE")],
     reading: Reading = Reading(),
     position: tuple[str, ...] = (),
     latitude: float | None = None,
