@@ -51,24 +51,24 @@ def _version() -> None:
 
 
 def _check(_app: App, _commands: object, arguments: ArgumentCollection) -> None:
-    """Refuse an unknown option in the place of a file, 1.5 as a whole number, and none as a number or choice.
+    """Refuse an unknown option in the place of a file, a rounded number, and none as a number or choice.
 
     Values may begin with a hyphen, as standard input, -, and the number -3 do.
     """
     for argument in arguments:
-        numeric = argument.resolved_hint in (int, float)
+        kind = argument.resolved_hint
         for token in argument.tokens:
             text = token.value
             if token.keyword is None and re.match("--?[a-zA-Z]", text) and not Path(text).exists():
                 raise UnknownOptionError(token=token, argument_collection=arguments)
-            rounded = argument.resolved_hint is int and "." in text
-            nothing = text.casefold() in ("none", "null") and (numeric or argument.get_choices())
-            if rounded or nothing:
-                raise CoercionError(token=token, argument=argument, target_type=argument.resolved_hint)
+            rounded = kind is int and "." in text
+            limited = kind in (int, float) or argument.get_choices()
+            if rounded or (limited and text.casefold() in ("none", "null")):
+                raise CoercionError(token=token, argument=argument, target_type=kind)
 
 
 def _show(console: Any, options: Any, panel: "HelpPanel") -> None:
-    """Print help of options with lines as long as the terminal is wide, wherever docstrings break them."""
+    """Print the help of options, with lines as wide as the terminal, not as in the docstrings."""
     from cyclopts.help import DefaultFormatter
 
     for entry in panel.entries:
@@ -80,8 +80,13 @@ def _show(console: Any, options: Any, panel: "HelpPanel") -> None:
 _OPTIONS = Group("Options", help_formatter=_show)
 app = App(
     "allanjax",
-    "Estimate noise coefficients of gyros and accelerometers, with intervals, from static recordings.\n\n"
-    "For example:\n  allanjax demo\n  allanjax characterize imu.csv\n  allanjax characterize --help",
+    """Estimate noise coefficients of gyros and accelerometers, with intervals, from static recordings.
+
+    For example:
+      allanjax demo
+      allanjax characterize imu.csv
+      allanjax characterize --help
+    """,
     version_flags=(),
     default_parameter=Parameter(
         negative=(),
@@ -123,7 +128,7 @@ def run(words: Sequence[str]) -> None:
     # For processes that the command starts, too.
     os.environ.setdefault("PYTHONWARNINGS", "ignore")
     try:
-        command, bound, _ = app.parse_args(words, print_error=False, exit_on_error=False)
+        command, bound = app.parse_args(words, print_error=False, exit_on_error=False)[:2]
     except CycloptsError as error:
         asked = " ".join(["allanjax", *(error.command_chain or ()), "--help"])
         refuse(f"{error}\nTry `{asked}`.")

@@ -108,8 +108,8 @@ def calibrate(
 
 def _split(text: str) -> tuple[str, str]:
     """Orientation and file of `x+=FILE`."""
-    orientation, equals, file = text.partition("=")
-    if not (equals and file):
+    orientation, file = [*text.split("=", 1), ""][:2]
+    if not file:
         raise AllanjaxError(f"--position {text!r}: give an orientation and a file, e.g. x+=FILE")
     return orientation, file
 

@@ -199,7 +199,8 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
         with Console(stderr=True).status(Text(text)) as status:
             yield lambda words: status.update(Text(words))
         return
-    current, ended, begin, stream = [text], threading.Event(), time.monotonic(), sys.stderr
+    current, stream = [text], sys.stderr
+    begin, ended = time.monotonic(), threading.Event()
 
     def report() -> None:
         for seconds in chain([2], count(10, 10)):
@@ -275,8 +276,9 @@ def reported(file: Input, message: str) -> dict[str, str]:
 
 def exit_by(verdicts: Sequence[str]) -> None:
     """End the program with 1 if limits of a specification are not met, or else with 3 if one is undecided."""
-    if code := 1 if "fail" in verdicts else 3 if "undecided" in verdicts else 0:
-        sys.exit(code)
+    for verdict, code in (("fail", 1), ("undecided", 3)):
+        if verdict in verdicts:
+            sys.exit(code)
 
 
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:

@@ -93,4 +93,5 @@ class Fitting:
     @property
     def options(self) -> FitOptions:
         """The same options, as fits take them."""
-        return FitOptions(*vars(self).values())
+        chosen = self.terms, self.objective, self.regressors
+        return FitOptions(self.reading, *chosen, self.as_is, self.vibrating, self.plain)

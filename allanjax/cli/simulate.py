@@ -44,7 +44,9 @@ def simulate(
     out: Path | None = None,
     list_: bool = False,
 ) -> None:
-    """Simulate a static recording of a known sensor or of given noise terms, and write it to a file.
+    """Simulate a static recording of a known sensor or of given noise terms.
+
+    Writes it to a file.
 
     For example:
       allanjax simulate --list
@@ -115,7 +117,7 @@ def simulate(
 
 
 def demo(*, out: Path = Path("allanjax-demo")) -> None:
-    """Characterize a simulated six-axis sensor and compare the estimates with the true coefficients.
+    """Characterize a simulated six-axis sensor and compare it with the true coefficients.
 
     Parameters
     ----------
@@ -185,7 +187,7 @@ def convert(
     list_: bool = False,
     json: bool = False,
 ) -> None:
-    """Convert a value from one unit to another, or the values in a data sheet to noise coefficients.
+    """Convert a value from one unit to another, or a data sheet to noise coefficients.
 
     Write roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided:
     without --sided, both results are printed.
