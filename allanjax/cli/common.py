@@ -14,10 +14,7 @@ from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
-
-import typer
-from typer import Argument, Option
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 from allanjax.base.errors import AllanjaxError, MixedRatesError
 from allanjax.base.tables import is_unicode
@@ -34,27 +31,6 @@ _T = TypeVar("_T")
 
 RESULTS = Path("allanjax-results")
 _STDIN = "-"
-
-Files = Annotated[
-    list[str],
-    Argument(
-        help="Recordings: CSV and other text, Parquet, .npy, .npz, HDF5, .mat, TDMS, ROS bags "
-        "(.bag, .db3, .mcap, or a folder), PX4 .ulg, ArduPilot .bin. Quoted patterns may contain * "
-        "(any name) and ** (any folders); - reads standard input.",
-        metavar="FILE",
-    ),
-]
-Out = Annotated[
-    Path | None,
-    Option(help=f"Folder for the results. Default: {RESULTS}, or none with --json."),
-]
-TableAsJson = Annotated[bool, Option("--json", help="Print JSON instead of a table.")]
-TablesAsJson = Annotated[bool, Option("--json", help="Print JSON instead of tables.")]
-JsonInSI = Annotated[bool, Option("--json", help="Print JSON, in SI units.")]
-Vibrating = Annotated[
-    bool,
-    Option("--vibrating", help="The platform is meant to move or vibrate: skip the test for rest."),
-]
 
 
 class Input(NamedTuple):
@@ -188,7 +164,7 @@ def prepare(out: Path | None = None) -> None:
             problem = "is not writable"
         if problem:
             print_error(f"{place} {problem}: choose another folder for the results with --out")
-            raise typer.Exit(1)
+            sys.exit(1)
     os.environ["MPLBACKEND"] = "Agg"
     from allanjax.base.cache import enable_compilation_cache
 
@@ -210,19 +186,6 @@ def reason(failure: BaseException, label: str) -> str:
 
 
 @contextmanager
-def user_errors() -> Iterator[None]:
-    """End the program with a message if the input is bad or a file fails; other exceptions pass."""
-    try:
-        yield
-    except BrokenPipeError:
-        # Nobody reads any more.
-        raise
-    except FAILURES as failure:
-        print_error(reason(failure, "allanjax"))
-        raise typer.Exit(1) from failure
-
-
-@contextmanager
 def stage(text: str) -> Iterator[Callable[[str], None]]:
     """Show on stderr what is being done; yields a function that changes the text.
 
@@ -236,7 +199,8 @@ def stage(text: str) -> Iterator[Callable[[str], None]]:
         with Console(stderr=True).status(Text(text)) as status:
             yield lambda words: status.update(Text(words))
         return
-    current, ended, begin, stream = [text], threading.Event(), time.monotonic(), sys.stderr
+    current, stream = [text], sys.stderr
+    begin, ended = time.monotonic(), threading.Event()
 
     def report() -> None:
         for seconds in chain([2], count(10, 10)):
@@ -297,6 +261,12 @@ def print_error(message: str) -> None:
     print(f"error: {message}", file=sys.stderr)
 
 
+def refuse(message: str) -> NoReturn:
+    """End the program as its command line is invalid."""
+    print_error(message)
+    sys.exit(2)
+
+
 def reported(file: Input, message: str) -> dict[str, str]:
     """Print an error of a file on stderr, and return it as in the JSON."""
     begin = f"{file.label}: "
@@ -306,8 +276,9 @@ def reported(file: Input, message: str) -> dict[str, str]:
 
 def exit_by(verdicts: Sequence[str]) -> None:
     """End the program with 1 if limits of a specification are not met, or else with 3 if one is undecided."""
-    if code := 1 if "fail" in verdicts else 3 if "undecided" in verdicts else 0:
-        raise typer.Exit(code)
+    for verdict, code in (("fail", 1), ("undecided", 3)):
+        if verdict in verdicts:
+            sys.exit(code)
 
 
 def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
@@ -316,7 +287,7 @@ def exit_if_failed(errors: Sequence[Mapping[str, str]], files: int) -> None:
         failed = dict.fromkeys(error["file"] for error in errors)
         if files > 1:
             print(f"{len(failed)} of {files} files failed: {', '.join(failed)}", file=sys.stderr)
-        raise typer.Exit(1)
+        sys.exit(1)
 
 
 def result_names(files: Sequence[Path]) -> list[str]:
@@ -331,19 +302,6 @@ def result_names(files: Sequence[Path]) -> list[str]:
         numbered = (f"{stem}-{number}" for number in range(2, len(files) + 1))
         names.append(next(name for name in (stem, *numbered) if name.casefold() not in taken))
     return names
-
-
-OptionalFit = Annotated[
-    Path | None,
-    Argument(
-        help="Result of allanjax characterize, or a data sheet (.toml).",
-        metavar="RESULT.json",
-    ),
-]
-Sheet = Annotated[
-    str | None,
-    Option(help="Use a data sheet: a sensor listed by allanjax convert --list, or a TOML file."),
-]
 
 
 def fit_or_sheet(path: Path | None, sheet: str | None) -> Fit | DataSheet:

@@ -3,15 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option
+from cyclopts import Parameter
 
 from allanjax.base.errors import AllanjaxError
 from allanjax.cli.common import (
     RESULTS,
-    Files,
     Input,
-    Out,
-    TablesAsJson,
     fitting,
     inputs,
     prepare,
@@ -20,7 +17,7 @@ from allanjax.cli.common import (
     stage,
     write_result,
 )
-from allanjax.cli.options import FigureFormat, command
+from allanjax.cli.options import Figures, Fitting, Recordings
 from allanjax.fleet.options import FitOptions
 
 if TYPE_CHECKING:
@@ -28,61 +25,57 @@ if TYPE_CHECKING:
     from allanjax.estimate.result import Fit
 
 
-@command(
-    """Compare sensors of any grade: coefficients with intervals, ratios and whether they differ,
-    Allan deviations over one another, drift after 1 min, 10 min and 1 h, and growth of heading
-    and position errors. Two recordings of one sensor, before and after a change of the setup,
-    are compared in the same way.""",
-    "allanjax compare cimu hg1700 motionpak2",
-    "allanjax compare allanjax-results/imu.json BMI088 --out comparison.html",
-    "allanjax compare before.csv after.csv --label before --label after",
-    "allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s --accel-unit m/s²",
-)
 def compare(
-    sensors: Annotated[
-        list[str],
-        Argument(
-            metavar="SENSOR",
-            help="Recordings, results of characterize (NAME.json), data sheets (.toml, or a name "
-            "listed by allanjax convert --list), or presets: cimu, hg1700, motionpak2.",
-        ),
-    ],
-    options: FitOptions,
-    curve: Annotated[
-        list[str] | None,
-        Option(
-            "--curve",
-            metavar="'FILE, RATE, LENGTH'",
-            help="A sensor of which only an Allan curve is known: its file, and the rate and "
-            "length of the record; repeat for more.",
-        ),
-    ] = None,
-    label: Annotated[
-        list[str] | None, Option(help="What to call a sensor; repeat for each, in their order.")
-    ] = None,
-    reference: Annotated[
-        str | None, Option(help="Sensor that the others are compared with. Default: the first.")
-    ] = None,
-    out: Annotated[
-        list[Path] | None,
-        Option(
-            "--out",
-            "-o",
-            help="Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.",
-        ),
-    ] = None,
-    as_json: TablesAsJson = False,
+    *sensors: Annotated[str, Parameter(name="SENSOR", required=True)],
+    how: Fitting = Fitting(),
+    curve: tuple[str, ...] = (),
+    label: tuple[str, ...] = (),
+    reference: str | None = None,
+    out: Annotated[tuple[Path, ...], Parameter(alias="-o")] = (),
+    json: bool = False,
 ) -> None:
+    """Compare sensors of any grade.
+
+    Compares coefficients with intervals, ratios and whether they differ, Allan
+    deviations over one another, drift after 1 min, 10 min and 1 h, and growth of
+    heading and position errors. Two recordings of one sensor, before and after a
+    change of the setup, are compared in the same way.
+
+    For example:
+      allanjax compare cimu hg1700 motionpak2
+      allanjax compare allanjax-results/imu.json BMI088 --out comparison.html
+      allanjax compare before.csv after.csv --label before --label after
+      allanjax compare cimu --curve 'ln200.csv, 400 Hz, 6 h' --gyro-unit rad/s \\
+          --accel-unit m/s²
+
+    Parameters
+    ----------
+    sensors
+        Recordings, results of characterize (NAME.json), data sheets (.toml, or a name listed by
+        allanjax convert --list), or presets: cimu, hg1700, motionpak2.
+    curve
+        'FILE, RATE, LENGTH' of a sensor of which only an Allan curve is known: its file, and the
+        rate and length of the record; repeat for more.
+    label
+        What to call a sensor; repeat for each, in their order.
+    reference
+        Sensor that the others are compared with. Default: the first.
+    out
+        Figure (.png, .svg, .pdf), page (.html) or table (.csv); repeat for more.
+    json
+        Print JSON instead of tables.
+    """
     prepare()
     from allanjax.comparison.compare import compare as compared
     from allanjax.record.io.formats import name_of
 
-    data = [*(_opened(name, options) for name in sensors), *(_curve(text, options) for text in curve or ())]
+    options = how.options
+    data = [*(_opened(name, options) for name in sensors), *(_curve(text, options) for text in curve)]
     with stage("comparing"):
-        files = [*sensors, *(text.partition(",")[0] for text in curve or ())]
+        files = [*sensors, *(text.partition(",")[0] for text in curve)]
         names = label or [name_of(Path(name)) if Path(name).suffix else name for name in files]
         result = compared(*data, labels=names, reference=0 if reference is None else reference)
-        for path in out or ():
+        for path in out:
             if path.suffix == ".csv":
                 result.to_dataframe().to_csv(path, index=False)
             elif path.suffix in (".html", ".htm"):
@@ -91,7 +84,7 @@ def compare(
                 report(result, path)
             else:
                 result.plot(path)
-    print_result(result, as_json, out or ())
+    print_result(result, json, out)
 
 
 def _curve(text: str, options: FitOptions) -> "AllanDeviation":
@@ -132,24 +125,37 @@ def _fitted(file: Input, options: FitOptions) -> "Fit":
         return options.fit(recording)
 
 
-@command(
-    """Fit recordings of one unit on several days, or of units of one type, jointly: one set of
-    terms per axis, the common value of each coefficient, the scatter between recordings beyond
-    what their intervals explain, and which recording is the odd one out. Takes recordings or
-    results NAME.json of characterize. Prints a table per axis, and writes repeat.json,
-    repeat.csv and repeat.png.""",
-    "allanjax repeat monday.csv tuesday.csv wednesday.csv --rate 100 --gyro-unit deg/s --accel-unit g",
-    "allanjax repeat results/day*.json --out together",
-    "allanjax repeat 'logs/*.parquet' --terms 'N + B + K' --json > repeat.json",
-)
 def repeat(
-    files: Files,
-    options: FitOptions,
-    out: Out = None,
-    figure_format: FigureFormat = "png",
-    as_json: TablesAsJson = False,
+    *files: Recordings,
+    how: Fitting = Fitting(),
+    out: Path | None = None,
+    format: Figures = "png",
+    json: bool = False,
 ) -> None:
-    directory = None if as_json and out is None else out or RESULTS
+    """Fit recordings of one unit on several days, or of units of one type, jointly.
+
+    Estimates one set of terms per axis, the common value of each coefficient,
+    the scatter between recordings beyond what their intervals explain, and which
+    recording is the odd one out. Takes recordings or results NAME.json of
+    characterize. Prints a table per axis, and writes repeat.json, repeat.csv and
+    repeat.png.
+
+    For example:
+      allanjax repeat monday.csv tuesday.csv --rate 100 --gyro-unit deg/s
+      allanjax repeat results/day*.json --out together
+      allanjax repeat 'logs/*.parquet' --terms 'N + B + K' --json > repeat.json
+
+    Parameters
+    ----------
+    out
+        Folder for the results. Default: allanjax-results, or none with --json.
+    format
+        Format and suffix of the figures.
+    json
+        Print JSON instead of tables.
+    """
+    directory = None if json and out is None else out or RESULTS
+    options = how.options
     prepare(directory)
     from allanjax.comparison.joint import joint_fit
 
@@ -161,8 +167,8 @@ def repeat(
         ]
         with stage("joint fit"):
             result = joint_fit(fits, options.model, names=[file.name for file in given])
-        written = write_result(result, directory, "repeat", figure_format)
+        written = write_result(result, directory, "repeat", format)
         if directory is not None:
             written.insert(1, directory / "repeat.csv")
             result.to_dataframe().to_csv(written[1], index=False)
-        print_result(result, as_json, written)
+        print_result(result, json, written)

@@ -6,79 +6,80 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from allanjax.cli.common import RESULTS, exit_if_failed, prepare, print_error, print_result, stage
-from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.pages import Html, fleet_page
-from allanjax.fleet.options import FitOptions
+from allanjax.cli.options import Figures, Fitting
+from allanjax.cli.pages import fleet_page
 
 if TYPE_CHECKING:
     from allanjax.fleet.fleet import Progress
 
 
-@command(
-    """Estimate the noise coefficients of many static recordings on a Dask cluster. Prints a summary
-    and writes fleet.parquet (one row per recording, axis and coefficient), fleet.png (distribution
-    of each coefficient over the fleet, outlying units marked), errors.csv, notes.txt (problems and
-    outlying units; read it first), and recordings/NAME.json as soon as each recording is fitted. If
-    one file fails, the others are still processed. A later run with the same --out only fits
-    recordings without a result; the table covers only the files given.""",
-    "allanjax fleet 'logs/*.parquet' --out results",
-    r"allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'",
-    "allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --accel-unit g --terms 'N + B + K'",
-    "allanjax fleet 'logs/*.parquet' --out results --scheduler tcp://cluster:8786",
-)
 def fleet(
-    patterns: Annotated[
-        list[str],
-        Argument(
-            metavar="PATTERN",
-            help="Recordings, or quoted patterns with * (any name) and ** (any folders).",
-        ),
-    ],
-    options: FitOptions,
-    group: Annotated[
-        str | None,
-        Option(
-            help=r"Which units are compared with each other: a regular expression whose "
-            r"parentheses match the group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV "
-            r"file with columns file, group."
-        ),
-    ] = None,
-    out: Annotated[
-        Path,
-        Option(help="Folder for the results; a later run continues from it."),
-    ] = RESULTS,
-    figure_format: FigureFormat = "png",
-    html: Html = False,
-    workers: Annotated[
-        int | None, Option(help="Processes on this machine; by default one per core.", min=1)
-    ] = None,
-    piece: Annotated[
-        int, Option(help="Samples per piece: longer recordings are read and processed in pieces.")
-    ] = 20_000_000,
-    scheduler: Annotated[
-        str | None,
-        Option(help="Address of a running Dask scheduler to use, e.g. tcp://cluster:8786."),
-    ] = None,
+    *patterns: Annotated[str, Parameter(name="PATTERN", required=True)],
+    how: Fitting = Fitting(),
+    group: str | None = None,
+    out: Path = RESULTS,
+    format: Figures = "png",
+    html: bool = False,
+    workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None,
+    piece: int = 20_000_000,
+    scheduler: str | None = None,
 ) -> None:
+    r"""Estimate the noise coefficients of many static recordings on a Dask cluster.
+
+    Prints a summary and writes fleet.parquet (one row per recording, axis and
+    coefficient), fleet.png (distribution of each coefficient over the fleet,
+    outlying units marked), errors.csv, notes.txt (problems and outlying units;
+    read it first), and recordings/NAME.json as soon as each recording is fitted.
+    If one file fails, the others are still processed. A later run with the same
+    --out only fits recordings without a result; the table covers only the files
+    given.
+
+    For example:
+      allanjax fleet 'logs/*.parquet' --out results
+      allanjax fleet 'logs/**/*.parquet' --out results --group 'logs/(\w+)/'
+      allanjax fleet 'logs/**/imu.csv' --rate 100 --gyro-unit deg/s --terms 'N + B'
+      allanjax fleet 'logs/*.parquet' --scheduler tcp://cluster:8786
+
+    Parameters
+    ----------
+    patterns
+        Recordings, or quoted patterns with * (any name) and ** (any folders).
+    group
+        Which units are compared with each other: a regular expression whose parentheses match the
+        group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group.
+    out
+        Folder for the results; a later run continues from it.
+    format
+        Format and suffix of the figures.
+    html
+        Also write a page, NAME.html, to open in a browser.
+    workers
+        Processes on this machine; by default one per core.
+    piece
+        Samples per piece: longer recordings are read and processed in pieces.
+    scheduler
+        Address of a running Dask scheduler to use, e.g. tcp://cluster:8786.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.fleet.fleet import characterize_fleet
     with _progress_bar() as progress:
         result = characterize_fleet(
-            patterns,
+            list(patterns),
             out,
             group=group,
             workers=workers,
             scheduler=scheduler,
             piece=piece,
             progress=progress,
-            figure_format=figure_format,
-            **options.arguments(),
+            figure_format=format,
+            **how.options.arguments(),
         )
-    written = ("fleet.parquet", f"fleet.{figure_format}", "errors.csv", "notes.txt")
+    written = ("fleet.parquet", f"fleet.{format}", "errors.csv", "notes.txt")
     paths = [out / name for name in written]
     if html:
         paths += fleet_page(result, out)

@@ -4,18 +4,13 @@ import hashlib
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
-
-from typer import Option
 
 from allanjax.cli.common import Input, stage
 
 if TYPE_CHECKING:
     from allanjax.fleet.fleet import FleetResult
-
-#: Whether a command writes a page, too.
-Html = Annotated[bool, Option("--html", help="Also write a page, NAME.html, to open in a browser.")]
 
 
 def write_page(file: Input, folder: Path, *shown: Any) -> Path:

@@ -1,36 +1,31 @@
 """The commands `allanjax check`, `characterize`, `critique` and `report`, for one or more recordings."""
 
 import dataclasses
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
-from typer import Option
+from typing import TYPE_CHECKING, Any
 
 from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.cli.common import (
-    Files,
     Input,
-    Out,
     Outcome,
-    Vibrating,
     exit_by,
     exit_if_failed,
     fitting,
     inputs,
     prepare,
     print_written,
+    refuse,
     saved_fit,
     stage,
     work_through,
     worked_through,
 )
-from allanjax.cli.options import FigureFormat, command
-from allanjax.cli.pages import Html, origin, write_page
+from allanjax.cli.options import Figures, Fitting, Reading, Recordings, Written
+from allanjax.cli.pages import origin, write_page
 from allanjax.fleet.options import FitOptions
-from allanjax.record.io import ReadOptions
 
 if TYPE_CHECKING:
     from allanjax.critic.result import Critique
@@ -41,23 +36,27 @@ if TYPE_CHECKING:
     from allanjax.spectrum.psd import PowerSpectrum
 
 
-@command(
-    """Check whether static recordings are suitable for estimating noise coefficients: rate, gaps,
-    resolution, saturation, motion, units, bandwidth and more, and how long to record for N, B and
-    K. Each line reads fine, look (see the reason) or stop (not usable as it is; exit code 1).""",
-    "allanjax check imu.csv",
-    "allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
-    "allanjax check *.csv --json > checks.json",
-)
 def check(
-    files: Files,
-    reading: ReadOptions,
-    vibrating: Vibrating = False,
-    as_json: Annotated[
-        bool,
-        Option("--json", help="Print JSON instead of tables: {schema_version, checks, errors}."),
-    ] = False,
+    *files: Recordings, reading: Reading = Reading(), vibrating: bool = False, json: bool = False
 ) -> None:
+    """Check whether static recordings are suitable for estimating noise coefficients.
+
+    Tests rate, gaps, resolution, saturation, motion, units, bandwidth and more,
+    and estimates how long to record for N, B and K. Each line reads fine, look
+    (see the reason) or stop (not usable as it is; exit code 1).
+
+    For example:
+      allanjax check imu.csv
+      allanjax check log.parquet --rate 100 --gyro-unit deg/s --accel-unit g
+      allanjax check *.csv --json > checks.json
+
+    Parameters
+    ----------
+    vibrating
+        The platform is meant to move or vibrate: skip the test for rest.
+    json
+        Print JSON instead of tables: {schema_version, checks, errors}.
+    """
     from allanjax.estimate.check import SCHEMA_VERSION, check, unreadable
 
     stopped: list[str] = []
@@ -77,76 +76,75 @@ def check(
         return Outcome(str(result), result.to_dict(), (), ())
 
     document = {"schema_version": SCHEMA_VERSION}
-    work_through(files, None, as_json, work, lambda checks, _: document | {"checks": checks}, writes=False)
+    work_through(files, None, json, work, lambda checks, _: document | {"checks": checks}, writes=False)
     if stopped:
-        raise typer.Exit(1)
+        sys.exit(1)
 
 
-@command(
-    """Estimate the noise coefficients of static recordings. Prints one table per file and writes
-    NAME.json, NAME_allan.csv, NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file
-    fails, the others are still processed.""",
-    "allanjax characterize imu.csv",
-    "allanjax characterize log.parquet --rate 100 --gyro-unit deg/s --accel-unit g",
-    "allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'",
-    "allanjax characterize *.csv --start 60 --json > fits.json",
-    "allanjax characterize week.parquet --stream",
-    "allanjax characterize imu.csv --spec limits.yaml",
-    "allanjax characterize curve.csv --curve --rate 100 --duration 3h --gyro-unit deg/h",
-)
 def characterize(
-    files: Files,
-    options: FitOptions,
-    stream: Annotated[
-        bool,
-        Option(
-            "--stream",
-            help="Read in chunks, for recordings that do not fit into memory. The Allan variances "
-            "are estimated at octaves by the pyramid estimator; NAME_psd.png is not written.",
-        ),
-    ] = False,
-    spec: Annotated[
-        Path | None,
-        Option(
-            "--spec",
-            metavar="LIMITS.yaml",
-            help="Check the coefficients against the limits in this file "
-            "(help(allanjax.check_spec)), and write NAME_spec.xml, JUnit XML. Exit code 1: a limit "
-            "is not met; 3: none, but one is undecided.",
-        ),
-    ] = None,
-    curve: Annotated[
-        bool,
-        Option(
-            "--curve",
-            help="The files are Allan curves (cluster times and a column per axis) without their "
-            "recordings; needs --rate and --duration of these for intervals. NAME_psd.png is not "
-            "written.",
-        ),
-    ] = False,
-    duration: Annotated[
-        str | None,
-        Option(help="Length of the recording of a curve: 3h, 20 min, or a number of seconds."),
-    ] = None,
-    out: Out = None,
-    figure_format: FigureFormat = "png",
-    html: Html = False,
-    as_json: Annotated[
-        bool, Option("--json", help="Print JSON instead of tables: {schema_version, fits, errors}.")
-    ] = False,
-    verbose: Annotated[
-        bool, Option("--verbose", help="Print all coefficients with 95 % intervals, limits and χ².")
-    ] = False,
+    *files: Recordings,
+    how: Fitting = Fitting(),
+    stream: bool = False,
+    spec: Path | None = None,
+    curve: bool = False,
+    duration: str | None = None,
+    out: Path | None = None,
+    format: Figures = "png",
+    html: bool = False,
+    json: bool = False,
+    verbose: bool = False,
 ) -> None:
+    """Estimate the noise coefficients of static recordings.
+
+    Prints one table per file and writes NAME.json, NAME_allan.csv,
+    NAME_coefficients.csv, NAME_allan.png and NAME_psd.png. If one file fails,
+    the others are still processed.
+
+    For example:
+      allanjax characterize imu.csv
+      allanjax characterize log.parquet --rate 100 --gyro-unit deg/s \\
+          --accel-unit g
+      allanjax characterize imu.csv --terms 'N + B + markov(correlation_time=100 s)'
+      allanjax characterize *.csv --start 60 --json > fits.json
+      allanjax characterize week.parquet --stream
+      allanjax characterize imu.csv --spec limits.yaml
+      allanjax characterize curve.csv --curve --rate 100 --duration 3h \\
+          --gyro-unit deg/h
+
+    Parameters
+    ----------
+    stream
+        Read in chunks, for recordings that do not fit into memory. The Allan variances are
+        estimated at octaves by the pyramid estimator; NAME_psd.png is not written.
+    spec
+        Check the coefficients against the limits in this YAML file (help(allanjax.check_spec)),
+        and write NAME_spec.xml, JUnit XML. Exit code 1: a limit is not met; 3: none, but one is
+        undecided.
+    curve
+        The files are Allan curves (cluster times and a column per axis) without their recordings;
+        needs --rate and --duration of these for intervals. NAME_psd.png is not written.
+    duration
+        Length of the recording of a curve: 3h, 20 min, or a number of seconds.
+    out
+        Folder for the results. Default: allanjax-results, or none with --json.
+    format
+        Format and suffix of the figures.
+    html
+        Also write a page, NAME.html, to open in a browser.
+    json
+        Print JSON instead of tables: {schema_version, fits, errors}.
+    verbose
+        Print all coefficients with 95 % intervals, limits and χ².
+    """
     from allanjax.comparison.specification import check_spec, read_spec
 
     if spec is not None:
         # A wrong file ends the command before it reads recordings.
         read_spec(spec)
-    verdicts: list[str] = []
-
     if (stream and curve) or (duration and not curve):
-        raise typer.BadParameter("--duration is that of a --curve, which --stream cannot read")
+        refuse("--duration is that of a --curve, which --stream cannot read")
+    options = how.options
+    verdicts: list[str] = []
 
     def work(file: Input, directory: Path | None) -> Outcome:
         recording = check = spectrum = None
@@ -163,7 +161,7 @@ def characterize(
         paths: tuple[Path, ...] = ()
         if directory is not None:
             with stage(f"{file.label}: writing results"):
-                paths = write_results(fit, spectrum, directory, file.name, check, figure_format, judged)
+                paths = write_results(fit, spectrum, directory, file.name, check, format, judged)
                 if html:
                     shown = (fit, None, recording, spectrum, check)
                     paths += (write_page(file, directory, *shown),)
@@ -179,7 +177,7 @@ def characterize(
 
         return {"schema_version": SCHEMA_VERSION, "fits": fits}
 
-    work_through(files, out, as_json, work, document)
+    work_through(files, out, json, work, document)
     exit_by(verdicts)
 
 
@@ -240,36 +238,47 @@ def _accumulate_and_fit(file: Input, options: FitOptions) -> "Fit":
         return accumulator.fit_inspected(inspection, options.model, options.objective)
 
 
-@command(
-    """Find what the noise model of static recordings misses, and why: spectral lines, bias steps,
-    outliers, filters and others. Prints a summary of each file and writes NAME_critique.json and
-    one figure per finding. If one file fails, the others are still processed. With --json (schema:
-    allanjax schema critique), the output for one file is its document; with several files, or if
-    none could be read, it is {schema_version, critiques, errors}.""",
-    "allanjax critique imu.csv",
-    "allanjax critique log.parquet --rate 100 --gyro-unit deg/s --accel-unit g --out findings",
-    "allanjax critique *.csv --start 60 --json > critiques.json",
-)
 def critique(
-    files: Files,
-    reading: ReadOptions,
-    vibrating: Vibrating = False,
-    refit: Annotated[
-        bool,
-        Option("--refit", help="Also print the coefficients after correction for the findings."),
-    ] = False,
-    out: Out = None,
-    figure_format: FigureFormat = "png",
-    html: Html = False,
-    as_json: Annotated[
-        bool,
-        Option(
-            "--json",
-            help="Print JSON instead: {schema_version, recording, findings, axes, shared_findings, "
-            "errors, ...} for one file, {schema_version, critiques, errors} for several.",
-        ),
-    ] = False,
+    *files: Recordings,
+    reading: Reading = Reading(),
+    vibrating: bool = False,
+    refit: bool = False,
+    out: Path | None = None,
+    format: Figures = "png",
+    html: bool = False,
+    json: bool = False,
 ) -> None:
+    """Find what the noise model of static recordings misses, and why.
+
+    Looks for spectral lines, bias steps, outliers, filters and others. Prints a
+    summary of each file and writes NAME_critique.json and one figure per
+    finding. If one file fails, the others are still processed. With --json
+    (schema: allanjax schema critique), the output for one file is its document;
+    with several files, or if none could be read, it is {schema_version,
+    critiques, errors}.
+
+    For example:
+      allanjax critique imu.csv
+      allanjax critique log.parquet --rate 100 --gyro-unit deg/s --accel-unit g \\
+          --out findings
+      allanjax critique *.csv --start 60 --json > critiques.json
+
+    Parameters
+    ----------
+    vibrating
+        The platform is meant to move or vibrate: skip the test for rest.
+    refit
+        Also print the coefficients after correction for the findings.
+    out
+        Folder for the results. Default: allanjax-results, or none with --json.
+    format
+        Format and suffix of the figures.
+    html
+        Also write a page, NAME.html, to open in a browser.
+    json
+        Print JSON instead: {schema_version, recording, findings, axes, shared_findings, errors,
+        ...} for one file, {schema_version, critiques, errors} for several.
+    """
     from allanjax.presentation.critique_json import SCHEMA_VERSION, to_dict
 
     def work(file: Input, directory: Path | None) -> Outcome:
@@ -278,7 +287,7 @@ def critique(
         with stage(f"{file.label}: reading"):
             recording = file.read(reading)
         result = _criticize(file, recording, vibrating)
-        paths = [] if directory is None else _write(result, directory, file, figure_format)
+        paths = [] if directory is None else _write(result, directory, file, format)
         if directory is not None and html:
             with stage(f"{file.label}: writing the page"):
                 paths.append(write_page(file, directory, result.fit, result))
@@ -292,7 +301,7 @@ def critique(
             return {key: value for key, value in critiques[0].items() if key != "file"}
         return {"schema_version": SCHEMA_VERSION, "critiques": critiques}
 
-    work_through(files, out, as_json, work, document)
+    work_through(files, out, json, work, document)
 
 
 def _criticize(file: Input, recording: "Recording", vibrating: bool) -> "Critique":
@@ -316,28 +325,36 @@ def _write(critique: "Critique", directory: Path, file: Input, suffix: str) -> l
         return paths + [directory / name for name in critique_figures(named, directory, suffix=suffix)]
 
 
-@command(
-    """Write one page of HTML about static recordings or saved results: verdict, coefficients with
-    intervals, interactive curves, what a simulation of the sensor gets wrong, predicted drift and
-    exports. The page needs no network, and prints to PDF.""",
-    "allanjax report imu.csv --out report.html",
-    "allanjax report imu.csv --quick --out report.html",
-    "allanjax report allanjax-results/imu.json --out report.html",
-)
 def report(
-    files: Files,
-    options: FitOptions,
-    out: Annotated[Path, Option("--out", "-o", help="Page to write.")] = Path("report.html"),
-    quick: Annotated[
-        bool, Option("--quick", help="Without the critique, which takes longer than all the rest.")
-    ] = False,
+    *files: Recordings,
+    how: Fitting = Fitting(),
+    out: Written = Path("report.html"),
+    quick: bool = False,
 ) -> None:
+    """Write one page of HTML about static recordings or saved results.
+
+    The page shows the verdict, coefficients with intervals, interactive curves,
+    what a simulation of the sensor gets wrong, predicted drift and exports. It
+    needs no network, and prints to PDF.
+
+    For example:
+      allanjax report imu.csv --out report.html
+      allanjax report imu.csv --quick --out report.html
+      allanjax report allanjax-results/imu.json --out report.html
+
+    Parameters
+    ----------
+    out
+        Page to write.
+    quick
+        Without the critique, which takes longer than all the rest.
+    """
     if out.suffix.lower() not in (".html", ".htm"):
-        raise typer.BadParameter(f"{str(out)!r}: a page is named .html", param_hint="--out")
+        refuse(f"--out {str(out)!r}: a page is named .html")
     prepare(out.parent)
     errors: list[dict[str, str]] = []
     with inputs(files, out.parent) as given:
-        done = worked_through(given, lambda file: _reported(file, options, quick), errors)
+        done = worked_through(given, lambda file: _reported(file, how.options, quick), errors)
         parts = [part for _, part in done]
     if parts:
         from allanjax.presentation.page.report import page_about

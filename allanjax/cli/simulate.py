@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-from typer import Argument, Option
+from cyclopts import Parameter
+from cyclopts.validators import Number
 
-from allanjax.cli.common import Input, Sheet, prepare, print_result, print_written, stage
-from allanjax.cli.options import command, parsed_model
+from allanjax.base.errors import AllanjaxError
+from allanjax.cli.common import Input, prepare, print_result, print_written, refuse, stage
 from allanjax.cli.recordings import read_and_fit
 from allanjax.fleet.options import FitOptions
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from allanjax.noise.model import Model
 
 _SEED = 952
+_Positive = Annotated[float, Parameter(validator=Number(gt=0.0, lt=math.inf))]
 # Terms of the order of a good MEMS unit, each visible in 25 minutes, so that a fit can find it.
 _TRUTH = {
     "gyro_x": "Q=0.6 arcsec + N=0.20 deg/√h + B=6 deg/h",
@@ -30,64 +31,71 @@ _TRUTH = {
 }
 
 
-@command(
-    """Simulate a static recording of a known sensor or of given noise terms, and write it to a
-    file.""",
-    "allanjax simulate --list",
-    "allanjax simulate hg1700 --duration 7200 --out hg1700.csv",
-    "allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --rate 200 --out gyro.parquet",
-    "allanjax simulate --sheet BMI088 --rate 200 --out bmi088.csv",
-    "allanjax simulate --sensor accel --out a.npz "
-    "--terms 'N=0.02 m/s/sqrt(h) + markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'",
-)
 def simulate(
-    preset: Annotated[
-        str | None, Argument(metavar="SENSOR", help="Name of a sensor; --list prints the names.")
-    ] = None,
-    terms: Annotated[
-        str | None,
-        Option(
-            help="Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.",
-        ),
-    ] = None,
-    sheet: Sheet = None,
-    sensor: Annotated[
-        Literal["gyro", "accel"],
-        Option(help="Kind of sensor, with --terms."),
-    ] = "gyro",
-    duration: Annotated[float, Option(help="Length in s.")] = 3600.0,
-    rate: Annotated[
-        float, Option(help="Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.")
-    ] = 100.0,
-    seed: Annotated[int, Option(help="The same seed gives the same recording.")] = 0,
-    out: Annotated[
-        Path | None,
-        Option(
-            help="File to write: .csv, .parquet or .npz. If axes have different sample rates, one "
-            "file per rate is written, with the rate in its name."
-        ),
-    ] = None,
-    show_list: Annotated[bool, Option("--list", help="List the sensors and exit.")] = False,
+    preset: Annotated[str | None, Parameter(name="SENSOR")] = None,
+    /,
+    *,
+    terms: str | None = None,
+    sheet: str | None = None,
+    sensor: Literal["gyro", "accel"] = "gyro",
+    duration: _Positive = 3600.0,
+    rate: _Positive = 100.0,
+    seed: int = 0,
+    out: Path | None = None,
+    list_: bool = False,
 ) -> None:
+    """Simulate a static recording of a known sensor or of given noise terms.
+
+    Writes it to a file.
+
+    For example:
+      allanjax simulate --list
+      allanjax simulate hg1700 --duration 7200 --out hg1700.csv
+      allanjax simulate --terms 'N=0.1 deg/sqrt(h) + B=3 deg/h' --out gyro.parquet
+      allanjax simulate --sheet BMI088 --rate 200 --out bmi088.csv
+      allanjax simulate --sensor accel --out a.npz --terms 'N=0.02 m/s/sqrt(h) +
+          markov(amplitude=9 m/s/h/sqrt(h), correlation_time=100 s)'
+
+    Parameters
+    ----------
+    preset
+        Name of a sensor; --list prints the names.
+    terms
+        Noise terms with values and units, instead of a sensor; √h or sqrt(h) for roots.
+    sheet
+        Use a data sheet: a sensor listed by allanjax convert --list, or a TOML file.
+    sensor
+        Kind of sensor, with --terms.
+    duration
+        Length in s.
+    rate
+        Sample rate in Hz, with --terms or --sheet; a SENSOR has its own.
+    seed
+        The same seed gives the same recording.
+    out
+        File to write: .csv, .parquet or .npz. If axes have different sample rates, one file per
+        rate is written, with the rate in its name.
+    list_
+        List the sensors and exit.
+    """
+    from allanjax.noise.notation import parse_model
     from allanjax.noise.simulate import SENSORS
 
-    if show_list:
+    if list_:
         for known in SENSORS.values():
             rates = ", ".join(f"{rate:g} Hz" for rate in dict.fromkeys(axis.rate for axis in known.axes))
             print(f"{known.name:12} {known.description}; {rates}")
         return
     if [preset, terms, sheet].count(None) != 2:
-        raise typer.BadParameter("give exactly one: a sensor, --terms or --sheet", param_hint="SENSOR")
+        refuse("SENSOR: give exactly one: a sensor, --terms or --sheet")
     if out is None:
-        raise typer.BadParameter("give a file to write, e.g. imu.csv", param_hint="--out")
+        refuse("--out: give a file to write, e.g. imu.csv")
     if preset is not None and preset not in SENSORS:
-        raise typer.BadParameter(
-            f"no sensor {preset!r}; choose from {', '.join(SENSORS)}", param_hint="SENSOR"
-        )
-    model = None if terms is None else parsed_model(terms, sensor)
-    for name, value in (("--duration", duration), ("--rate", rate)):
-        if not 0.0 < value < math.inf:
-            raise typer.BadParameter(f"must be positive, not {value:g}", param_hint=name)
+        refuse(f"SENSOR: no sensor {preset!r}; choose from {', '.join(SENSORS)}")
+    try:
+        model = None if terms is None else parse_model(terms, sensor)
+    except AllanjaxError as error:
+        refuse(f"--terms: {error}")
     prepare()
     from allanjax.noise.datasheet import datasheet
     from allanjax.noise.simulate import simulate_recording
@@ -108,16 +116,14 @@ def simulate(
             print(f"wrote {path}: {', '.join(recording.names)}; {size}")
 
 
-@command(
-    """Characterize a simulated six-axis sensor and compare the estimates with the true
-    coefficients.""",
-)
-def demo(
-    out: Annotated[
-        Path,
-        Option(help="Folder for the recording and the results."),
-    ] = Path("allanjax-demo"),
-) -> None:
+def demo(*, out: Path = Path("allanjax-demo")) -> None:
+    """Characterize a simulated six-axis sensor and compare it with the true coefficients.
+
+    Parameters
+    ----------
+    out
+        Folder for the recording and the results.
+    """
     prepare(out)
     with stage("loading allanjax"):
         from allanjax.base.earth import STANDARD_GRAVITY
@@ -170,51 +176,61 @@ def _compare(fit: "Fit", models: "Mapping[str, Model]") -> tuple[str, int, int]:
     return as_text("estimates and true coefficients", [columns_from(headings, rows)]), inside, len(rows)
 
 
-@command(
-    """Convert a value from one unit to another, or the values in a data sheet to noise
-    coefficients. Write roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided:
-    without --sided, both results are printed.""",
-    "allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'",
-    "allanjax convert 150 ug/rtHz --to m/s/√h --sided one",
-    "allanjax convert --sheet BMI088",
-    "allanjax convert --sheet my-sensor.toml",
-    "allanjax convert --list",
-)
 def convert(
-    value: Annotated[float | None, Argument(metavar="VALUE", help="The number.")] = None,
-    unit: Annotated[str | None, Argument(metavar="UNIT", help="Its unit.")] = None,
-    to: Annotated[str | None, Option(help="Unit to convert to.")] = None,
-    sided: Annotated[
-        Literal["one", "two"] | None,
-        Option(help="Whether a density per √Hz is one-sided, as in data sheets, or two-sided."),
-    ] = None,
-    sheet: Annotated[
-        str | None,
-        Option(
-            help="Data sheet to convert to noise coefficients: a TOML file, or a name that --list prints."
-        ),
-    ] = None,
-    show_list: Annotated[
-        bool, Option("--list", help="List the sensors with a built-in data sheet and exit.")
-    ] = False,
-    as_json: Annotated[bool, Option("--json", help="Print JSON; needs --sheet.")] = False,
+    value: float | None = None,
+    unit: str | None = None,
+    /,
+    *,
+    to: str | None = None,
+    sided: Literal["one", "two"] | None = None,
+    sheet: str | None = None,
+    list_: bool = False,
+    json: bool = False,
 ) -> None:
-    if show_list:
+    """Convert a value from one unit to another, or a data sheet to noise coefficients.
+
+    Write roots as √Hz, sqrt(Hz) or rt-Hz. A density per √Hz is one- or two-sided:
+    without --sided, both results are printed.
+
+    For example:
+      allanjax convert 0.003 deg/s/√Hz --to 'deg/sqrt(h)'
+      allanjax convert 150 ug/rtHz --to m/s/√h --sided one
+      allanjax convert --sheet BMI088
+      allanjax convert --sheet my-sensor.toml
+      allanjax convert --list
+
+    Parameters
+    ----------
+    value
+        The number.
+    unit
+        Its unit.
+    to
+        Unit to convert to.
+    sided
+        Whether a density per √Hz is one-sided, as in data sheets, or two-sided.
+    sheet
+        Data sheet to convert to noise coefficients: a TOML file, or a name that --list prints.
+    list_
+        List the sensors with a built-in data sheet and exit.
+    json
+        Print JSON; needs --sheet.
+    """
+    if list_:
         from allanjax.noise.datasheet import known_sheets
 
         for name, figures in known_sheets().items():
             print(f"{name:12} {figures['source']}")
         return
     if (sheet is None) == (value is None) or (sheet is not None and (to or sided)):
-        raise typer.BadParameter("give VALUE UNIT --to UNIT, or --sheet SHEET")
+        refuse("give VALUE UNIT --to UNIT, or --sheet SHEET")
     if sheet is not None:
         from allanjax.noise.datasheet import datasheet
 
-        values = datasheet(sheet)
-        print_result(values, as_json)
+        print_result(datasheet(sheet), json)
         return
-    if unit is None or to is None or as_json:
-        raise typer.BadParameter("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
+    if unit is None or to is None or json:
+        refuse("give VALUE UNIT --to UNIT, e.g. 3 deg/s/√Hz --to deg/√h")
     for line in _converted(float(value or 0.0), unit, to, sided):
         print(line)
 

@@ -268,8 +268,8 @@ from collections import Counter
 from jax import monitoring
 seen = Counter()
 monitoring.register_event_listener(lambda event, **_: seen.update([event.rpartition("/")[2]]))
-from allanjax.cli.app import app
-app("simulate --terms N=1deg/√h+K=1deg/h/√h --duration 60 --out a.csv".split(), standalone_mode=False)
+from allanjax.cli.app import run
+run("simulate --terms N=1deg/√h+K=1deg/h/√h --duration 60 --out a.csv".split())
 print(seen["compile_requests_use_cache"], seen["cache_hits"])
 """
 

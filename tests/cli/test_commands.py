@@ -14,7 +14,6 @@ import bench
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 from commands import run, schema, without_progress
 from turned_sensors import at_rest
 
@@ -90,22 +89,43 @@ def options_in(text):
 
 def test_every_option_of_every_command_is_described_under_its_name():
     """An example is help that nothing derives from a function, so what it uses must be listed above."""
-    for name, command in typer.main.get_command(app).commands.items():
-        assert [option.name for option in command.params if not option.help] == [], name
-        printed = run(name, "--help", COLUMNS="200").stdout
-        table, _, examples = printed.partition("Examples:")
-        listed = {found for row in table.splitlines() for found in options_in(row[:40])}
-        used = (line.partition(f"allanjax {name} ")[2] for line in examples.splitlines())
+    names = [name for name in app if name[0] != "-"]
+    assert {*RENAMED} < {*names}
+    for name in names:
+        with app.app_stack([name]):
+            found = app[name].assemble_argument_collection(parse_docstring=True)
+        arguments = [argument for argument in found if not argument.children]
+        assert [argument.name for argument in arguments if not argument.parameter.help] == [], name
+        options = {option for argument in arguments for option in argument.names if option[0] == "-"}
+        assert not any(option.startswith(("--no-", "--empty-")) for option in options), name
+        printed = run(name, "--help").stdout.replace("\\\n", "")
+        text, _, table = printed.partition("╭")
+        assert options <= options_in(table), name
+        used = (line.partition(f"allanjax {name} ")[2] for line in text.splitlines())
         needed = options_in(RENAMED.get(name, "")).union(*map(options_in, used))
-        assert needed <= listed, name
+        assert needed <= options, name
 
 
-def test_the_help_needs_no_docstrings():
+def test_commands_need_no_docstrings():
     words = [sys.executable, "-OO", "-m", "allanjax", "export", "--help"]
     done = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"COLUMNS": "130"})
     assert done.returncode == 0
     assert {"--from", "--list", "-o"} <= options_in(done.stdout)
-    assert "Convert a file of this target." in done.stdout
+
+
+def test_words_come_in_any_order_and_the_last_value_counts():
+    files = ["a.csv", "b.csv", "-c.csv"]
+    table = pd.DataFrame({"gyro_x [rad/s]": np.random.default_rng(8).standard_normal(1000)})
+    for name in files:
+        table.to_csv(name, index=False)
+    done = run("check", "a.csv", "--rate", 10, "--json", "b.csv", "--rate=100", "--vibrating", "--", "-c.csv")
+    checks = json.loads(done.stdout)["checks"]
+    assert [entry["file"] for entry in checks] == files
+    assert [entry["recording"]["rate_hz"] for entry in checks] == [100.0] * 3
+    refused = run("check", "a.csv", "--columns", "-,gyro_x,-")
+    assert (refused.exit_code, "columns= has 3 entries" in refused.stderr) == (1, True)
+    converted = ran("convert", -180, "deg/s", "--to", "m", "--to", "rad/s")
+    assert converted == "-180 deg/s = -3.14159 rad/s\n"
 
 
 def test_characterize_prints_the_table_and_writes_the_results():
@@ -432,6 +452,14 @@ UNIT = "a.csv --rate 100 --gyro-unit deg/s"
         ("simulate --sensor accel --terms N=1deg/√h --out a.csv", 2, "gyro"),
         ("simulate --terms N=1deg/√h --out a.csv --duration nan", 2, "--duration"),
         ("convert 1 deg/h", 2, "--to"),
+        ("", 2, ""),
+        ("chek a.csv", 2, "check"),
+        ("check a.csv --nonsense", 2, "--nonsense"),
+        ("check a.csv --no-json", 2, "--no-json"),
+        ("check a.csv --rate none", 2, "--rate"),
+        ("check a.csv --gaps none", 2, "segments"),
+        ("check a.csv --instance 1.5", 2, "--instance"),
+        ("fleet a.csv --workers 0", 2, "--workers"),
     ],
 )
 def test_errors_name_what_is_wrong(saved, words, code, word):

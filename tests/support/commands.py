@@ -1,19 +1,43 @@
 """Commands as a user types them."""
 
+import io
 import json
 import re
-from typing import Any
+from contextlib import redirect_stderr, redirect_stdout
+from typing import Any, NamedTuple
+from unittest import mock
 
-from typer.testing import CliRunner, Result
-
-from allanjax.cli.app import app
+import allanjax.cli.app
 
 
-def run(*words: object, given: bytes | None = None, **environment: str) -> Result:
+class Result(NamedTuple):
+    """Exit code of a command, and what it printed."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+    @property
+    def output(self) -> str:
+        """Everything that it printed."""
+        return self.stdout + self.stderr
+
+
+def run(*words: object, given: bytes = b"", **environment: str) -> Result:
     """What `allanjax` with these words, standard input and environment says and returns."""
-    # Errors that no command expects are raised.
-    said = [str(word) for word in words]
-    return CliRunner().invoke(app, said, given, environment, catch_exceptions=False)
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with (
+        mock.patch.dict("os.environ", environment),
+        mock.patch("sys.stdin", io.TextIOWrapper(io.BytesIO(given))),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        # Errors that no command expects are raised.
+        try:
+            allanjax.cli.app.run([str(word) for word in words])
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return Result(code, out.getvalue(), err.getvalue())
 
 
 def without_progress(stderr: str) -> str:

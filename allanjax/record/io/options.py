@@ -1,10 +1,8 @@
 """Reading options in one object, so that no reader and no command can leave one out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from allanjax.base.errors import RecordingError
@@ -16,44 +14,51 @@ TimeChoice = str | Literal[False] | None
 GapChoice = Literal["error", "segments", "fill"]
 
 
-def _option(help: str) -> Any:
-    """Option that is None by default, with its help on the command line."""
-    return field(default=None, metadata={"help": help})
-
-
 @dataclass(frozen=True)
 class ReadOptions:
-    """The arguments of `read` and `read_chunks`, which are described there; None if not given."""
+    """The arguments of `read` and `read_chunks`, which are described there; None if not given.
 
-    rate: float | None = _option(
-        "Sample rate in Hz. Required if the file has no time stamps; otherwise it overrides their rate."
-    )
-    gyro_unit: str | None = _option(
-        "Unit of the gyros, overriding the header: deg/s, rad/s, ...; rad for increments; for counts the "
-        "size of one count, 'deg/s/131'."
-    )
-    accel_unit: str | None = _option(
-        "Unit of the accelerometers, overriding the header: m/s^2, g, ...; m/s for increments; for counts "
-        "the size of one count, 'g/16384'."
-    )
-    columns: str | Sequence[str] | None = _option(
-        "Columns to read, or a name for each column in order with - to skip one: time,gyro_x,-,gyro_z."
-    )
-    time: TimeChoice = _option(
-        "Column of time stamps; none ignores them; uniform assumes even samples at their mean rate."
-    )
-    time_unit: str | None = _option("Unit of the time stamps: s, ms, us, ns, min, h, or '0.1 ms'.")
-    start: float | None = _option("Leave out samples before this time in s.")
-    stop: float | None = _option("Leave out samples from this time on, in s.")
-    topic: str | None = _option(
-        "Topic of a ROS bag or message of a flight log, e.g. /imu/data or sensor_gyro; if gyros and "
-        "accelerometers are in different ones, a,b."
-    )
-    instance: int | None = _option("Number of the sensor if a flight log has several; by default the first.")
-    gaps: GapChoice | None = _option(
-        "What to do about missing samples: error (default); segments, fit the segments between gaps "
-        "jointly; fill, replace them by simulated samples."
-    )
+    Attributes
+    ----------
+    rate
+        Sample rate in Hz. Required if the file has no time stamps; otherwise it overrides their rate.
+    gyro_unit
+        Unit of the gyros, overriding the header: deg/s, rad/s, ...; rad for increments; for counts the
+        size of one count, 'deg/s/131'.
+    accel_unit
+        Unit of the accelerometers, overriding the header: m/s^2, g, ...; m/s for increments; for counts
+        the size of one count, 'g/16384'.
+    columns
+        Columns to read, or a name for each column in order with - to skip one: time,gyro_x,-,gyro_z.
+    time
+        Column of time stamps; none ignores them; uniform assumes even samples at their mean rate.
+    time_unit
+        Unit of the time stamps: s, ms, us, ns, min, h, or '0.1 ms'.
+    start
+        Leave out samples before this time in s.
+    stop
+        Leave out samples from this time on, in s.
+    topic
+        Topic of a ROS bag or message of a flight log, e.g. /imu/data or sensor_gyro; if gyros and
+        accelerometers are in different ones, a,b.
+    instance
+        Number of the sensor if a flight log has several; by default the first.
+    gaps
+        What to do about missing samples: error (default); segments, fit the segments between gaps
+        jointly; fill, replace them by simulated samples.
+    """
+
+    rate: float | None = None
+    gyro_unit: str | None = None
+    accel_unit: str | None = None
+    columns: str | Sequence[str] | None = None
+    time: TimeChoice = None
+    time_unit: str | None = None
+    start: float | None = None
+    stop: float | None = None
+    topic: str | None = None
+    instance: int | None = None
+    gaps: GapChoice | None = None
 
     def __post_init__(self) -> None:
         start, stop = self.start, self.stop
@@ -78,11 +83,11 @@ class ReadOptions:
         return isinstance(self.time, str) and self.time.casefold() == "uniform"
 
     @property
-    def units(self) -> dict[Sensor, str | None]:
+    def units(self) -> "dict[Sensor, str | None]":
         """Unit of each sensor's samples, if given."""
         return {"gyro": self.gyro_unit, "accel": self.accel_unit}
 
-    def within(self, part: tuple[float, float]) -> ReadOptions:
+    def within(self, part: tuple[float, float]) -> "ReadOptions":
         """Options for a part [s] of the recording that these read, counted from its first sample."""
         origin = self.start or 0.0
         return replace(self, start=origin + part[0], stop=origin + part[1])
