@@ -149,7 +149,8 @@ def prepared(view: View, rule: AcceptanceRule) -> Search:
         # Gains that cannot be held out are nan.
         if candidate and rule.accepts(candidate) and not (gain := candidate.held_out()) <= 0.0:
             step = Step.of(candidate, gain, (), state.end)
-            state = Search(view, (*state.steps, step), candidate.after, {}, preprocessed=True, is_anew=True)
+            after = candidate.after.with_findings(*state.end.found, candidate.cause)
+            state = Search(view, (*state.steps, step), after, {}, preprocessed=True, is_anew=True)
     return state
 
 

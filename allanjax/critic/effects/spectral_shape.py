@@ -77,7 +77,7 @@ _ENDS = 0.02
 _LEFT = judged("spectral_shape", "left")
 # Correlation time [samples] below which a Markov process without white noise is filtered white noise.
 _SHORT = 20.0
-# Evidence [nats] by which a likelier cause may be behind, and relative distance from a whole number of samples.
+# Evidence [nats] by which a likelier cause may be behind, and distance from whole samples that is none.
 _AS_LIKELY, _WHOLE = 3.0, 5e-3
 # Number of points of the response in the search for its half-power frequency, the share of half the sample
 # rate up to which this is sought, and the step of derivatives.
