@@ -310,13 +310,12 @@ def kalman_filter(
     The state x_{k+1} = A x_k + w_k (3.1) and the sample z_k = H x_k + v_k + b (3.2), with w and v white and
     normal (3.3, 3.4), are those of `Model.state_space`; b is a constant. The a priori errors and covariances
     (3.5–3.8) follow from (3.13) x⁻ = A x and (3.14) P⁻ = A P Aᵀ + Q, the a posteriori ones from the gain
-    (3.10, 3.15) K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17), here
-    by factors of P (see `recursion`). There is no control input (B u). As R → 0 the gain trusts the samples
+    (3.10, 3.15) K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17).
+    There is no control input (B u). As R → 0 the gain trusts the samples
     (3.11), as P⁻ → 0 the prediction (3.12).
 
-    Exact for a Gaussian process; gains that change slowly are interpolated to 10⁻⁶ (see `recursion`), which
-    changes the likelihood of 200,000 samples by less than 10⁻⁸ nats. Bias instability and power laws are sums
-    of Gauss–Markov processes within 3 %.
+    Exact for a Gaussian process. Bias instability and power laws are sums of Gauss–Markov processes within
+    3 %.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
