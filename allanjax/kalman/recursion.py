@@ -38,12 +38,12 @@ class System(NamedTuple):
         rows: requested sums of states, one per row.
     """
 
-    A: Float[Array, "*models n n"]
-    h: Float[Array, "*models n"]
-    Q: Float[Array, "*models n n"]
-    R: Float[Array, "*models"]
-    P0: Float[Array, "*models n n"]
-    rows: Float[Array, "*models rows n"]
+    A: Float[Array, "n n"]
+    h: Float[Array, " n"]
+    Q: Float[Array, "n n"]
+    R: Float[Array, ""]
+    P0: Float[Array, "n n"]
+    rows: Float[Array, "rows n"]
 
 
 class Columns(NamedTuple):
@@ -117,12 +117,6 @@ def run_filter(system: System, record: Record) -> tuple[Columns, Columns, State]
 def _joined(x: Array) -> Array:
     """Samples of all blocks."""
     return x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
-
-
-@eqx.filter_jit
-def run_bank(systems: System, record: Record) -> tuple[Columns, Columns]:
-    """Innovations and updated rows of several filters with the same numbers of states."""
-    return jax.lax.map(lambda system: run_filter(system, record)[:2], jax.tree.map(jnp.asarray, systems))
 
 
 # Of later samples: r of both columns, and its covariance N.
@@ -205,36 +199,29 @@ class FilterModel:
         return cls(space, drift, tuple(slow))
 
 
-def padded(space: StateSpace, rows: Float[np.ndarray, "rows n"], most: int) -> System:
-    """Matrices padded to this many states; `rows` are the requested sums of states."""
+def padded(space: StateSpace, drift: Float[np.ndarray, " n"]) -> System:
+    """Matrices padded to a number of states that programs are compiled for; rows are all states and drift.
+
+    Raises:
+        AllanjaxError: the model has too many states.
+    """
+    if space.size > _SIZES[-1]:
+        raise AllanjaxError(f"the model has {space.size} states; a filter takes at most {_SIZES[-1]}")
+    most = next(size for size in _SIZES if space.size <= size)
+
+    def grown(x: Float[np.ndarray, "*n"]) -> Any:
+        return np.pad(x, [(0, most - space.size)] * x.ndim)
+
+    rows: Any = np.concatenate([np.eye(most), grown(drift)[None]])
     white: Any = space.R[0, 0]
-
-    def grown(x: Float[np.ndarray, "*n"], kept: int = 0) -> Any:
-        return np.pad(x, [(0, 0)] * kept + [(0, most - space.size)] * (x.ndim - kept))
-
     return System(
         A=grown(space.A),
         h=grown(space.H[0]),
         Q=grown(space.Q),
         R=white,
         P0=grown(space.P0),
-        rows=grown(rows, kept=1),
+        rows=rows,
     )
-
-
-def padded_size(spaces: Sequence[StateSpace]) -> int:
-    """Number of states of a program that takes all of these; AllanjaxError if they are too many."""
-    most = max(space.size for space in spaces)
-    if most > _SIZES[-1]:
-        raise AllanjaxError(f"the model has {most} states; a filter takes at most {_SIZES[-1]}")
-    return next(size for size in _SIZES if most <= size)
-
-
-def bank_of(spaces: Sequence[StateSpace], rows: Sequence[Float[np.ndarray, "rows n"]]) -> System:
-    """Matrices of several models padded to one size, for a bank."""
-    most = padded_size(spaces)
-    each = [padded(space, of, most) for space, of in zip(spaces, rows, strict=True)]
-    return jax.tree.map(lambda *of_each: np.stack(of_each), *each)
 
 
 def in_blocks(samples: Float[np.ndarray, " n"], missing: Bool[np.ndarray, " n"] | None) -> Record:
@@ -264,16 +251,12 @@ class Constant:
         value, variance: estimate of the constant after each sample, and its variance, infinite before the
             first.
         innovation, innovation_std: innovations of the samples; NaN for missing and unpredictable ones.
-        log_density: logarithms of the innovations' densities; zero for those. Their sum is the log-likelihood
-            of all samples; with an unknown constant, that of the differences of successive samples, which do
-            not depend on it.
     """
 
     value: Float[np.ndarray, " n"]
     variance: Float[np.ndarray, " n"]
     innovation: Float[np.ndarray, " n"]
     innovation_std: Float[np.ndarray, " n"]
-    log_density: Float[np.ndarray, " n"]
 
     @classmethod
     def of(
@@ -312,29 +295,32 @@ class Constant:
         with np.errstate(invalid="ignore"):
             spread = np.sqrt(s + np.where(predicted, uncertain, 0.0) * ones**2)
         e = np.where(predicted, e - before * ones, np.nan)
-        spread = np.where(predicted, spread, np.nan)
-        density = np.zeros(len(e))
-        density[predicted] = -0.5 * _chi2(e[predicted], spread[predicted] ** 2)
-        return cls(value, variance, e, spread, density)
+        return cls(value, variance, e, np.where(predicted, spread, np.nan))
 
     def added_to(
-        self, rows: Columns, share: Float[np.ndarray, " rows"], smoothed: bool = False
+        self, rows: Columns, smoothed: bool
     ) -> tuple[Float[np.ndarray, "n rows"], Float[np.ndarray, "n rows"]]:
-        """Rows with shares of the constant, and their standard deviations.
+        """Rows, to the last of which the constant is added, and their standard deviations.
 
         The constant is that after each sample, or, if the rows are `smoothed`, after all of them.
         """
         n, after = len(self.value), slice(-1, None) if smoothed else slice(None)
         value, variance = self.value[after, None], self.variance[after, None]
         of_samples, of_ones = np.moveaxis(np.asarray(rows.value)[:n], -1, 0)
-        moved = share - of_ones
+        moved = np.eye(of_ones.shape[1])[-1] - of_ones
         added = np.where(moved == 0.0, 0.0, moved**2 * variance)
         return of_samples + moved * value, np.sqrt(np.asarray(rows.std)[:n] ** 2 + added)
 
 
-def _chi2(e: Float[np.ndarray, "*n"], variance: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Minus twice the logarithms of normal densities."""
-    return np.log(2.0 * math.pi * variance) + e**2 / variance
+def log_densities(
+    innovation: Float[np.ndarray, "*n"], variance: Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Logarithms of the normal densities of innovations.
+
+    Their sum is the log-likelihood of all samples; with an unknown constant, that of the differences of
+    successive samples, which do not depend on it.
+    """
+    return -0.5 * (np.log(2.0 * math.pi * variance) + innovation**2 / variance)
 
 
 def innovations_under(
@@ -349,11 +335,12 @@ def innovations_under(
     """
     n = len(z)
     there = np.ones(n, bool) if missing is None else ~missing
-    spaces = [model.state_space(rate, duration=n / rate) for model in models]
-    systems = bank_of(spaces, [np.zeros((0, space.size)) for space in spaces])
-    out = jax.device_get(run_bank(systems, in_blocks(z - z[there].mean(), missing))[0])
-    each = [Constant.of(e[:n], std[:n], there, None) for e, std in zip(out.value, out.std, strict=True)]
-    used = np.flatnonzero(there)[1:]
+    record, used, each = in_blocks(z - z[there].mean(), missing), np.flatnonzero(there)[1:], []
+    for model in models:
+        space = model.state_space(rate, duration=n / rate)
+        found = run_filter(padded(space, np.zeros(space.size)), record)[0]
+        e, std = (np.asarray(x)[:n] for x in found)
+        each.append(Constant.of(e, std, there, None))
     return np.stack([c.innovation[used] for c in each]), np.stack([c.innovation_std[used] ** 2 for c in each])
 
 
@@ -362,4 +349,4 @@ def log_likelihoods(
 ) -> Float[np.ndarray, " models"]:
     """Log-likelihood [nats] of each model, from its innovations; NaN if a sample has no variance."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return -0.5 * np.sum(_chi2(innovation, variance), axis=1)
+        return np.sum(log_densities(innovation, variance), axis=1)
