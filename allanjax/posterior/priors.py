@@ -13,17 +13,26 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy import stats
 
 from allanjax.base.errors import AllanjaxError
 
 
 class Prior:
-    """A prior by one of SciPy's laws, the `_law`."""
+    """A prior by one of SciPy's laws."""
 
     lower: float
     upper: float
-    _law: Any
+
+    @functools.cached_property
+    def _law(self) -> Any:
+        # Takes long to load.
+        from scipy import stats
+
+        return self._of(stats)
+
+    def _of(self, stats: Any) -> Any:
+        """The law, one of those in the module `scipy.stats`."""
+        raise NotImplementedError
 
     def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
         return self._law.logpdf(x)
@@ -48,8 +57,7 @@ class Uniform(Prior):
         ordered = -math.inf < self.lower < self.upper < math.inf
         self._require(ordered, "finite bounds, lower < upper")
 
-    @functools.cached_property
-    def _law(self) -> Any:
+    def _of(self, stats: Any) -> Any:
         return stats.uniform(self.lower, self.upper - self.lower)
 
 
@@ -65,8 +73,7 @@ class LogUniform(Prior):
         ordered = self.origin < self.lower < self.upper < math.inf
         self._require(ordered, f"finite bounds, {self.origin:g} < lower < upper")
 
-    @functools.cached_property
-    def _law(self) -> Any:
+    def _of(self, stats: Any) -> Any:
         return stats.loguniform(self.lower - self.origin, self.upper - self.origin, self.origin)
 
 
@@ -83,8 +90,7 @@ class LogNormal(Prior):
         within = 0.0 < self.median < math.inf and 1.0 < self.factor < math.inf
         self._require(within, "a finite median above 0 and a finite factor above 1")
 
-    @functools.cached_property
-    def _law(self) -> Any:
+    def _of(self, stats: Any) -> Any:
         return stats.lognorm(math.log(self.factor), scale=self.median)
 
 
@@ -105,6 +111,5 @@ class ModifiedLogUniform(Prior):
         within = 0.0 < self.scale < math.inf and 0.0 < self.upper < math.inf
         self._require(within, "a finite scale and a finite upper above 0")
 
-    @functools.cached_property
-    def _law(self) -> Any:
+    def _of(self, stats: Any) -> Any:
         return stats.loguniform(self.scale, self.scale + self.upper, -self.scale)
