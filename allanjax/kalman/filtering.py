@@ -22,14 +22,11 @@ from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Cell, Number, PerAxis
 from allanjax.base.wording import duration, finite_or_none, format_with_error, plain
 from allanjax.kalman.recursion import (
-    Columns,
     Constant,
     FilterModel,
-    bank_of,
     in_blocks,
+    log_densities,
     padded,
-    padded_size,
-    run_bank,
     run_filter,
     run_smoother,
 )
@@ -200,6 +197,11 @@ class FilteredAxis(BiasTrack):
         return self.innovation / self.innovation_std
 
     @property
+    def log_density(self) -> Float[np.ndarray, " n"]:
+        """Logarithms of the innovations' densities; zero for samples without an innovation."""
+        return np.nan_to_num(log_densities(self.innovation, self.innovation_std**2))
+
+    @property
     def whiteness(self) -> ChiSquared:
         """Portmanteau test of Ljung and Box (1978, Biometrika 65:297) that innovations are white.
 
@@ -310,13 +312,12 @@ def kalman_filter(
     The state x_{k+1} = A x_k + w_k (3.1) and the sample z_k = H x_k + v_k + b (3.2), with w and v white and
     normal (3.3, 3.4), are those of `Model.state_space`; b is a constant. The a priori errors and covariances
     (3.5–3.8) follow from (3.13) x⁻ = A x and (3.14) P⁻ = A P Aᵀ + Q, the a posteriori ones from the gain
-    (3.10, 3.15) K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17), here
-    by factors of P (see `recursion`). There is no control input (B u). As R → 0 the gain trusts the samples
+    (3.10, 3.15) K = P⁻Hᵀ(H P⁻Hᵀ + R)⁻¹, x = x⁻ + K(z − H x⁻ − b) (3.9, 3.16) and P = (I − K H)P⁻ (3.17).
+    There is no control input (B u). As R → 0 the gain trusts the samples
     (3.11), as P⁻ → 0 the prediction (3.12).
 
-    Exact for a Gaussian process; gains that change slowly are interpolated to 10⁻⁶ (see `recursion`), which
-    changes the likelihood of 200,000 samples by less than 10⁻⁸ nats. Bias instability and power laws are sums
-    of Gauss–Markov processes within 3 %.
+    Exact for a Gaussian process. Bias instability and power laws are sums of Gauss–Markov processes within
+    3 %.
 
     Args:
         recording: what `read` returns; or samples [samples, axes], a data frame, or a file's path. Samples
@@ -364,14 +365,6 @@ def _prepared(
     return recording, lost
 
 
-def check_noise(std: Float[np.ndarray, "*models n"], there: Bool[np.ndarray, " n"], model: Model) -> None:
-    """Raise AllanjaxError if a sample has no variance under the model."""
-    if not np.all(std[..., there] > 0.0):
-        raise AllanjaxError(
-            f"the samples are not random under {model!r}: add a noise term, e.g. AngleRandomWalk(…)"
-        )
-
-
 def _filtered(
     recording: Recording,
     k: int,
@@ -384,18 +377,19 @@ def _filtered(
     axis, z, rate = recording.axes[k], recording.values[:, k], recording.rate
     n, there = len(z), ~missing
     of_axis = FilterModel.of(model, rate, n / rate, axis.sensor)
-    most, size = padded_size([of_axis.space]), of_axis.space.size
-    # All states, so that programs depend on the padded size alone.
-    rows = np.concatenate([np.eye(most, size), of_axis.drift[None]])
-    system, offset = padded(of_axis.space, rows, most), float(z[there].mean())
+    size, offset = of_axis.space.size, float(z[there].mean())
+    system = padded(of_axis.space, of_axis.drift)
     record = in_blocks(z - offset, missing)
     innovations, estimates, states = run_filter(system, record)
     e, std = (np.asarray(x)[:n] for x in innovations)
-    check_noise(std, there, model)
+    if not np.all(std[there] > 0.0):
+        raise AllanjaxError(
+            f"the samples are not random under {model!r}: add a noise term, e.g. AngleRandomWalk(…)"
+        )
     constant = Constant.of(e, std, there, constant_std, offset)
     if smooth:
         estimates = run_smoother(system, states, record)
-    values, stds = constant.added_to(estimates, np.append(np.zeros(most), 1.0), smooth)
+    values, stds = constant.added_to(estimates, smooth)
     return FilteredAxis(
         axis=axis,
         rate=rate,
@@ -413,7 +407,7 @@ def _filtered(
         slow=of_axis.slow,
         innovation=constant.innovation,
         innovation_std=constant.innovation_std,
-        log_likelihood=float(constant.log_density.sum()),
+        log_likelihood=float(np.nansum(log_densities(constant.innovation, constant.innovation_std**2))),
         smoothed=smooth,
     )
 
@@ -548,32 +542,24 @@ def _adapted(
     constant_std: float | None,
 ) -> AdaptedAxis:
     """Result of one axis."""
-    axis, z, rate = recording.axes[k], recording.values[:, k], recording.rate
-    n, there = len(z), ~missing
-    offset = float(z[there].mean())
-    own = [model_of(model, axis) for model in models.values()]
-    of_axis = [FilterModel.of(model, rate, n / rate, axis.sensor) for model in own]
-    systems = bank_of([m.space for m in of_axis], [m.drift[None] for m in of_axis])
-    innovations, rows = jax.device_get(run_bank(systems, in_blocks(z - offset, missing)))
-    density, bias, variance = (np.zeros((n, len(own))) for _ in range(3))
-    for j, model in enumerate(own):
-        e, std = innovations.value[j, :n], innovations.std[j, :n]
-        check_noise(std, there, model)
-        constant = Constant.of(e, std, there, constant_std, offset)
-        density[:, j] = constant.log_density
-        biases, stds = constant.added_to(Columns(rows.value[j], rows.std[j]), np.ones(1))
-        bias[:, j], variance[:, j] = biases[:, 0], stds[:, 0] ** 2
-    weights, probability, total = (np.asarray(x) for x in _weighed(density, np.asarray(switching / rate)))
+    own = [model_of(model, recording.axes[k]) for model in models.values()]
+    filters = [_filtered(recording, k, model, missing, False, constant_std) for model in own]
+    bias, std, density = (
+        np.stack([getattr(one, name) for one in filters], axis=1)
+        for name in ("bias", "bias_std", "log_density")
+    )
+    change = np.asarray(switching / recording.rate)
+    weights, probability, total = (np.asarray(x) for x in _weighed(density, change))
     blended = np.sum(weights * bias, axis=1)
-    spread = np.sum(weights * (variance + (bias - blended[:, None]) ** 2), axis=1)
+    spread = np.sum(weights * (std**2 + (bias - blended[:, None]) ** 2), axis=1)
     return AdaptedAxis(
-        axis=axis,
-        rate=rate,
-        samples=z,
+        axis=recording.axes[k],
+        rate=recording.rate,
+        samples=recording.values[:, k],
         labels=tuple(models),
         weights=weights,
         probability=probability,
-        bias=blended + offset,
+        bias=blended,
         bias_std=np.sqrt(spread),
         log_likelihood=float(total),
         switching=switching,

@@ -6,13 +6,13 @@ At rest they are those of the whole noise model; in motion also those that a cal
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, get_args
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -418,9 +418,10 @@ def bias_response(
         series = series * np.where(np.abs(x) < _SMALL, -x, 0.0) + 1.0 / math.factorial(2 * k + order)
     if np.all(np.abs(x) < _SMALL):
         return series * time**order
-    w = math.sqrt(abs(stiffness))
-    sine, cosine = (np.sin, np.cos) if stiffness > 0.0 else (np.sinh, np.cosh)
-    far = (sine(w * time) / w, (1.0 - cosine(w * time)) / stiffness, (time - sine(w * time) / w) / stiffness)
+    # Imaginary along the vertical, where the sine is a hyperbolic one.
+    w = np.emath.sqrt(stiffness)
+    once = (np.sin(w * time) / w).real
+    far = (once, (1.0 - np.cos(w * time).real) / stiffness, (time - once) / stiffness)
     return np.where(np.abs(x) < _SMALL, series * time**order, far[order - 1])
 
 
@@ -446,7 +447,8 @@ class ErrorVariances:
         ]
         whole = np.arange(steps.max() + 1)
         self._lags = np.concatenate([whole, whole + before]) / rate
-        self._known: list[tuple[Model, np.ndarray]] = []
+        # Axes and sets of terms share terms.
+        self.of_term = functools.cache(self._of_term)
 
     def of_input(self, order: int, seconds: float) -> Float[np.ndarray, " t"]:
         """Errors after the steps from a unit input that ends after so many seconds."""
@@ -454,11 +456,8 @@ class ErrorVariances:
         whole, rest = (bias_response(t, order, self._stiffness) for t in (self._time, after))
         return whole - rest
 
-    def __call__(self, one: Model) -> Float[np.ndarray, "orders t"]:
-        """Variances for a model of one term, kept for other axes and sets of terms with the same."""
-        for model, variance in self._known:
-            if eqx.tree_equal(model, one):
-                return variance
+    def _of_term(self, one: Model) -> Float[np.ndarray, "orders t"]:
+        """Variances for a model of one term."""
         # One call, since G is known up to c0 + c1·t², which each call may choose.
         near, far = np.split(np.asarray(one.sampled(self._rate).phase_covariance(self._lags)), 2)
         # Not `@`: BLAS would start threads for each of many short products.
@@ -466,9 +465,7 @@ class ErrorVariances:
             [np.einsum("i,i", a, near[: len(a)]) + np.einsum("i,i", b, far[: len(b)]) for a, b in row]
             for row in self._coefficients
         ]
-        variance = np.maximum(np.array(sums), 0.0)
-        self._known.append((one, variance))
-        return variance
+        return np.maximum(np.array(sums), 0.0)
 
 
 def _coefficients(
@@ -612,7 +609,7 @@ def _variances(
         errors = left.get((sensor, letter), AxisErrors()).with_bias(biases[sensor])
         alone, all_of_them = errors.variances(lambda seconds: factor * of.of_input(order, seconds))
         causes = {f"{noise.axis.name} {cause}": part for cause, part in alone.items()}
-        return [noise.drawn(lambda term: factor**2 * of(term)[order - 1]).plus(causes, all_of_them)]
+        return [noise.drawn(lambda term: factor**2 * of.of_term(term)[order - 1]).plus(causes, all_of_them)]
 
     variances: dict[str, dict[str, Drawn]] = {name: {} for name in get_args(Quantity)}
     for channel, along, tilting in _CHANNELS:

@@ -6,42 +6,63 @@ is the value below which the share u of the prior lies.
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
-from scipy.special import ndtri
 
 from allanjax.base.errors import AllanjaxError
 
 
-def _require(prior: Prior, condition: bool, wanted: str) -> None:
-    if not condition:
-        raise AllanjaxError(f"{prior}: give {wanted}")
+class Prior:
+    """A prior by one of SciPy's laws."""
+
+    lower: float
+    upper: float
+
+    @functools.cached_property
+    def _law(self) -> Any:
+        # Takes long to load.
+        from scipy import stats
+
+        return self._of(stats)
+
+    def _of(self, stats: Any) -> Any:
+        """The law, one of those in the module `scipy.stats`."""
+        raise NotImplementedError
+
+    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        return self._law.logpdf(x)
+
+    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
+        # Rounding must not lead out of the support.
+        return np.clip(self._law.ppf(u), self.lower, self.upper)
+
+    def _require(self, condition: bool, wanted: str) -> None:
+        if not condition:
+            raise AllanjaxError(f"{self}: give {wanted}")
 
 
 @dataclass(frozen=True)
-class Uniform:
+class Uniform(Prior):
     """Uniform prior between `lower` and `upper`."""
 
     lower: float
     upper: float
 
     def __post_init__(self) -> None:
-        _require(self, -math.inf < self.lower < self.upper < math.inf, "finite bounds, lower < upper")
+        ordered = -math.inf < self.lower < self.upper < math.inf
+        self._require(ordered, "finite bounds, lower < upper")
 
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        at = np.asarray(x, float)
-        return np.where((at >= self.lower) & (at <= self.upper), -math.log(self.upper - self.lower), -np.inf)
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return self.lower + np.asarray(u) * (self.upper - self.lower)
+    def _of(self, stats: Any) -> Any:
+        return stats.uniform(self.lower, self.upper - self.lower)
 
 
 @dataclass(frozen=True)
-class LogUniform:
+class LogUniform(Prior):
     """Prior uniform in ln(x − origin) between `lower` and `upper`: all factors are equally likely."""
 
     lower: float
@@ -50,50 +71,31 @@ class LogUniform:
 
     def __post_init__(self) -> None:
         ordered = self.origin < self.lower < self.upper < math.inf
-        _require(self, ordered, f"finite bounds, {self.origin:g} < lower < upper")
+        self._require(ordered, f"finite bounds, {self.origin:g} < lower < upper")
 
-    @property
-    def _width(self) -> float:
-        """Width of the support in ln(x − origin)."""
-        return math.log1p((self.upper - self.lower) / (self.lower - self.origin))
-
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        at = np.asarray(x, float)
-        # Outside the support the logarithm only needs a valid argument.
-        density = -np.log((np.maximum(at, self.lower) - self.origin) * self._width)
-        return np.where((at >= self.lower) & (at <= self.upper), density, -np.inf)
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        # The lower end itself without rounding.
-        return self.lower + (self.lower - self.origin) * np.expm1(np.asarray(u) * self._width)
+    def _of(self, stats: Any) -> Any:
+        return stats.loguniform(self.lower - self.origin, self.upper - self.origin, self.origin)
 
 
 @dataclass(frozen=True)
-class LogNormal:
+class LogNormal(Prior):
     """Log-normal prior: 68 % of it lies between `median`/`factor` and `median`·`factor`."""
 
     median: float
     factor: float
-    lower: ClassVar[float] = 0.0
-    upper: ClassVar[float] = math.inf
+    lower: float = field(default=0.0, init=False, repr=False)
+    upper: float = field(default=math.inf, init=False, repr=False)
 
     def __post_init__(self) -> None:
         within = 0.0 < self.median < math.inf and 1.0 < self.factor < math.inf
-        _require(self, within, "a finite median above 0 and a finite factor above 1")
+        self._require(within, "a finite median above 0 and a finite factor above 1")
 
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        at, width = np.asarray(x, float), math.log(self.factor)
-        positive = np.where(at > 0.0, at, 1.0)
-        z = np.log(positive / self.median) / width
-        density = -0.5 * z**2 - np.log(positive * width * math.sqrt(2.0 * math.pi))
-        return np.where(at > 0.0, density, -np.inf)
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return self.median * self.factor ** ndtri(np.asarray(u, float))
+    def _of(self, stats: Any) -> Any:
+        return stats.lognorm(math.log(self.factor), scale=self.median)
 
 
 @dataclass(frozen=True)
-class ModifiedLogUniform:
+class ModifiedLogUniform(Prior):
     """Modified Jeffreys prior on [0, upper]: p(x) = 1/[(x + scale)·ln(1 + upper/scale)].
 
     It is uniform in ln(x + scale) (Gregory 2005, ApJ 631:1198): uniform below the scale, where an amplitude
@@ -103,17 +105,11 @@ class ModifiedLogUniform:
 
     scale: float
     upper: float
-    lower: ClassVar[float] = 0.0
+    lower: float = field(default=0.0, init=False, repr=False)
 
     def __post_init__(self) -> None:
         within = 0.0 < self.scale < math.inf and 0.0 < self.upper < math.inf
-        _require(self, within, "a finite scale and a finite upper above 0")
+        self._require(within, "a finite scale and a finite upper above 0")
 
-    def log_density(self, x: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return LogUniform(0.0, self.upper, -self.scale).log_density(x)
-
-    def quantile(self, u: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        return LogUniform(0.0, self.upper, -self.scale).quantile(u)
-
-
-Prior: TypeAlias = Uniform | LogUniform | LogNormal | ModifiedLogUniform
+    def _of(self, stats: Any) -> Any:
+        return stats.loguniform(self.scale, self.scale + self.upper, -self.scale)

@@ -111,17 +111,8 @@ class Points:
 
     def draw(self, panel: Axes, size: float = 2.6) -> None:
         """Draw the points with their error bars; the panel's limits are set."""
-        from matplotlib.collections import LineCollection
-        from matplotlib.container import ErrorbarContainer
-
-        look = dots(size, label=self.label, zorder=3, **self.style)
-        (line,) = panel.plot(self.x, self.y, **look)
-        ends = np.stack([self.y - self.spread[0], self.y + self.spread[1]])
-        segments = np.stack([np.broadcast_to(self.x, ends.shape), ends], axis=-1).swapaxes(0, 1)
-        # `errorbar` would transform each bar by itself to find limits.
-        bars = LineCollection(list(segments), colors=line.get_color(), linewidths=0.8, zorder=3)
-        panel.add_collection(bars, autolim=False)
-        panel.add_container(ErrorbarContainer((line, (), (bars,)), has_yerr=True, label=self.label))
+        look = dots(size, label=self.label, zorder=3, elinewidth=0.8, **self.style)
+        panel.errorbar(self.x, self.y, self.spread, **look)
 
 
 def allan_points(curve: AllanDeviation, k: int, scale: float = 1.0) -> Points:
@@ -345,8 +336,7 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
     for axis in scales:
         if axis.axis_name in log:
             _set_log(panel, axis)
-        else:
-            axis.grid(True, **_GRID, color=ink(0.88))
+        axis.grid(True, linewidth=0.6, color=ink(0.88))
     for text, write in ((x, panel.set_xlabel), (y, panel.set_ylabel)):
         if text:
             write(text)
@@ -354,52 +344,18 @@ def dress(panel: Axes, name: str = "", x: str = "", y: str = "", log: str = "") 
         panel.set_title(name, loc="left", fontweight="bold")
 
 
-_GRID: dict[str, Any] = {"linewidth": 0.6, "snap": True}
-# Powers of ten that a scale may have, and the marks between them.
-_TEN = 10.0 ** np.arange(-40.0, 41.0)
-_BETWEEN = np.ravel([2.0 * _TEN, 5.0 * _TEN])
-
-
 def _set_log(panel: Axes, axis: Any) -> None:
     """Give a panel a logarithmic scale, with marks at 1, 2 and 5 times powers of ten.
 
     Numbers are plain text, as formulas would take most of the time.
     """
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     panel.set(**{f"{axis.axis_name}scale": "log"})
     setattr(panel, f"fmt_{axis.axis_name}data", "{:.4g}".format)
-    axis.set_minor_locator(NullLocator())
+    axis.set_minor_locator(LogLocator(subs=(2.0, 5.0), numticks=100))
+    axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter(_power_of_ten)
-    _rule(panel, axis, _TEN)
-    _mark(panel, axis, _BETWEEN, 2.0, 0.6)
-
-
-def _rule(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"]) -> None:
-    """Draw grid lines and marks in place of those of ticks, which only write numbers from now on.
-
-    Each tick is three lines and two texts, which would take most of the time.
-    """
-    is_x = axis.axis_name == "x"
-    axis.set_tick_params(which="both", direction="in", **{"bottom" if is_x else "left": False})
-    _mark(panel, axis, at, 3.5, 0.8)
-    along, across = np.repeat(at, 3), np.tile([0.0, 1.0, np.nan], len(at))
-    look: dict[str, Any] = {"color": ink(0.88), "zorder": 0.4, "label": "_grid", **_GRID}
-    _add_line(panel, axis, along, across, **look)
-
-
-def _mark(panel: Axes, axis: Any, at: Float[np.ndarray, " marks"], size: float, width: float) -> None:
-    """Draw marks that point inwards, all of them as one line."""
-    look: dict[str, Any] = {"marker": 2 if axis.axis_name == "x" else 1, "linestyle": "none", "zorder": 2.01}
-    look |= {"markersize": size, "markeredgewidth": width}
-    _add_line(panel, axis, at, 0.0 * at, color=ink(), label="_marks", **look)
-
-
-def _add_line(panel: Axes, axis: Any, along: Any, across: Any, **look: Any) -> None:
-    """Draw a line through places along an axis, in its unit, and across it, in heights of the panel."""
-    data = (along, across) if axis.axis_name == "x" else (across, along)
-    transform = getattr(panel, f"get_{axis.axis_name}axis_transform")()
-    panel.add_artist(line_entry(*data, transform=transform, **look))
 
 
 def _power_of_ten(value: float, _: int | None) -> str:
@@ -686,8 +642,9 @@ def _draw_residuals(strips: Sequence[Axes], residuals: Sequence[Residual | None]
         if not linear:
             strip.set_yscale("symlog", linthresh=reach)
         strip.set_ylim(1.1 * low, 1.1 * high)
-        strip.set_yticks(marks if strip is strips[0] else [])
-        _rule(strip, strip.yaxis, np.array(marks))
+        strip.set_yticks(marks)
+        strip.grid(True, linewidth=0.6, color=ink(0.88))
+        strip.tick_params(which="both", direction="in", labelleft=strip is strips[0])
         strip.yaxis.set_major_formatter(lambda y, _: plain(y).replace("-", "−"))
         strip.yaxis.set_minor_locator(NullLocator())
         if r is None:
@@ -709,8 +666,6 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
 
     Panels without points set their own.
     """
-    from matplotlib.ticker import NullLocator
-
     if not any(panel.points for panel in row):
         for axes in panels:
             dress(axes)
@@ -722,10 +677,7 @@ def _set_scales(row: Sequence[Panel], panels: Sequence[Axes], strips: Sequence[A
     for panel in panels:
         dress(panel, log="xy")
         panel.set_ylim(positive.min(initial=1e6) / 3.0, positive.max(initial=1e-6) * 2.0)
-        if panel is not panels[0]:
-            panel.yaxis.set_major_locator(NullLocator())
-        if strips:
-            panel.xaxis.set_major_locator(NullLocator())
+        panel.tick_params(labelleft=panel is panels[0], labelbottom=not strips)
     for strip in strips:
         _set_log(strip, strip.xaxis)
     for axes in (*panels, *strips):

@@ -281,13 +281,9 @@ def denoise(
     recording = as_recording(data, rate, gyro_unit, accel_unit, names)
     filters = WaveletFilter.of(wavelet)
     decomposition = wavelet_decomposition(recording, wavelet=wavelet)
-    models = [model_of(model, axis) for axis in recording.axes]
-    # All axes may have the same model.
-    each = {repr(of_axis): of_axis for of_axis in models}
-    known = {key: _variances(one, filters, decomposition.levels, recording) for key, one in each.items()}
     results = []
-    for axis, of_axis in zip(recording.axes, models, strict=True):
-        white, drift = known[repr(of_axis)]
+    for axis in recording.axes:
+        white, drift = _variances(model_of(model, axis), filters, decomposition.levels, recording)
         prevails = np.flatnonzero(white > drift)
         level = int(prevails[-1]) + 1 if prevails.size else 0
         cutoff = recording.rate / 2.0 ** (level + 1)

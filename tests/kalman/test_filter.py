@@ -136,8 +136,8 @@ def by_numbers(z: np.ndarray, N: float, K: float):
 
 
 @pytest.mark.parametrize("K", [1e-3, 2.5e-6])
-def test_gains_that_are_kept_or_interpolated_give_the_results_of_every_gain(K):
-    """A memory of a hundred samples, after which gains are kept; and of 20,000: blocks are skipped."""
+def test_a_long_record_is_filtered_and_smoothed_as_by_numbers(K):
+    """A memory of a hundred samples, and of 20,000."""
     n, model = 80_000, WHITE + aj.RateRandomWalk(K)
     steps, white = np.random.default_rng(5).standard_normal((2, n))
     z = 1e-3 * np.sqrt(RATE) * white + K / np.sqrt(RATE) * np.cumsum(steps)
