@@ -67,8 +67,9 @@ def draw_between(
     return y, sigma
 
 
-# Lags of the errors of rounding; harmonics of their law; and the share of their variance that stays.
-_LAGS, _HARMONICS, _KEPT = 200, 20, 0.5
+# Lags of the errors of rounding; harmonics of their law; the share of their least density that stays; and
+# the part of the band over which a spectrum is averaged.
+_LAGS, _HARMONICS, _KEPT, _SMOOTH = 200, 20, 0.5, 128
 # Points at which the law is tabulated; least share of their variance at a frequency.
 _GRID, _LOWEST = 2000, 0.1
 
@@ -78,14 +79,14 @@ def draw_unrounded(x: Float[np.ndarray, " n"], step: float, seed: int) -> Float[
 
     The errors are then nearly independent of the samples (Widrow 1961), so that a coefficient has a normal
     law given the rounded one, if the spectra of both are known. That of the samples is the record's own less
-    that of the errors. Where a filter leaves little else than errors, white noise of half of their variance
-    stays.
+    that of the errors. Where a filter leaves little else than errors, half of their least density stays.
     """
     c, error = centred(x), _errors_of_rounding(x, step)
-    white = _KEPT * error.mean()
-    v = _own_variance(c, np.full(len(c), error.mean())) - error
-    if np.min(v) < white:
-        v = np.maximum(v + white, 0.5 * white)
+    own = uniform_filter1d(c**2, max(len(c) // _SMOOTH, 1), mode="nearest")
+    white = _KEPT * float(error.min())
+    if np.min(own - error) < white:
+        error = error - white
+    v = np.maximum(own - error, 0.5 * white)
     kept = v / (v + error)
     draw = kept * c + np.sqrt(kept * error) * np.random.default_rng(seed).standard_normal(len(c))
     return x.mean() + in_time(draw)
