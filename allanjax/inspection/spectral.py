@@ -13,6 +13,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
+from allanjax.inspection.plausible import lattice
 from allanjax.inspection.windows import runs
 from allanjax.record.recording import Axis
 
@@ -149,6 +150,11 @@ def interpolated_from(
     if not eligible.any() or len(values) < _SHORTEST * _FEWEST:
         return None
     x = values[:_LOOKED_AT, eligible]
+    # Of slow samples that are rounded to coarse steps only the steps would show.
+    steps = np.array([lattice(own) or 0.0 for own in x.T])
+    x = x[:, steps < np.std(np.diff(x, 2, axis=0), axis=0)]
+    if not x.size:
+        return None
     second = np.diff(x, 2, axis=0)
     straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
     total: Float[np.ndarray, " m"] | float = 0.0

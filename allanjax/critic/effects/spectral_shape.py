@@ -212,7 +212,9 @@ def _without_ends(view: View) -> View:
     # What is rounding is not Gaussian.
     rounded = np.clip(view.rounding * view.rate / (factor * noise), 0.0, 1.0)
     drawn, hiding, white = np.sqrt(share) * drawn, np.sqrt(1.0 - share) * hiding, view.coefficients / root
-    change = np.sin(0.5 * np.pi * near) ** 2 * in_time(np.where(deep, drawn - white, 0.0))
+    own, other = (in_time(np.where(deep, part, 0.0)) for part in (white, drawn))
+    # Weights whose squares have a sum of one leave the level as it is.
+    change = (np.cos(0.5 * np.pi * near) - 1.0) * own + np.sin(0.5 * np.pi * near) * other
     new = np.sqrt(1.0 - rounded) * (white + cosine_transform(change) + hiding) + np.sqrt(rounded) * rounding
     more = in_time(np.where(deep, root * (new - white), 0.0))
     return dataclasses.replace(view, samples=view.samples + more, imputed=view.imputed | (near > 0.0))
