@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 #: ADIS16405 on a bench, which have resonances, are off by up to 45 % at a place and 20 % rms.)
 LIMIT, OCTAVE = 0.3, 0.5
 # Curves differ for certain where the model is outside this central interval of all estimates (χ²), and by
-# more than a trifle; relative deviation up to which a model fits within it.
-_SURE, _TRIFLE, _TOLERATED = 0.997, 0.005, 0.1
+# more than a trifle; relative deviation that is certain, and one that is likely, up to which a model fits.
+_SURE, _TRIFLE, _TOLERATED, _LARGE = 0.997, 0.005, 0.1, 0.25
 # Number of parts per octave over which the levels of a spectrum are averaged.
 _PARTS = 3
 # Octaves over which a spectrum is averaged besides: what no single place shows for certain, all of them may.
@@ -71,8 +71,13 @@ class Misfit:
 
     @property
     def matters(self) -> bool:
-        """Whether the model does not fit: what is not chance is more than a tenth."""
-        return self.sure > _TOLERATED
+        """Whether the model does not fit: it is off by more than a tenth for certain, or by a quarter."""
+        return self.certain > _TOLERATED or self.sure > _LARGE
+
+    @property
+    def certain(self) -> float:
+        """Relative deviation at that place that chance does not explain."""
+        return float(np.expm1(abs(np.log1p(self.largest)) - np.log1p(self.scatter)))
 
     @property
     def sure(self) -> float:

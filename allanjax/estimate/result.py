@@ -16,7 +16,6 @@ from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.late import presented
-from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, PerAxis, as_text, column, columns_from, tables_of
 from allanjax.base.wording import chi_squared, format_with_error, plain, record_size, significant
 from allanjax.estimate.likely_models import (
@@ -43,8 +42,8 @@ if TYPE_CHECKING:
     from allanjax.estimate.deterministic import AxisSpectrum
     from allanjax.estimate.selection import TermSelection
 
-# Share of a term in the power at a place that it feels, and that which is most of it; characters of a line.
-_FELT, _MOSTLY, _LINE = 0.1, 0.5, 98
+# Share of a term in the power at a place that it feels; and characters of a line.
+_FELT, _LINE = 0.1, 98
 # A limit of the bandwidth within this ratio of its value is reported, and so many places, the strongest ones.
 _NEAR, _NAMED = 3.0, 3
 # Least share of N that counts as white noise.
@@ -326,39 +325,24 @@ class AxisFit(ByValue, AxisEstimates):
         return f"mean {mean} {unit}, rms {rms} {unit}"
 
     def with_misfits_felt(self, rate: float) -> AxisFit:
-        """A copy whose misfits tell which of N, B and K have a share there, at a sample rate [Hz].
-
-        The interval of the one that has most of the power there contains what the misfit may have changed.
-        """
+        """A copy whose misfits tell which of N, B and K have a share there, at a sample rate [Hz]."""
+        likely = exact_model(self.model.sampled(rate))
 
         def felt(misfit: Misfit | None) -> Misfit | None:
             if misfit is None:
                 return None
-            own = [SYMBOLS[x] for x, share in self._shares_at(misfit, rate).items() if share > _FELT]
+            at, power = np.array([misfit.at]), {}
+            for label, term, (square,) in zip(likely.labels, likely.terms, likely.power.T, strict=True):
+                sampled = term.sampled(rate)
+                if not (misfit.unit == "Hz" and term.terms[0].deterministic):
+                    is_allan = misfit.unit == "s"
+                    unit = sampled.allan_variance(at) if is_allan else sampled.sampled_psd(at, rate)
+                    power[label] = square * float(np.asarray(unit)[0])
+            least = _FELT * sum(power.values())
+            own = [SYMBOLS[x] for x in MAIN if power.get(x, 0.0) > least and self.coefficients[x].detected]
             return dataclasses.replace(misfit, felt=tuple(own))
 
-        worst = self.worst
-        shares = {} if worst is None else self._shares_at(worst, rate)
-
-        def factor(c: Estimate) -> float:
-            if worst is None or not (shares.get(c.label, 0.0) > _MOSTLY and c.std > 0.0):
-                return 1.0
-            return max(1.0, worst.sure * c.value / (TWO_SIDED_95 * c.std))
-
-        result = dataclasses.replace(self, misfit=felt(self.misfit), other_misfit=felt(self.other_misfit))
-        return result._scaled(factor)
-
-    def _shares_at(self, misfit: Misfit, rate: float) -> dict[str, float]:
-        """Shares of N, B and K, if they are detected, in the model's power at the place of a misfit."""
-        likely, at, power = exact_model(self.model.sampled(rate)), np.array([misfit.at]), {}
-        for label, term, (square,) in zip(likely.labels, likely.terms, likely.power.T, strict=True):
-            sampled = term.sampled(rate)
-            if not (misfit.unit == "Hz" and term.terms[0].deterministic):
-                is_allan = misfit.unit == "s"
-                unit = sampled.allan_variance(at) if is_allan else sampled.sampled_psd(at, rate)
-                power[label] = square * float(np.asarray(unit)[0])
-        total = sum(power.values())
-        return {x: power[x] / total for x in MAIN if x in power and self.coefficients[x].detected}
+        return dataclasses.replace(self, misfit=felt(self.misfit), other_misfit=felt(self.other_misfit))
 
     @property
     def word(self) -> str:

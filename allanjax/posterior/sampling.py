@@ -1,8 +1,8 @@
 """Markov chain Monte Carlo of one axis by emcee's ensemble of walkers, and marginals of all parameters.
 
 `value` is the median, `std` the standard deviation; the central intervals hold 68 and 95 % of the posterior;
-`upper_limit` is the 95 % quantile. An amplitude is `detected` if its Bayes factor is below 1/20; otherwise
-its intervals begin at zero, and `interval` ends at `upper_limit`.
+`upper_limit` is the 95 % quantile. An amplitude is `detected` if the fit detects it; otherwise its intervals
+begin at zero, and `interval` ends at `upper_limit`.
 
 The `bayes_factor` of an amplitude is the posterior over the prior probability of values that cannot be
 distinguished from zero (up to a third of the prior's scale; for terms not sampled, zero itself): the factor
@@ -42,8 +42,6 @@ from allanjax.posterior.target import Target
 _WARM_UP, _ROUNDS, _FIRST_BLOCK, _BURN_IN = 100, 4, 200, 5.0
 # Degrees of freedom of the proposed Student law, with tails heavier than those of any posterior seen here.
 _DOF = 4.0
-# An amplitude is detected if the data make zero less credible by this factor.
-_DETECTED = 1.0 / 20.0
 # Below this coordinate, a third of the prior's scale, an amplitude cannot be distinguished from zero.
 _INDISTINGUISHABLE = 0.3
 # Step of an amplitude's coordinate, least number of steps, and number of points between which the density is
@@ -220,14 +218,13 @@ def _marginals(
                 draws, factor = _absent_amplitude(target, i, few, random)
             else:
                 factor = _bayes_factor(target, i, draws)
-            there[p.term], limit = factor < _DETECTED, float(np.quantile(draws, 0.95))
+            there[p.term], limit = c.detected, float(np.quantile(draws, 0.95))
         # Without draws: held, or a shape of an absent term.
         more: dict[str, Any] = {"source": "posterior"}
         if draws is not None:
             here = there.get(p.term, True)
             more = summary(draws, from_zero=p.parameter.is_amplitude and not here)
-            # Draws are of the chosen terms only.
-            more |= {"detected": here and not c.rivals, "upper_limit": limit, "lower_limit": None}
+            more |= {"detected": here, "upper_limit": limit, "lower_limit": None}
         found[p.label] = dataclasses.replace(c, **more, bayes_factor=factor, sampled=i in columns)
     return found
 
