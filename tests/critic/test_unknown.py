@@ -189,6 +189,31 @@ def test_rounding_behind_a_steep_filter_is_compared_with_the_samples(step):
     assert low_pass.parameters["order"].value in (5, 6, 7)
 
 
+# Two means of four samples, which halve the power at 8.21 Hz.
+TWO_MEANS = np.convolve(np.ones(4), np.ones(4)) / 16.0
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "bandwidth", "step"),
+    [
+        pytest.param((TWO_MEANS, [1.0]), 8.21, 0.0, id="two means of four samples"),
+        pytest.param(butter(3, 27.0, fs=RATE), 27.0, 0.2, id="third order, fine steps"),
+        pytest.param(butter(3, 27.0, fs=RATE), 27.0, 1.0, id="third order, coarse steps"),
+    ],
+)
+def test_a_filter_leaves_nothing_unexplained(coefficients, bandwidth, step):
+    """Around the zeros of a mean, and where errors of rounding are most of the spectrum."""
+    x = lfilter(*coefficients, white(21))
+    step *= x.std()
+    found = aj.critique(
+        np.rint(x / step) * step if step else x, rate=RATE, gyro_unit="deg/s", names=["gyro_x"]
+    )
+    causes = {f.cause: f for f in found.findings}
+    assert len(found.findings) == len(causes)
+    assert causes.keys() == {"low_pass", *["rounding"] * int(step == x.std())}
+    assert causes["low_pass"].parameters["bandwidth"].value == pytest.approx(bandwidth, rel=0.02)
+
+
 def test_a_steep_filter_of_two_axes_neither_moves_nor_drifts():
     """Both told once, with the bandwidth; before, one had a disturbance of 60,000 nats."""
     x = sosfilt(butter(6, 35.0, fs=RATE, output="sos"), [white(12), white(13)]).T

@@ -159,8 +159,8 @@ def structure_at(view: View, places: Sequence[Place]) -> tuple[View, float] | No
 def _with_what_is_known(view: View, spectrum: Spectrum, found: Fitted) -> Fitted:
     """Fit in which white noise after a response may be rounding, and a mean is over whole samples.
 
-    The levels in a stop band hardly distinguish rounding from quantization, and those around the zeros of a
-    mean not a whole number of samples from one that nearly is.
+    The levels in a stop band hardly tell rounding from quantization, nor those near the zeros of a mean one
+    over whole samples from one over nearly as many.
     """
     structure = found.structure
     place, kind = structure.place(structures.QUANTIZATION), structure.kind
