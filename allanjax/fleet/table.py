@@ -37,8 +37,6 @@ _NAMES = {
 }
 # Units of sizes that a remark has.
 _UNITS = ("Hz", "%", "s")
-# Frequencies that differ by less than this share are one.
-_SAME = 0.1
 # Names that a note lists at most.
 _NAMED = 5
 # Units with remarks that are printed at most, and characters of the names in a cell.
@@ -93,7 +91,7 @@ def rows_of(fit: Mapping[str, Any], recording: str, file: str, group: str = "") 
             "upper_95": c["interval_95"][1],
             "p_value": axis["p_value"],
             "terms": " + ".join(_terms(axis)),
-            "remarks": ", ".join(map(str, _remarks(fit, axis))),
+            "remarks": ", ".join(_remarks(fit, axis)),
         }
         | of_all
         for axis in fit["axes"]
@@ -180,28 +178,6 @@ def _in_groups(table: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     return table.assign(group=table["recording"].map(group)), [note]
 
 
-class Remark(NamedTuple):
-    """Something about an axis, e.g. a line at 7.3 Hz, for which its noise terms may have been corrected.
-
-    `size` is nan if no number describes it.
-    """
-
-    kind: str
-    size: float = np.nan
-    unit: str = ""
-    corrected: bool = False
-
-    def __str__(self) -> str:
-        size = f" {plain(self.size, 2)} {self.unit}" if np.isfinite(self.size) else ""
-        return f"{'corrected for ' if self.corrected else ''}{self.kind}{size}"
-
-    def like(self, other: Remark) -> bool:
-        """Whether another one is of the same kind and, if it has a frequency, at the same frequency."""
-        if self.unit == other.unit == "Hz" and self.size > 0.0 and other.size > 0.0:
-            return self.kind == other.kind and abs(np.log(self.size / other.size)) < _SAME
-        return self.kind == other.kind
-
-
 def _terms(axis: Mapping[str, Any]) -> list[str]:
     """Terms that the fit chose for the axis, or was given."""
     chosen = next((s["terms"] for s in axis["selection"] or () if s["chosen"]), None)
@@ -213,28 +189,26 @@ def why_not_measured(axis: Mapping[str, Any]) -> str:
     return why_no_measurement(axis["not_measured"]) or "the model does not fit"
 
 
-def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[Remark]:
-    """Remarks on an axis, the gravest first, by a fit's JSON and the axis's."""
-    found = []
-    if not axis["measured"]:
-        found.append(Remark("not a measurement"))
-    elif axis["verdict"].startswith("does not fit"):
-        found.append(Remark("does not fit"))
+def _remarks(fit: Mapping[str, Any], axis: Mapping[str, Any]) -> list[str]:
+    """Remarks on an axis, e.g. "line 7.3 Hz", the gravest first, by a fit's JSON and the axis's."""
+    found = [] if axis["measured"] else ["not a measurement"]
+    if axis["measured"] and axis["verdict"].startswith("does not fit"):
+        found.append("does not fit")
     # Filters, resonances and lines for which the fit corrected the noise terms.
     for label in (axis["extension"] or {"further": ()})["further"]:
         kind = re.sub(r"_\d+$", "", label)
         is_term = kind in {term["term"] for term in axis["extension"]["model"]}
         name = _NAMES.get(kind, kind.replace("_", " ")) if is_term else "filter"
-        hertz = [c["value"] for c in axis["coefficients"] if c["term"] == label and c["unit"] == "Hz"]
-        found.append(Remark(name, hertz[0] if hertz else np.nan, "Hz", corrected=True))
+        own = (c for c in axis["coefficients"] if c["term"] == label and c["unit"] == "Hz")
+        sizes = [f" {plain(c['value'], 2)} Hz" for c in own]
+        found.append(f"corrected for {name}{''.join(sizes[:1])}")
     for fact in fit["facts"]:
         if axis["name"] in fact["axes"] and fact["kind"] != "not examined":
             sized = fact["size"] is not None and fact["unit"] in _UNITS
             cut = sized and fact["kind"] == "disturbances"
             name = "cut" if cut else _NAMES.get(fact["kind"], fact["kind"])
-            remark = Remark(name, *(fact["size"], fact["unit"]) if sized else ())
-            found += [] if any(remark.like(other) for other in found) else [remark]
-    return found
+            found.append(f"{name} {plain(fact['size'], 2)} {fact['unit']}" if sized else name)
+    return [text for text in dict.fromkeys(found) if f"corrected for {text}" not in found]
 
 
 def _warned(table: pd.DataFrame) -> list[str]:
@@ -244,27 +218,19 @@ def _warned(table: pd.DataFrame) -> list[str]:
     for name, text in zip(of["recording"], of["warnings"], strict=True):
         for warning in text.splitlines():
             found.setdefault(warning, []).append(name)
-    if not found:
-        return []
-    count = int((of["warnings"] != "").sum())
-    more = f" ({len(found) - _NAMED} more in the column warnings)" if len(found) > _NAMED else ""
-    heading = f"{count} recording{'s have' if count > 1 else ' has'} warnings{more}"
-    most = sorted(found.items(), key=lambda pair: -len(pair[1]))[:_NAMED]
-    return [heading, *(f"  {listed(names, _NAMED)}: {warning}" for warning, names in most)]
+    most = sorted(found.items(), key=lambda pair: -len(pair[1]))
+    notes = [f"{listed(names, _NAMED)}: {warning}" for warning, names in most[:_NAMED]]
+    more = len(found) - _NAMED
+    return [*notes, f"{more} more warnings: see the column warnings"] if more > 0 else notes
 
 
 def _too_few(table: pd.DataFrame) -> list[str]:
     """Note on the groups that are too small for outlying units to be found."""
     counts = table.groupby("group", sort=False)["recording"].nunique()
     small = counts[counts < FEWEST_UNITS]
-    if small.empty:
-        return []
-    if list(small.index) == [""]:
-        count = int(small.iloc[0])
-        whose = f"{count} unit{'s' * (count > 1)}"
-    else:
-        whose = f"group{'s' * (len(small) > 1)} {listed([f'{g} ({n})' for g, n in small.items()], _NAMED)}"
-    return [f"{whose}: too few to detect outlying units; {FEWEST_UNITS} are needed"]
+    words = [f"{f'group {g}, ' * bool(g)}{n} unit{'s' * (n > 1)}" for g, n in small.items()]
+    needed = f"too few to detect outlying units; {FEWEST_UNITS} are needed"
+    return [f"{listed(words, _NAMED)}: {needed}"] if words else []
 
 
 def left_out(files: Sequence[Path], folder: Path) -> str:
@@ -285,25 +251,24 @@ def tables(table: pd.DataFrame) -> list[list[Column]]:
     """
     printed: list[list[Column]] = []
     for _, of in table.groupby("sensor", sort=False):
-        axes = list(dict.fromkeys(of["axis"]))
-        rows = sorted(set(zip(of["axis"], of["group"], strict=True)), key=lambda r: (axes.index(r[0]), r[1]))
-        parts: dict[Any, pd.DataFrame] = dict(list(of.groupby(["axis", "group", "coefficient"])))
+        axes = list(of["axis"].unique())
+        rows = sorted({*zip(of["axis"], of["group"], strict=True)}, key=lambda r: (axes.index(r[0]), r[1]))
         of_rows = [of[(of["axis"] == axis) & (of["group"] == group)] for axis, group in rows]
         first = columns_from(("axis", "group"), rows)
-        counts = columns_from(
-            ("detected", "outlying"), [(_detected(row), _outlying_units(row)) for row in of_rows]
-        )
-        medians: dict[bool, list[Column]] = {True: [], False: []}
-        ranges: dict[bool, list[Column]] = {True: [], False: []}
-        for label in sorted(set(of["coefficient"]), key=lambda name: [*SYMBOLS, name].index(name)):
-            one = of[of["coefficient"] == label].iloc[0]
-            name = SYMBOLS.get(label, title_of(label, one["sensor"]))
-            usual = [_usual(parts.get((*row, label), of[:0])) for row in rows]
-            medians[label in MAIN].append(column(name, one["unit"], list(map(_median, usual))))
-            ranges[label in MAIN].append(column(f"{name} 5…95 %", one["unit"], list(map(_range, usual))))
-        printed += tables_of(first, medians[True], medians[False], counts)
-        if any(any(c.cells) for columns in ranges.values() for c in columns):
-            printed += tables_of(first, ranges[True], ranges[False])
+        counts = [(_detected(row), _outlying_units(row)) for row in of_rows]
+        medians, ranges = list[Column](), list[Column]()
+        labels = sorted({*of["coefficient"]}, key=lambda name: [*SYMBOLS, name].index(name))
+        for label in labels:
+            unit = of.loc[of["coefficient"] == label, "unit"].iloc[0]
+            name = SYMBOLS.get(label, title_of(label, of["sensor"].iloc[0]))
+            usual = [_usual(row[row["coefficient"] == label]) for row in of_rows]
+            medians.append(column(name, unit, list(map(_median, usual))))
+            ranges.append(column(f"{name} 5…95 %", unit, list(map(_range, usual))))
+        main = sum(label in MAIN for label in labels)
+        last = columns_from(("detected", "outlying"), counts)
+        printed += tables_of(first, medians[:main], medians[main:], last)
+        if any(any(c.cells) for c in ranges):
+            printed += tables_of(first, ranges[:main], ranges[main:])
     return printed
 
 
@@ -343,12 +308,8 @@ def _detected(of: pd.DataFrame) -> str:
 
 
 def _outlying_units(of: pd.DataFrame) -> str:
-    """Names of the outlying units with the ratio that is farthest from 1, or their number."""
-    odd = of[of["outlying"]]
-    farthest = (
-        odd.assign(far=abs(np.log(odd["ratio"]))).sort_values("far").groupby("recording", sort=False).last()
-    )
-    names = [f"{name} {times(row)}" for name, row in farthest["ratio"].items()]
+    """Names of the outlying units, or their number."""
+    names = of.loc[of["outlying"], "recording"].unique()
     text = ", ".join(names)
     return text if len(text) < _SHORT else f"{len(names)} units"
 
