@@ -135,8 +135,8 @@ def mean_of(axes: Sequence[Values]) -> Values:
 def p_values(values: Values) -> Numbers:
     """Two-sided p-values of the units' distances from the median; NaN for units that are not tested.
 
-    Limits count among the others, as if the coefficients were at these, which is cautious for high values.
-    Where most units have limits, the scatter is at least 0.5 [ln].
+    Limits count among the others, as if the coefficients were at these, which is cautious for high values;
+    the scatter is that of the estimates. Where most units have limits, it is at least 0.5 [ln].
     """
     is_compared, count = np.isfinite(values.x), int(np.isfinite(values.x).sum())
     if count < FEWEST_UNITS or not values.known.any():
@@ -145,13 +145,15 @@ def p_values(values: Values) -> Numbers:
     # The end of the interval that faces the others.
     error = np.where(distance > 0.0, values.below, values.above) ** 2
     usual = float(np.median(error[values.known]))
-    least = _UNSEEN**2 if 2 * values.known.sum() < count else _ROUNDING
+    most_known = 2 * values.known.sum() >= count
+    telling = distance[values.known if most_known else is_compared]
     # Of scatter and usual errors together.
-    spread = max(_variance(distance[is_compared]), usual + least)
+    spread = max(_variance(telling, count), usual + (_ROUNDING if most_known else _UNSEEN**2))
     of_median = 0.5 * np.pi * spread / count
     own = spread - usual + error
     # Errors are known: the larger a unit's own, the more degrees of freedom.
-    degrees = _freedom(count) * (own / spread) ** 2
+    inner = min(_inner(count), len(telling))
+    degrees = min(inner - 1.0, _FREEDOM * inner) * (own / spread) ** 2
     tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own + of_median))
     return np.where(values.known, tail, np.nan)
 
@@ -161,18 +163,14 @@ def _inner(count: int) -> int:
     return min(int(np.ceil(_INNER * count)), count - 1)
 
 
-def _freedom(count: int) -> float:
-    """Degrees of freedom of the variance of so many units by the inner ones."""
-    return min(_inner(count) - 1.0, _FREEDOM * _inner(count))
+def _variance(distance: Numbers, count: int) -> float:
+    """Variance of normal values by the inner ones of the distances from their median.
 
-
-def _variance(distance: Numbers) -> float:
-    """Variance of normal values by the inner ones of their distances from the median.
-
-    It is that of all but one: the value whose distance is of interest is not among the inner ones.
+    It is that of all but one: the value whose distance is of interest is not among the inner ones. Of so many
+    values, those without a distance are farther off than the others.
     """
-    nearest = np.sort(distance**2)[: _inner(len(distance))]
-    share = len(nearest) / (len(distance) - 1)
+    nearest = np.sort(distance**2)[: _inner(count)]
+    share = len(nearest) / (count - 1)
     # Variance of the share of a standard normal law that is nearest to zero.
     part = gammainc(1.5, gammaincinv(0.5, share)) / share
     return float(nearest.mean() / part)
@@ -211,6 +209,7 @@ def two_groups(axes: Sequence[Values]) -> Split:
     widest = int(np.argmax(gaps))
     parts = np.split(ordered, [widest + least])
     lower, upper = (float(np.median(part)) for part in parts)
-    variance = max(_variance(parts[0] - lower), _variance(parts[1] - upper), _ROUNDING)
+    around = zip(parts, (lower, upper), strict=True)
+    variance = max(_ROUNDING, *(_variance(part - median, len(part)) for part, median in around))
     gap = float(gaps[widest] / (_GAP * np.sqrt(variance)))
     return Split(gap, float(np.exp(upper - lower)), x >= parts[1][0])
