@@ -1,10 +1,11 @@
 """Which units of a fleet are outlying, and whether the fleet consists of two groups.
 
-The logarithms x of a coefficient of equal units scatter about their median m by a normal law of unknown
-width τ, and the estimates about these by their errors s. A unit has z = (x − m) / √(τ² + s² + s_m²), with the
-error s_m of the median. What the inner three quarters of the units tell of τ² + s² is not changed by the
-outlying ones; their number makes z a Student variate. A sensor's axes are tested together, by their mean, and
-each by itself; all units and coefficients of a fleet share the probability of a false mark by Holm's method.
+The logarithms x of a coefficient of equal units scatter about their median m by a normal law of
+unknown width τ, and the estimates about these by their errors s. A unit's distance from the others is
+z = (x − m) / √(τ² + s² + s_m²), with the error s_m of the median. τ² + s² is told by the inner three
+quarters of the units, whatever the outlying ones are; their number makes z a Student variate. A
+sensor's axes are tested together, by their mean, and each by itself. All units and coefficients of a
+fleet share the probability of a false mark, by Holm's method.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ FEWEST_UNITS = 4
 
 # Share of the units, those nearest to the median, that tell the scatter: a quarter may be outlying.
 _INNER = 0.75
-# Degrees of freedom of the scatter for each of many such units, measured on tails of 10⁻² to 10⁻⁴ of 4 to 100
-# normal values; few have one less than their number.
+# Degrees of freedom of the scatter for each of these units, if they are many; few have one less than
+# their number. Measured on tails of 10⁻² to 10⁻⁴ of 4 to 100 normal values.
 _FREEDOM = 0.8
 # Least scatter [ln] where most units have limits, which do not tell it: a judgement.
 _UNSEEN = 0.5
@@ -40,8 +41,8 @@ _ROUNDING = 1e-18
 
 # Fewest units of a group that is found; fewer are outlying.
 _FEWEST_OF_GROUP = 6
-# Width of the gap between two groups in standard deviations of the units of either: among 12 normal values, 6
-# on each side, 4 in 10,000 have it, and among more, fewer.
+# Gap between two groups in standard deviations of the units of either. Of fleets of 12 normal values,
+# 4 in 10,000 have it, and of larger ones fewer.
 _GAP = 5.0
 
 #: A number of each unit, a flag of each, and a flag of each on each axis.
@@ -55,7 +56,7 @@ class Values:
     """Logarithms of one coefficient of many units, on one axis or as means over several.
 
     Attributes:
-        x: ln of the estimates, and of the upper limits below their median; NaN for what is not compared.
+        x: ln of the estimates, and of upper limits below their median; NaN for what is not compared.
         below, above: standard deviations of x, from the interval's lower and upper end; 0 for limits.
         known: whether x is an estimate.
     """
@@ -77,8 +78,8 @@ def log_values(
 ) -> Values:
     """Logarithms of estimates with 95 % intervals, and of 95 % limits of what was not detected.
 
-    A unit with neither (NaN, or an interval without width, as of a value that was held) is not compared, nor
-    is one whose limit is above the median of the estimates.
+    A unit with neither (NaN, or an interval without width, as of a value that was held) is not
+    compared, nor is one whose limit is above the median of the estimates.
     """
     has_interval = (lower > 0.0) & (value >= lower) & (upper >= value) & (upper > lower)
     known: Flags = detected & has_interval & np.isfinite(upper)
@@ -94,29 +95,31 @@ def outlying(families: Sequence[Sequence[Values]]) -> list[Marks]:
     """Mark the units of a fleet that differ from the others of their group, on the axes where they do.
 
     Args:
-        families: of each coefficient of a sensor in a group, the values on its axes, with the same units on
-            each.
+        families: of each coefficient of a sensor in a group, the values on its axes, with the same
+            units on each.
 
     Returns:
-        Of each family, whether each unit is marked on each axis: none with fewer than four units. Of an
-        outlying unit these are axes on which less than 2 % of units would be so far out, or the worst one.
+        Of each family, whether each unit is marked on each axis; none is among fewer than four units.
+        An outlying unit is marked on the worst axis, and on those where less than 2 % of units would
+        be so far out.
     """
     each = [np.stack([p_values(axis) for axis in axes], axis=1) for axes in families]
     together = [_together(p, axes) for p, axes in zip(each, families, strict=True)]
-    tested = [None if np.isnan(p) else p for p in np.concatenate([[], *together]).tolist()]
-    is_odd = np.array([p is not None and p < FALSE_ALARMS for p in holm(tested)], bool)
-    of_families = np.split(is_odd, np.cumsum([len(p) for p in together])[:-1]) if families else []
-    return [
-        odd[:, None] & ((p < _ALSO) | (p == np.fmin.reduce(p, axis=1)[:, None]))
-        for odd, p in zip(of_families, each, strict=True)
-    ]
+    tested = [None if np.isnan(p) else p for of in together for p in of.tolist()]
+    corrected = iter(holm(tested))
+    marks = []
+    for p in each:
+        is_odd = [c is not None and c < FALSE_ALARMS for _, c in zip(p, corrected, strict=False)]
+        worst = p == np.fmin.reduce(p, axis=1)[:, None]
+        marks.append(np.array(is_odd)[:, None] & ((p < _ALSO) | worst))
+    return marks
 
 
 def _together(each: Float[np.ndarray, "units axes"], axes: Sequence[Values]) -> Numbers:
     """p-values of units on all axes, given those on each; NaN for units that are not tested.
 
-    The mean over the axes shows what is slightly off on all of them, an axis by itself a single bad one: each
-    has half the probability of a false mark.
+    The mean over the axes shows what is slightly off on all of them, an axis by itself a single bad
+    one: each has half the probability of a false mark.
     """
     least = np.fmin.reduce(each, axis=1)
     if len(axes) == 1:
@@ -135,8 +138,8 @@ def mean_of(axes: Sequence[Values]) -> Values:
 def p_values(values: Values) -> Numbers:
     """Two-sided p-values of the units' distances from the median; NaN for units that are not tested.
 
-    Limits count among the others, as if the coefficients were at these, which is cautious for high values;
-    the scatter is that of the estimates. Where most units have limits, it is at least 0.5 [ln].
+    Limits count among the others, as if the coefficients were at these, which is cautious for high
+    values; the scatter is that of the estimates. Where most units have limits, it is at least 0.5 [ln].
     """
     is_compared, count = np.isfinite(values.x), int(np.isfinite(values.x).sum())
     if count < FEWEST_UNITS or not values.known.any():
@@ -151,8 +154,8 @@ def p_values(values: Values) -> Numbers:
     spread = max(_variance(telling, count), usual + (_ROUNDING if most_known else _UNSEEN**2))
     of_median = 0.5 * np.pi * spread / count
     own = spread - usual + error
-    # Errors are known: the larger a unit's own, the more degrees of freedom.
     inner = min(_inner(count), len(telling))
+    # Errors are known: the larger a unit's own, the more degrees of freedom.
     degrees = min(inner - 1.0, _FREEDOM * inner) * (own / spread) ** 2
     tail = 2.0 * stdtr(degrees, -abs(distance) / np.sqrt(own + of_median))
     return np.where(values.known, tail, np.nan)
@@ -164,10 +167,10 @@ def _inner(count: int) -> int:
 
 
 def _variance(distance: Numbers, count: int) -> float:
-    """Variance of normal values by the inner ones of the distances from their median.
+    """Variance of so many normal values by the inner ones of the distances from their median.
 
-    It is that of all but one: the value whose distance is of interest is not among the inner ones. Of so many
-    values, those without a distance are farther off than the others.
+    It is that of all but one: the value whose distance is of interest is not among the inner ones.
+    Values whose distance is not given are farther off than the others.
     """
     nearest = np.sort(distance**2)[: _inner(count)]
     share = len(nearest) / (count - 1)
@@ -191,11 +194,11 @@ class Split(NamedTuple):
 
 
 def two_groups(axes: Sequence[Values]) -> Split:
-    """Units parted at the widest gap of a coefficient that leaves at least six and a third on either side.
+    """Units parted at the widest gap of a coefficient that leaves six and a third of all on each side.
 
-    Units have the means of their values over the axes. The gap is compared with five standard deviations of
-    the units about the median of their group, errors and scatter both, in the group where that is larger. It
-    is 0 if there are too few units, or if one of them has no value.
+    Units have the means of their values over the axes. The gap is compared with five standard
+    deviations of the units about the median of their group, errors and scatter both, in the group
+    where that is larger. It is 0 if there are too few units, or if one of them has no value.
     """
     distances = np.stack([axis.distance for axis in axes])
     has_value = np.isfinite(distances)
@@ -203,13 +206,12 @@ def two_groups(axes: Sequence[Values]) -> Split:
     least = max(_FEWEST_OF_GROUP, int(np.ceil(count / 3.0)))
     if count < 2 * least or not has_value.any(axis=0).all():
         return Split(0.0, 1.0, np.zeros(count, bool))
-    x = np.sum(np.where(has_value, distances, 0.0), axis=0) / has_value.sum(axis=0)
+    x = np.where(has_value, distances, 0.0).sum(axis=0) / has_value.sum(axis=0)
     ordered = np.sort(x)
     gaps = np.diff(ordered)[least - 1 : count - least]
-    widest = int(np.argmax(gaps))
-    parts = np.split(ordered, [widest + least])
-    lower, upper = (float(np.median(part)) for part in parts)
-    around = zip(parts, (lower, upper), strict=True)
+    parts = np.split(ordered, [int(np.argmax(gaps)) + least])
+    medians = [float(np.median(part)) for part in parts]
+    around = zip(parts, medians, strict=True)
     variance = max(_ROUNDING, *(_variance(part - median, len(part)) for part, median in around))
-    gap = float(gaps[widest] / (_GAP * np.sqrt(variance)))
-    return Split(gap, float(np.exp(upper - lower)), x >= parts[1][0])
+    gap = float(gaps.max() / (_GAP * np.sqrt(variance)))
+    return Split(gap, float(np.exp(medians[1] - medians[0])), x >= parts[1][0])

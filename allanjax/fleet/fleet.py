@@ -162,7 +162,8 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.files.group_names`.
+            file and group, a mapping, or a function of the path; see `fleet.files.group_names`. These groups
+            are not divided.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
