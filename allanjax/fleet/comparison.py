@@ -27,7 +27,8 @@ FALSE_ALARMS = 0.01
 FEWEST_UNITS = 4
 """Least number of units among which one can be outlying; of three, two may agree by chance."""
 
-# Share of the units, those nearest to the median, that tell the scatter: a quarter may be outlying.
+# Share of the units, those nearest to the median, that tell the scatter: a quarter may be outlying,
+# and two of six.
 _INNER = 0.75
 # Degrees of freedom of the scatter for each of these units, if they are many; few have one less than
 # their number. Measured on tails of 10⁻² to 10⁻⁴ of 4 to 100 normal values.
@@ -163,7 +164,7 @@ def p_values(values: Values) -> Numbers:
 
 def _inner(count: int) -> int:
     """How many of so many units tell the scatter."""
-    return min(int(np.ceil(_INNER * count)), count - 1)
+    return min(round(_INNER * count), count - 1)
 
 
 def _variance(distance: Numbers, count: int) -> float:

@@ -37,7 +37,7 @@ Fleet = list[list[Values]]
 
 
 def run(
-    *, fleets: int = 1000, powers: int = 200, units: tuple[int, ...] = (12, 24, 50, 100), seed: int = 20
+    *, fleets: int = 1000, powers: int = 100, units: tuple[int, ...] = (12, 24, 50, 100), seed: int = 20
 ) -> Iterator[str]:
     tasks = [(seed, n, *grades, fleets) for n in units for grades in GRADES]
     found = dict(zip(tasks, run_tasks(false_marks, tasks), strict=True))

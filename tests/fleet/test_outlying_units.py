@@ -18,7 +18,7 @@ def marked_axes(result):
 def p_value(x, s, unit):
     """Two-sided p-value of a unit's distance from the median, of values with known errors."""
     n = len(x)
-    inner, error = min(int(np.ceil(0.75 * n)), n - 1), s**2
+    inner, error = min(round(0.75 * n), n - 1), s**2
     distance = abs(x - np.median(x))
     # Of the n − 1 others, all or those within the quantile of the inner ones' share.
     end = truncnorm.ppf(0.5 + 0.5 * inner / (n - 1), -9.0, 9.0)
@@ -31,7 +31,7 @@ def p_value(x, s, unit):
 
 @pytest.mark.parametrize(("units", "sign", "further"), [(4, 1, 0), (9, -1, 0), (12, 1, 2), (24, 1, 0)])
 def test_a_mark_is_as_improbable_as_it_says(fleet, units, sign, further):
-    """The value at which a unit begins to be marked has the p-value that Holm's method leaves to the least."""
+    """The value at which a unit begins to be marked has the p-value that Holm's method asks of the least."""
     rng = np.random.default_rng(units)
     x, s = 0.05 * rng.standard_normal(units), rng.uniform(0.02, 0.05, units)
     others = [("accel", name, np.ones((units, 1)), 0.1) for name in (ARW, BI)[:further]]
@@ -99,6 +99,16 @@ def test_odd_units_do_not_hide_each_other_and_an_interval_excuses_one(fleet):
     assert marked_axes(result) == {f"unit_{k}": 3 for k in (2, 7, 11, 15)}
     error = np.where(np.arange(20)[:, None] == 7, 0.7, np.full((20, 3), 0.02))
     assert marked_axes(fleet.judged(("gyro", ARW, value, error))) == {f"unit_{k}": 3 for k in (2, 11, 15)}
+
+
+def test_two_bad_units_of_a_small_fleet_are_found(fleet):
+    """Two grades of three units on two days: one is 1.5 times off on a day, one twice as large on both."""
+    value = np.exp(0.003 * np.random.default_rng(1).standard_normal((12, 3)))
+    value[6:] *= 8.0
+    value[[1, 10, 11]] *= [[1.5], [2.0], [2.0]]
+    parts = ("gyro", ARW, value, 0.002), ("gyro", BI, np.ones((12, 3)), 0.1)
+    result = fleet.judged(*parts, group=[*"aaaaaabbbbbb"])
+    assert {*marked_axes(result)} == {"unit_1", "unit_10", "unit_11"}
 
 
 @pytest.mark.usefixtures("no_windows")
