@@ -32,7 +32,7 @@ def fleet(
 
     Prints a summary and writes fleet.parquet (one row per recording, axis and
     coefficient), fleet.png (distribution of each coefficient over the fleet,
-    outlying units marked), errors.csv, notes.txt (problems and outlying units;
+    outlying units marked), errors.csv, notes.txt (outlying units and problems;
     read it first), and recordings/NAME.json as soon as each recording is fitted.
     If one file fails, the others are still processed. A later run with the same
     --out only fits recordings without a result; the table covers only the files
@@ -51,6 +51,7 @@ def fleet(
     group
         Which units are compared with each other: a regular expression whose parentheses match the
         group's name in a file's path, e.g. 'logs/(\w+)/', or a CSV file with columns file, group.
+        By default all are, or each of two groups that lie far apart.
     out
         Folder for the results; a later run continues from it.
     format

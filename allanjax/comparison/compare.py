@@ -30,6 +30,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.normal import ONE_SIDED_95, TWO_SIDED_68, TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
+from allanjax.base.testing import holm
 from allanjax.base.wording import duration, format_range, plain, significant
 from allanjax.comparison.specification import least_deviation
 from allanjax.critic.result import Critique
@@ -292,16 +293,6 @@ def _beyond_chance(seen: Estimate, limited: Estimate) -> float | None:
     square = seen.value**2 * np.exp(2.0 * seen.log_std * x)
     tail = 2.0 * ndtr(-square * ONE_SIDED_95 / limited.upper_limit**2)
     return float(weight @ tail / weight.sum())
-
-
-def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """p-values corrected for their number by Holm's method; None stays None."""
-    known = sorted((p, k) for k, p in enumerate(p_values) if p is not None)
-    corrected, highest = list[float | None](p_values), 0.0
-    for rank, (p, k) in enumerate(known):
-        highest = max(highest, min(1.0, (len(known) - rank) * p))
-        corrected[k] = highest
-    return corrected
 
 
 class Row(NamedTuple):

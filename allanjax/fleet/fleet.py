@@ -36,12 +36,10 @@ from allanjax.fleet.files import (
 from allanjax.fleet.options import FitOptions
 from allanjax.fleet.stream import AllanAccumulator, accumulate
 from allanjax.fleet.table import (
-    AxisStructure,
     judged,
     left_out,
     lines_of,
     rows_of,
-    structures,
     table_of,
     table_schema,
     tables,
@@ -80,8 +78,7 @@ class FleetResult(ByValue, Tabled):
         errors: files and axes without a result: `file`, and a `message` that names the axis and the reason.
         files: the recordings; `resumed` of them have results from an earlier run.
         notes: remarks on the table: recordings of an earlier run that are left out; recordings with warnings;
-            axes that are not a measurement, that the model does not fit, or that were corrected; units that
-            differ from most others; groups that the units fall into, or that are too small to judge.
+            two groups that the units fall into, or groups that are too small to judge.
     """
 
     table: pd.DataFrame
@@ -148,9 +145,9 @@ def characterize_fleet(
     different rates are fitted separately.
 
     Writes `fleet.parquet` (the table), `fleet.png` (distribution of each coefficient over the fleet),
-    `errors.csv` (file, message) and `notes.txt` (one remark on the table per line) to `out`, and the fit of
-    each recording to `out/recordings` as soon as it is done. If a recording fails or a worker dies, the
-    others go on; another worker takes the recording of a dead one.
+    `errors.csv` (file, message) and `notes.txt` (outlying units, remarks and errors, one per line) to
+    `out`, and the fit of each recording to `out/recordings` as soon as it is done. If a recording fails
+    or a worker dies, the others go on; another worker takes the recording of a dead one.
 
     A later run with the same `out` computes only recordings that failed, are new, or whose file (path, size,
     time of the last change), options or version of allanjax changed. The table covers only the files given;
@@ -165,7 +162,8 @@ def characterize_fleet(
         out: folder for the results.
         model, objective, regressors, as_is, vibrating, plain: as for `fit`; long recordings always plain.
         group: units to be compared: a regular expression, e.g. `logs/(\\w+)/`, a CSV file with the columns
-            file and group, a mapping, or a function of the path; see `fleet.files.group_names`.
+            file and group, a mapping, or a function of the path; see `fleet.files.group_names`. These groups
+            are not divided.
         workers: processes of a local cluster that exists during this call; by default one per core.
         scheduler: address of a cluster to use instead, e.g. `tcp://host:8786`; its workers need allanjax.
         piece: number of samples beyond which a recording is divided.
@@ -174,8 +172,9 @@ def characterize_fleet(
         **reading: as for `read`: rate, gyro_unit, accel_unit, columns, time, ...
 
     Returns:
-        The table and the errors. Units that differ from the others of their group, or of their grade if a
-        group has several, are marked as outlying (see `fleet.table.mark_outlying`).
+        The table and the errors. Units that differ from the others of their group are marked as outlying
+        (see `fleet.comparison`). Without `group`, units that clearly fall into two groups are compared
+        within these.
 
     Raises:
         AllanjaxError: a pattern matches no file; a recording has no group; Dask is not installed; the
@@ -218,12 +217,11 @@ def characterize_fleet(
 
 @dataclass(frozen=True)
 class _Done:
-    """Progress of a fleet by the recordings' names: rows of the table, structures of the axes, and errors."""
+    """Progress of a fleet by the recordings' names: rows of the table, and errors."""
 
     recordings: Mapping[str, Path]
     groups: Mapping[str, str]
     rows: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
-    structures: dict[str, list[AxisStructure]] = field(default_factory=dict)
     errors: dict[str, list[str]] = field(default_factory=dict)
 
     def take(self, name: str, outcome: Sequence[Mapping[str, Any]] | Exception) -> None:
@@ -233,7 +231,6 @@ class _Done:
         else:
             file, group = str(self.recordings[name]), self.groups[name]
             self.rows[name] = [row for fit in outcome for row in rows_of(fit, name, file, group)]
-            self.structures[name] = [axis for fit in outcome for axis in structures(fit)]
             self.errors[name] = [text for fit in outcome for text in _axes_without_result(fit)]
 
     @property
@@ -328,7 +325,7 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
 
     # In the order of the recordings, whatever the order they ended in.
     rows = [row for name in done.recordings for row in done.rows.get(name, ())]
-    table, more = judged(table_of(rows), done.structures)
+    table, more = judged(table_of(rows))
     errors = tuple(
         {"file": str(path), "message": message}
         for name, path in done.recordings.items()
@@ -341,7 +338,9 @@ def _written(done: _Done, resumed: int, notes: tuple[str, ...], out: Path, figur
         writer = csv.DictWriter(stream, ["file", "message"])
         writer.writeheader()
         writer.writerows(result.errors)
-    (out / "notes.txt").write_text("".join(f"{note}\n" for note in result.notes), encoding="utf-8")
+    failed = [f"{error['file']}: {error['message']}" for error in errors]
+    lines = [*lines_of(table, len(table)), *result.notes, *failed]
+    (out / "notes.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
     result.plot(out / f"fleet.{figure_format}")
     return result
 

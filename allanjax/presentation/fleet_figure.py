@@ -17,7 +17,7 @@ from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import plain
 from allanjax.comparison.repeatability import JointCoefficient, JointFit
 from allanjax.fleet.fleet import FleetResult
-from allanjax.fleet.table import table_schema
+from allanjax.fleet.table import table_schema, times
 from allanjax.noise.estimate import title_of
 from allanjax.presentation import draw
 from allanjax.presentation.draw import Heading, Sheet
@@ -62,10 +62,10 @@ def plot_fleet(fleet: FleetResult, path: str | os.PathLike[str] | None = None) -
     Points are the units' estimates with their 95 % intervals, axis beside axis, group beside group, the units
     of each in the order of the table; hollow triangles are the 95 % limits of units in which the coefficient
     was not detected. Hollow circles are of axes with remarks (corrected, incomplete, partly left out); grey
-    crosses are not a measurement of the sensor, and in no statistic. Outlying units are red and named. Blue
-    are the median of the others' estimates in their group and the band of 90 % of them. Coefficients that
-    were detected in no unit, or were held, have no panel. Up to twelve units are named below the axes,
-    without the beginning that all names have in common.
+    crosses are not a measurement of the sensor, and in no statistic. Outlying units are red and named, with
+    their ratio to the median of their group. Blue are the median of the others' estimates in their group
+    and the band of 90 % of them. Coefficients that were detected in no unit, or were held, have no panel.
+    Up to twelve units are named below the axes, without the beginning that all names have in common.
 
     Raises:
         AllanjaxError: the table lacks a column.
@@ -259,7 +259,8 @@ def _name_units(panel: Axes, k: int, of: pd.DataFrame) -> None:
     of = of.sort_values("height")
     points = of[["x", "height"]].to_numpy()
     places = panel.transLimits.transform(panel.transScale.transform(points))
-    names = [_short(name, _LONGEST) for name in of["recording"]]
+    units = zip(of["recording"], of["ratio"], strict=True)
+    names = [f"{_short(name, _LONGEST)} {times(ratio)}" for name, ratio in units]
     if len(names) > _NAMED:
         names[_NAMED - 1 :] = [f"{names[_NAMED - 1]} and {len(names) - _NAMED} more"]
     steps = _NAME_HEIGHT / _SHEET.height * np.arange(len(names))

@@ -30,7 +30,7 @@ def logs(tmp_path_factory):
     rng = np.random.default_rng(1)
     about = {"gyro_unit": "deg/s", "accel_unit": "g", "names": ["gyro_x", "accel_z"]}
     for k, factor in enumerate(np.exp(0.05 * rng.standard_normal(5))):
-        x = factor * rng.standard_normal((2048, 2)) * [0.3 if k == 3 else 0.1, 1e-3] + [0.2, 1.0]
+        x = factor * rng.standard_normal((2048, 2)) * [1.0 if k == 3 else 0.1, 1e-3] + [0.2, 1.0]
         x[:, 1] += 2e-5 * np.cumsum(rng.standard_normal(2048))
         aj.write(aj.Recording.from_array(x, 100.0, **about), folder / f"unit_{k}.parquet")
     (folder / "corrupt.parquet").write_bytes(b"PAR1 but no more")

@@ -16,7 +16,7 @@ import allanjax as aj
 
 COLUMNS = {
     "recording file group axis sensor coefficient unit terms remarks warnings": "str",
-    "value std lower_95 upper_95 upper_limit_95 p_value start_s stop_s": "float64",
+    "value std lower_95 upper_95 upper_limit_95 p_value ratio start_s stop_s": "float64",
     "detected measured outlying": "bool",
 }
 
@@ -50,7 +50,10 @@ def test_the_table_holds_what_fits_find(characterized, logs):
     assert (error["file"], "Parquet" in error["message"]) == (str(logs / "corrupt.parquet"), True)
     assert pd.read_csv(out / "errors.csv").to_dict("records") == [error]
     assert "6 recordings: 5 without errors, 1 with errors; 0 from" in str(result)
-    assert (out / "notes.txt").read_text(encoding="utf-8").splitlines() == list(result.notes)
+    lines = (out / "notes.txt").read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("unit_3: outlying")
+    assert lines[-1] == f"{error['file']}: {error['message']}"
+    assert {*result.notes} < {*lines}
     assert (out / "fleet.png").exists()
     assert result.files == tuple(sorted(logs.iterdir()))
 
@@ -176,14 +179,14 @@ def test_rows_of_a_stored_fit(three):
     sets = [{"chosen": False, "terms": ["ramp"]}, {"chosen": True, "terms": [ARW, "flicker"]}]
     extension = {"further": ["sinusoid"], "model": [{"term": "sinusoid"}]}
     corrected = {"extension": extension, "selection": sets}
-    cases = (corrected, [ARW], "flicker", "line 2 Hz"), ({}, [ARW, "sinusoid"], "sinusoid", "")
+    cases = (corrected, [ARW], "flicker", "corrected for line 2 Hz"), ({}, [ARW, "sinusoid"], "sinusoid", "")
     for more, labels, last, remark in cases:
         three.store("b", [axis("gyro_x", both, **more)])
         result = three.run(three.files[1:2])
         table = result.table
         found = table["coefficient"].tolist(), {*table["terms"]}, {*table["remarks"]}
         assert found == (labels, {f"{ARW} + {last}"}, {remark})
-        assert any("b (gyro_x): corrected" in note for note in result.notes) == bool(remark)
+        assert ("b: gyro_x: corrected for line 2 Hz" in str(result)) == bool(remark)
 
 
 @pytest.mark.usefixtures("no_windows")
@@ -200,7 +203,7 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     found = told.table.groupby(["recording", "axis"])["remarks"].unique().map(", ".join).to_dict()
     used = sum(stop - start for start, stop in aj.inspect(aj.read(tmp_path / "knock.parquet")).parts)
     expected = dict.fromkeys(found, "length 20 s")
-    expected["line", "gyro_y"] = "misfit, line 7.3 Hz, length 20 s"
+    expected["line", "gyro_y"] = "does not fit, line 7.3 Hz, length 20 s"
     # 5e-4 is half a standard deviation, above which 31 % are.
     expected["clips", "gyro_x"] = "not a measurement, saturation 31 %, length 20 s"
     expected |= {("knock", f"gyro_{k}"): f"cut {20.48 - used:.2g} s, length {used:.2g} s" for k in "xy"}
@@ -208,8 +211,8 @@ def test_what_was_corrected_left_out_or_is_wrong_is_said(cluster, tmp_path):
     (error,) = told.errors
     assert error["file"] == str(tmp_path / "clips.parquet")
     assert error["message"] == "gyro_x: not a measurement of this sensor: its range was exceeded"
-    wrong = ("clips (gyro_x): not a measurement", "line (gyro_y): the model does not fit")
-    assert all(words in str(told) for words in ("of 4", *wrong, "3 units differ from most others: "))
+    wrong = ("clips: gyro_x: not a measurement, ", "; gyro_y: does not fit, ")
+    assert all(words in str(told) for words in ("of 4", *wrong))
     # One unit's crosses, and hollow circles of all units, which are short.
     (panel, *_) = told.plot().axes
     assert sum(len(line.get_xdata()) for line in panel.lines if line.get_marker() == "x") == 1
@@ -380,15 +383,17 @@ def test_the_printed_table_has_medians_scatter_counts_and_outlying_units(fleet):
     assert all(cell in lines[3] for cell in cells)
     ranges = [["axis", "N 5…95 % (deg/√h)"], ["gyro_x", "0.946 … 1.054"]]
     assert [line.split(maxsplit=1) for line in lines[5:8:2]] == ranges
-    assert lines[8] == "unit_5: outlying in gyro_x N (×9.0 the median)"
+    # The median of all six is 1.015.
+    assert lines[8] == "unit_5: outlying against the median of its group: gyro_x N ×8.87"
     # Coefficients that no unit has need no room: the table stays one.
     labels = ("drift_ramp", "quantization", "markov_amplitude", "markov_correlation_time", "rate_random_walk")
     absent = [("gyro", label, np.full((6, 1), np.nan), 0.05) for label in labels]
     shown = str(fleet.judged(("gyro", ARW, values, 0.05), (*few, limits), *absent))
     assert len(shown.splitlines()) == len(lines)
-    # Where the others have limits alone, there is no median.
+    # Where the others have limits alone, these are the median.
     *_, row, unit = str(fleet.judged((*few, limits / 1e4))).splitlines()[:5]
-    assert (row.split()[-1], unit) == ("unit_0", "unit_0: outlying in gyro_x B")
+    assert row.split()[-1] == "unit_0"
+    assert unit == "unit_0: outlying against the median of its group: gyro_x B ×6,170"
 
 
 @pytest.mark.usefixtures("no_windows")
@@ -402,7 +407,7 @@ def test_the_picture_has_a_panel_per_coefficient_and_names_units(fleet, monkeypa
     result = fleet.judged(*parts, ("gyro", "bias_instability", 1.0 + values[:, :1], 0.05, limits))
     walk, _, instability = result.plot().axes
     # Without what all names begin with.
-    assert [text.get_text() for text in walk.texts] == ["8"]
+    assert [text.get_text() for text in walk.texts] == ["8 ×14.4"]
     assert [label.get_text() for label in walk.get_xticklabels()] == ["gyro_x", "gyro_y"]
     assert [label.get_text() for label in walk.get_xticklabels(minor=True)] == [*"012345678"] * 2
     (marks,) = [line for line in instability.lines if line.get_marker() == "v"]

@@ -18,7 +18,7 @@ from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
 from allanjax.fleet.fleet import FleetResult
-from allanjax.fleet.table import lines_of
+from allanjax.fleet.table import lines_of, times
 from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
@@ -279,7 +279,8 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
             names, numbers = own["recording"].tolist(), range(len(own))
             traces.append(Trace(group, "units", share, value, low, high, labels=numbers, names=names))
             places = np.flatnonzero(own["outlying"].to_numpy()).tolist()
-            marks += [Mark(names[k], float(share[k]), float(value[k]), group) for k in places]
+            words = [f"{name} {times(ratio)}" for name, ratio in zip(names, own["ratio"], strict=True)]
+            marks += [Mark(words[k], float(share[k]), float(value[k]), group) for k in places]
         title = f"{title_of(coefficient, sensor)}, {SENSORS[sensor]}"
         view = View(
             *(coefficient, "units up to this value", "%", title_of(coefficient, sensor)),
