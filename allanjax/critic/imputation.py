@@ -70,7 +70,7 @@ def draw_between(
 
 # Lags of the errors of rounding; harmonics of their law; the share of their least density that stays; and
 # the number of coefficients over which a spectrum is averaged.
-_LAGS, _HARMONICS, _KEPT, _SMOOTH = 200, 20, 0.5, 200
+_LAGS, _HARMONICS, _KEPT, _SMOOTH = 200, 20, 0.9, 200
 # Points at which the law is tabulated; least share of their variance at a frequency.
 _GRID, _LOWEST = 2000, 0.1
 _Coefficients: TypeAlias = Float[np.ndarray, " n-1"]
@@ -81,7 +81,7 @@ def draw_unrounded(x: Float[np.ndarray, " n"], step: float, seed: int) -> Float[
 
     The errors are then nearly independent of the samples (Widrow 1961), so that a coefficient has a normal
     law given the rounded one, if the spectra of both are known. That of the samples is the record's own less
-    that of the errors; half of the least density of these stays, where a filter leaves little else.
+    that of the errors; most of the least density of these stays, as a filter leaves little else at places.
     """
     c, own, error = _spectra(x, step)
     white = _KEPT * float(error.min())
