@@ -16,10 +16,9 @@ import numpy as np
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import finite_or_none
-from allanjax.estimate.likely_models import class_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
-from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
+from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
 from allanjax.noise.estimate import Estimate, Variation
 from allanjax.noise.model import Model
@@ -52,7 +51,7 @@ _KEYS: Mapping[type, dict[str, str]] = {
     Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured verdict=word misfit other_misfit coefficients= covariance= selection=
-        selection_discrepancy= selection_averaged= extension= regression="""),
+        selection_discrepancy= extension= regression="""),
     Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
         octave_deviation=sustained scatter felt_by=felt"""),
     Estimate: _keys("label term symbol kind detected rivals held measured variation") | _NUMBERS,
@@ -60,7 +59,6 @@ _KEYS: Mapping[type, dict[str, str]] = {
     AllanDeviation: _keys("""kind overlapping estimator other_stretches=others cluster_time_s=cluster_time
         cluster_size count deviation= degrees_of_freedom="""),
     TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
-    Averaged: _keys("coefficients= cluster_time_s=cluster_time deviation interval_95=interval"),
 }
 
 
@@ -148,9 +146,6 @@ def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = Fa
     if ranking is not None:
         sets = [{**_written(s), "chosen": s == ranking.chosen} for s in ranking.ranking]
         more |= {"selection": sets, "selection_discrepancy": ranking.discrepancy}
-        if (of := ranking.averaged) is not None:
-            averaged = {**_written(of), "coefficients": in_json(list(of.coefficients.values()))}
-            more["selection_averaged"] = averaged
     if result.own_template is not None and result.plain is not None:
         more["extension"] = {
             **_terms(result.own_template),
@@ -252,7 +247,7 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
     axes, keys = tuple(axis for _, axis in alive), {"deviation": "deviation", "edf": "degrees_of_freedom"}
     known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
-    rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
+    rankings = tuple(_selection(*of_axis) for of_axis in alive) if chosen else ()
     return read(
         Fit,
         document,
@@ -308,9 +303,9 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
     )
 
 
-def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Estimate:
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
     """Coefficient in SI."""
-    si = c["si"]
+    si, more = c["si"], dict[str, Any]()
     for name, key in (("interval", "interval_95"), ("interval_68", "interval_68")):
         # Without an upper end it extends to infinity; without both there is none.
         low, high = (math.nan if x is None else x for x in si[key])
@@ -322,15 +317,9 @@ def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Es
     return read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
-def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
-    ranking, averaged = [], None
+def _selection(a: Mapping[str, Any], axis: Axis) -> AxisSelection:
+    ranking = []
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
         ranking.append(read(TermSet, s, log_evidence=evidence))
-    if of := a.get("selection_averaged"):
-        coefficients = {}
-        for c in of["coefficients"]:
-            parameter = class_of(c["term"], classes).amplitude_parameter()
-            coefficients[c["label"]] = _estimate(c, parameter, axis, source="averaged")
-        averaged = read(Averaged, of, coefficients=coefficients)
-    return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)
+    return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"])

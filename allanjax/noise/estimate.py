@@ -70,7 +70,7 @@ class Estimate(ByValue):
         interval_68: 68 % interval.
         unit: unit of all these numbers; SI by default.
         usual_unit: usual unit, e.g. "deg/√h"; for a model's parameter it follows from the parameter.
-        source: "fit", "posterior", "spectrum", "critique", "calibration", or "averaged" over sets of terms.
+        source: "fit", "posterior", "spectrum", "critique" or "calibration".
         parameter: the parameter of the noise term, whose name is `term`; None for derived quantities and for
             a finding's parameters.
         upper_limit: one-sided 95 % limit of an amplitude; or of another parameter that may have any smaller
@@ -99,7 +99,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum", "critique", "calibration", "averaged"] = "fit"
+    source: Literal["fit", "posterior", "spectrum", "critique", "calibration"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None

@@ -92,7 +92,7 @@ def test_the_misfit_of_an_allan_deviation_is_that_of_a_search_through_all_places
 
 @pytest.mark.parametrize("axis", ["gyro_1", "gyro_4"])
 def test_the_misfit_of_a_spectrum_is_that_of_thirds_of_octaves(records, fits, axis):
-    """And of octaves: of the cosine spectrum's squares, averaged over these, from its first coefficient on."""
+    """And of octaves: of the cosine spectrum's squares, averaged over these, from the first one on."""
     # The model's density at each coefficient instead of two in each bin: 2 % of a deviation.
     fit = fits["whittle"]
     result, k = fit[axis], fit.axes.index(axis)
