@@ -172,10 +172,6 @@ class AxisSelection(ByValue):
                 found.append((titles[0], "{} without it, {} with it", one.probability, two.probability))
         return tuple(found[:3])
 
-    def ambiguities(self) -> tuple[str, ...]:
-        """What the data leave undecided, in words, the most probable first."""
-        return tuple(_in_words(text, words, [one], [two]) for text, words, one, two in self.undecided())
-
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
@@ -461,9 +457,6 @@ class Candidates(NamedTuple):
     def evidence(self, sets: TermSets) -> TermSets:
         return evidence(sets, self.levels, self.statistics, self.size)
 
-    def ramps(self, found: TermSets) -> Ramps:
-        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
-
     def mean(self, found: TermSets) -> Float[np.ndarray, "sets m"]:
         """Expected levels of sets at the maxima of their likelihoods."""
         return np.maximum((found.power[:, None] @ self.levels[found.columns])[:, 0], 1e-300)
@@ -472,24 +465,21 @@ class Candidates(NamedTuple):
         """Relative error that makes the best set fit; 0 if it does."""
         best = found.of([np.argmax(found.log_evidence)])
         level, mean = self.statistics.squares / self.size, self.mean(best)
-        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
+        ramps = Ramps(self.statistics.cross, self.statistics.gram, best.ramp)
+        level, shape, _ = ramps.removed(level, self.size / 2.0, mean)
         ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
         if chi_squared(ratio, dof) <= beyond_doubt(degrees):
             return 0.0
         return error_of_powers(ratio, dof, self.bins.per_octave(), degrees)
 
-    def covariance(self, found: TermSets) -> Float[np.ndarray, "sets places places"]:
-        """Covariance of the logarithms of the powers of sets."""
-        F = information(self.levels[found.columns], self.mean(found), self.size / 2.0)
-        F *= found.power[:, :, None] * found.power[:, None]
-        # A power that few coefficients determine is as likely half as large as twice as large.
-        return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
-
     def intervals(self, best: TermSets) -> dict[str, tuple[float, float]]:
         """95 % interval of each amplitude of a set but the ramp's, by its label."""
         labels = {p.term: p.label for p in self.model.parameters if p.parameter.is_amplitude}
-        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
-        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
+        power, mean = best.power[0], self.mean(best)[0]
+        F = information(self.levels[best.columns[0]], mean, self.size / 2.0) * np.outer(power, power)
+        # A power that few coefficients determine is as likely half as large as twice as large.
+        spread = np.sqrt(np.diag(np.linalg.inv(F + np.eye(len(F)) / _WIDEST**2))) / 2.0
+        ends = np.sqrt(power) * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
         every = zip(self.owner.tolist(), *ends.tolist(), strict=True)
         return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
 

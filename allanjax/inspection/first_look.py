@@ -144,7 +144,7 @@ class Inspection(ByValue):
             f"{span(*self.longest_part, grid(self.n / self.rate))} again with start={start}, stop={stop} "
             f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
-        facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
+        facts = [f for f in self.facts if f.kind != "disturbances" or f.consequence != "none"]
         names = tuple(axis.name for axis in self.axes)
         refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
         return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))

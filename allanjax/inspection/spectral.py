@@ -180,13 +180,12 @@ def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
 
     Bins too close to an end have the median of the other side.
     """
+    import pandas as pd
+
+    def before(logs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+        beside = pd.Series(logs).shift(_NEAR + 1)
+        return beside.rolling(_FAR - _NEAR, min_periods=1).median().to_numpy()
+
     logs = np.log(np.maximum(level, 1e-300))
-    width = _FAR - _NEAR
-    # What is missing at the ends comes last when sorted.
-    padded = np.pad(logs, _FAR, constant_values=np.inf)
-    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
-    count, rows = np.isfinite(ordered).sum(axis=-1), np.arange(len(ordered))
-    medians = (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2.0
-    left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
-    left, right = np.where(np.isfinite(left), left, right), np.where(np.isfinite(right), right, left)
-    return np.exp((left + right) / 2.0)
+    sides = np.stack([before(logs), before(logs[::-1])[::-1]])
+    return np.exp(np.nanmean(sides, axis=0))

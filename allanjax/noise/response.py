@@ -79,7 +79,13 @@ class Response(Parametrized):
 
 
 class RecursiveFilter(Response):
-    """A response that has poles."""
+    """A response that has poles, and a bandwidth."""
+
+    bandwidth: eqx.AbstractVar[Value]
+
+    def _angle(self, rate: float) -> Any:
+        """Bandwidth in radians per sample interval."""
+        return 2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate
 
     @abc.abstractmethod
     def poles(self, rate: float) -> Poles:
@@ -147,15 +153,15 @@ class LowPass1(RecursiveFilter):
     bandwidth: Value = parameter("f_c", "frequency")
 
     def poles(self, rate: float) -> Poles:
-        return one_pole(2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate)
+        return one_pole(self._angle(rate))
 
     def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
-        w = jnp.exp(-2.0 * math.pi * jnp.asarray(self.bandwidth) / rate)
+        w = jnp.exp(-self._angle(rate))
         return linear_recurrence(w, (1.0 - w) * x)
 
     def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
-        x = 2.0 * math.pi * self.bandwidth / rate
-        return np.array([-np.expm1(-x)]), np.array([1.0, -np.exp(-x)])
+        angle = self._angle(rate)
+        return np.array([-np.expm1(-angle)]), np.array([1.0, -np.exp(-angle)])
 
 
 class LowPass2(RecursiveFilter):
@@ -168,8 +174,7 @@ class LowPass2(RecursiveFilter):
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
 
     def poles(self, rate: float) -> Poles:
-        wc = 2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate
-        return two_poles(wc, self.quality_factor)
+        return two_poles(self._angle(rate), self.quality_factor)
 
     def _zero(self, rate: float) -> tuple[Any, Any]:
         """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
@@ -193,7 +198,7 @@ class LowPass2(RecursiveFilter):
 # −q², q = t·e^{iφ}, φ = π(2k + 1 − m)/2m, k = 0 … m − 1. In w = (1 − q)/(1 + q) they are inside the unit
 # circle, and
 #
-#     R = g + Σ c(1 − w²)/D(w),    c = q/[m(1 − q²)],    g = 1/[1 + (−1)^m t^{−2m}],
+#     R = g + Σ c(1 − w²)/D(w),    c = q/[m(1 − q²)],    g = −Σ cq = 1/[1 + (−1)^m t^{−2m}],
 #
 # D(w) = (1 − w)² + 4ws, s = sin²(πf/rate): partial fractions in s, v = s/(1 − s). The filter itself is a
 # chain of stages y_k = w·y_{k−1} + (1 − w)/2·(x_k + x_{k−1}), what the bilinear transformation makes of one
@@ -246,8 +251,6 @@ def butterworth_poles(tangent: Any, order: int) -> Any:
 class _Bilinear(RecursiveFilter):
     """A filter of analog poles −q, which the bilinear transformation makes digital."""
 
-    bandwidth: eqx.AbstractVar[Value]
-
     @abc.abstractmethod
     def _analog(self, tangent: Any) -> Any:
         """The poles' q for t = tan(πf_c/rate)."""
@@ -275,12 +278,22 @@ class _Bilinear(RecursiveFilter):
 
     def _half_angle(self, rate: float) -> Any:
         """Half the bandwidth in radians per sample interval."""
-        xp = namespace(self, rate)
-        return math.pi * xp.minimum(xp.asarray(self.bandwidth, float) / rate, LARGEST_BANDWIDTH / 2.0)
+        return namespace(self, rate).minimum(self._angle(rate), LARGEST_BANDWIDTH * math.pi) / 2.0
 
     def _tangent(self, rate: float) -> Any:
         """Tangent t = tan(πf_c/rate)."""
         return namespace(self, rate).tan(self._half_angle(rate))
+
+    def _apart(self, rate: float) -> Any:
+        """The poles' q, which partial fractions need apart from one."""
+        return self._analog(self._tangent(rate))
+
+    def poles(self, rate: float) -> Poles:
+        return bilinear_poles(self._apart(rate))
+
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        """The constant part: what is left of 1 at frequency zero."""
+        return -namespace(self, rate).sum(self._apart(rate) * self.poles(rate).weight).real
 
     def _passed(self, frequency: Float[ArrayLike, ...], rate: float) -> tuple[Any, Any]:
         """Shares of t² and v in t² + v, up to a common factor, neither of which is infinite."""
@@ -298,14 +311,6 @@ class Biquad(_Bilinear):
 
     bandwidth: Value = parameter("f_c", "frequency")
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
-
-    def poles(self, rate: float) -> Poles:
-        return bilinear_poles(self._analog(self._tangent(rate)))
-
-    def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        q = self._analog(self._tangent(rate))
-        xp = namespace(self, rate)
-        return xp.real(xp.sum(-_shares(q) * q**2 / (1.0 - q**2)))
 
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
@@ -327,20 +332,13 @@ class Butterworth(_Bilinear):
     bandwidth: Value = parameter("f_c", "frequency")
     order: int = option(default=2, most=8)
 
-    def poles(self, rate: float) -> Poles:
-        return bilinear_poles(self._analog(self._apart(rate)))
-
-    def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        return 1.0 / (1.0 + (-1.0) ** self.order * self._apart(rate) ** (-2 * self.order))
-
     def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
         passed, stopped = self._passed(frequency, rate)
         return passed**self.order / (passed**self.order + stopped**self.order)
 
     def _apart(self, rate: float) -> Any:
-        """Tangent with which no pole is at 0."""
-        return apart_from_one(self._tangent(rate), self.order)
+        return self._analog(apart_from_one(self._tangent(rate), self.order))
 
     def _analog(self, tangent: Any) -> Any:
         return butterworth_poles(tangent, self.order)

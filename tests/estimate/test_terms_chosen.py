@@ -128,19 +128,19 @@ def test_indistinguishable_are_those_with_odds_shorter_than_twenty():
 
 
 def test_ambiguities_name_what_is_swapped_or_doubtful_with_its_odds():
-    walk = "rate random walk"
+    best = "on gyro_x (probabilities of the best sets:"
     for odds, told in (
         (
             {"NK": 1.0, "NB": 0.5},
-            [f"{walk} or bias instability (probabilities of the best sets: 67 % and 33 %)"],
+            [f"undecided: rate random walk or bias instability {best} 67 % and 33 %)"],
         ),
-        ({"N": 1.0, "NK": 0.5}, [f"{walk} (probabilities of the best sets: 67 % without it, 33 % with it)"]),
-        ({"NK": 1.0, "N": 0.15}, [f"{walk} (probabilities of the best sets: 13 % without it, 87 % with it)"]),
+        ({"N": 1.0, "NK": 0.5}, [f"undecided: rate random walk {best} 67 % without it, 33 % with it)"]),
+        ({"NK": 1.0, "N": 0.15}, [f"undecided: rate random walk {best} 13 % without it, 87 % with it)"]),
         # Improbable, and no ambiguity worth a word.
         ({"N": 1.0, "NK": 0.06}, []),
         ({"N": 1.0, "NK": 0.01}, []),
     ):
-        assert list(by_hand(**odds).ambiguities()) == told
+        assert list(aj.TermSelection("", (by_hand(**odds),)).ambiguities()) == told
 
 
 def test_a_chosen_term_is_doubtful_where_sets_without_it_have_a_share():
