@@ -13,7 +13,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
-from allanjax.inspection.windows import runs
+from allanjax.inspection.windows import Samples, Values, runs
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
@@ -47,7 +47,7 @@ class Spectrum(NamedTuple):
 
 
 def spectral_facts(
-    values: Float[np.ndarray, "n axes"],
+    values: Values,
     rate: float,
     axes: Sequence[Axis],
     held: Collection[str],
@@ -68,7 +68,7 @@ def spectral_facts(
     yield from _lines(spectrum, axes)
 
 
-def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | None:
+def spectrum_of(values: Values, rate: float) -> Spectrum | None:
     """Return the spectrum of samples; None for fewer than 512."""
     size = min(_SEGMENT, 1 << int(np.log2(max(len(values) // _FEWEST, 1))))
     if size < _SHORTEST:
@@ -76,7 +76,7 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
     window = np.hanning(size + 1)[:-1]
     count = 2 * len(values) // size - 1
 
-    def level(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    def level(x: Samples) -> Float[np.ndarray, " m"]:
         segments = np.lib.stride_tricks.sliding_window_view(x, size)[:: size // 2]
         c = rfft((segments - segments.mean(axis=1, keepdims=True)) * window)
         parts = c.view(float).reshape(count, -1, 2)
@@ -138,9 +138,7 @@ def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
     return None
 
 
-def interpolated_from(
-    values: Float[np.ndarray, "n axes"], rate: float, eligible: Bool[np.ndarray, " axes"]
-) -> float | None:
+def interpolated_from(values: Values, rate: float, eligible: Bool[np.ndarray, " axes"]) -> float | None:
     """Return the rate [Hz] of a sensor's samples before they were interpolated; None if they were not.
 
     The variance of interpolated samples is periodic, with minima halfway between two samples of the sensor.

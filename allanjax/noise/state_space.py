@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import ArrayLike, Bool, Float
@@ -23,6 +23,7 @@ from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 # and independent of each other. Where a sample is the mean of a process over its interval, that mean is a
 # state of its own beside the value at the end of the interval: the two share their noise, and R stays zero.
 
+_Square: TypeAlias = Float[np.ndarray, "n n"]
 # Doublings after which the sum for a stationary covariance has converged, or never will.
 _DOUBLINGS = 80
 
@@ -42,10 +43,10 @@ class Block:
         level: which states are random walks, that is, have no stationary law.
     """
 
-    transition: Float[np.ndarray, "n n"]
+    transition: _Square
     observation: Any
-    noise: Float[np.ndarray, "n n"]
-    start: Float[np.ndarray, "n n"]
+    noise: _Square
+    start: _Square
     names: tuple[str, ...]
     white: float = 0.0
     time_exponents: tuple[float, ...] = ()
@@ -124,7 +125,7 @@ def together(blocks: Sequence[Block]) -> Block:
     """Sum of independent blocks: their states side by side."""
     from scipy.linalg import block_diag
 
-    def joined(name: str) -> Float[np.ndarray, "n n"]:
+    def joined(name: str) -> _Square:
         parts = [getattr(b, name) for b in blocks if b.size]
         return block_diag(*parts) if parts else np.zeros((0, 0))
 
@@ -216,11 +217,11 @@ class StateSpace(ByValue, Tabled):
         model: the noise model in words.
     """
 
-    A: Float[np.ndarray, "n n"]
+    A: _Square
     H: Float[np.ndarray, "1 n"]
-    Q: Float[np.ndarray, "n n"]
+    Q: _Square
     R: Float[np.ndarray, "1 1"]
-    P0: Float[np.ndarray, "n n"]
+    P0: _Square
     names: tuple[str, ...]
     units: tuple[str, ...]
     rate: float
