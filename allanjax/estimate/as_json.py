@@ -47,8 +47,6 @@ _NUMBERS = _keys("""unit value std interval_68 interval_95=interval upper_limit_
 _KEYS: Mapping[type, dict[str, str]] = {
     Fit: _keys("""schema_version= allanjax_version= recording= objective converged model= response= curve=
         axes= facts warnings stretch_s=longest_part parts_s=parts notes"""),
-    Fact: _keys("kind text axes consequence size unit spans share"),
-    Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured verdict=word misfit other_misfit coefficients= covariance= selection=
         selection_discrepancy= extension= regression="""),
@@ -66,7 +64,7 @@ def in_json(value: Any) -> Any:
     """A value in types of JSON, which has neither NaN nor infinity: numbers that are not finite are None."""
     if isinstance(value, Estimate):
         return {**_written(value), **in_both_units(value)}
-    if type(value) in _KEYS:
+    if dataclasses.is_dataclass(value):
         return _written(value)
     if isinstance(value, Mapping):
         return {key: in_json(x) for key, x in value.items()}
@@ -77,18 +75,22 @@ def in_json(value: Any) -> Any:
     return finite_or_none(value) if isinstance(value, float) else value
 
 
+def _keys_of(kind: Any) -> Mapping[str, str]:
+    """Keys of a class, by default the names of its fields, and the attribute behind each."""
+    return _KEYS.get(kind) or {field.name: field.name for field in dataclasses.fields(kind)}
+
+
 def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
-    keys = _KEYS[type(of)] if keys is None else keys
+    keys = _keys_of(type(of)) if keys is None else keys
     return {key: in_json(getattr(of, name)) if name else None for key, name in keys.items()}
 
 
 def read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
     """The object of a class from its JSON, and as given what that does not hold; else fields have defaults.
 
-    Null is NaN in a field that cannot be None. Keys are the names of fields unless `_KEYS` has others.
+    Null is NaN in a field that cannot be None.
     """
-    own = _KEYS.get(made) or {field.name: field.name for field in dataclasses.fields(made)}  # type: ignore[arg-type]
-    keys = {name: key for key, name in own.items()}
+    keys = {name: key for key, name in _keys_of(made).items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
         key, kind = keys.get(field.name, ""), str(field.type)
         if field.name in given or key not in document:
