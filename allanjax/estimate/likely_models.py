@@ -8,7 +8,7 @@ The curve of a fit is that of its detected terms; where sets of terms are undeci
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -27,6 +27,9 @@ from allanjax.noise.terms import Markov, basic_terms
 _WIDEST, _TIMES = 1.5, 15
 # Share of further terms in a variance above which it says nothing of others.
 _MOSTLY = 0.5
+
+
+_Times: TypeAlias = Float[np.ndarray, " t"]
 
 
 class FittedAxis(Protocol):
@@ -198,9 +201,7 @@ def _factors(
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
 
 
-def allowed(
-    curve: AllanDeviation, column: int, cluster_time: Float[np.ndarray, " t"]
-) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+def allowed(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_Times, _Times]:
     """Ends of the measured 95 % interval of an axis's Allan deviation; none beyond the measured times [s]."""
     log = np.log(cluster_time)
     own = np.log(curve.cluster_time)
@@ -211,7 +212,7 @@ def allowed(
     return low, high
 
 
-def curve_of(likely: Likely, rate: float, cluster_time: Float[np.ndarray, " t"]) -> Float[np.ndarray, "3 t"]:
+def curve_of(likely: Likely, rate: float, cluster_time: _Times) -> Float[np.ndarray, "3 t"]:
     """Allan deviation that sets of terms state together, and the ends of its 95 % interval.
 
     The lower end is that of the detected terms; the upper one includes those below a limit.

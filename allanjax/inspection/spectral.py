@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,6 +32,9 @@ _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
 _LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
 
 
+_Levels: TypeAlias = Float[np.ndarray, " m"]
+
+
 class Spectrum(NamedTuple):
     """Mean of the periodograms of overlapping segments (Welch 1967), with Hann's window.
 
@@ -41,7 +44,7 @@ class Spectrum(NamedTuple):
         segments: how many independent ones there are.
     """
 
-    frequency: Float[np.ndarray, " m"]
+    frequency: _Levels
     level: Float[np.ndarray, "m axes"]
     segments: float
 
@@ -76,7 +79,7 @@ def spectrum_of(values: Values, rate: float) -> Spectrum | None:
     window = np.hanning(size + 1)[:-1]
     count = 2 * len(values) // size - 1
 
-    def level(x: Samples) -> Float[np.ndarray, " m"]:
+    def level(x: Samples) -> _Levels:
         segments = np.lib.stride_tricks.sliding_window_view(x, size)[:: size // 2]
         c = rfft((segments - segments.mean(axis=1, keepdims=True)) * window)
         parts = c.view(float).reshape(count, -1, 2)
@@ -149,7 +152,7 @@ def interpolated_from(values: Values, rate: float, eligible: Bool[np.ndarray, " 
     x = values[:_LOOKED_AT, eligible]
     second = np.diff(x, 2, axis=0)
     straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
-    total: Float[np.ndarray, " m"] | float = 0.0
+    total: _Levels | float = 0.0
     for own in second.T * np.hanning(len(second)):
         # A line in the samples causes one at twice its frequency in their squares.
         c = rfft(own)
@@ -173,14 +176,14 @@ def interpolated_from(values: Values, rate: float, eligible: Bool[np.ndarray, " 
     return line if straight > _STRAIGHT else rate - line
 
 
-def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+def _around(level: _Levels) -> _Levels:
     """Return the level beside each bin: the geometric mean of the medians on either side, for any slope.
 
     Bins too close to an end have the median of the other side.
     """
     import pandas as pd
 
-    def before(logs: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+    def before(logs: _Levels) -> _Levels:
         beside = pd.Series(logs).shift(_NEAR + 1)
         return beside.rolling(_FAR - _NEAR, min_periods=1).median().to_numpy()
 

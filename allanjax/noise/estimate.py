@@ -6,7 +6,6 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -482,7 +481,7 @@ class AxisReadings(ByValue):
 
     axis: Axis
     estimates: Mapping[str, Estimate | None]
-    reasons: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    reasons: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __getitem__(self, label: str) -> Estimate | None:
         """The estimate of this label, or None."""

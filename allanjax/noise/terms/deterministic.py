@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
@@ -18,6 +18,8 @@ from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, option, parameter
 from allanjax.noise.process import Reals, RealsLike, Samples, in_gauge
 from allanjax.noise.state_space import Block
+
+_Times: TypeAlias = Float[Array | np.ndarray, " n"]
 
 
 class DriftRamp(NoiseTerm):
@@ -41,7 +43,7 @@ class DriftRamp(NoiseTerm):
         xp, f = as_array(frequency, self)
         return self.coefficient**2 / xp.abs(2.0 * np.pi * f) ** 3
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Samples:
+    def column(self, time: _Times) -> Samples:
         return self.sign * namespace(self, time).asarray(time)
 
     def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
@@ -146,7 +148,7 @@ class BiasStep(Transient):
     time: Value = parameter("t_s", "time")
     sign: int = option(1)
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Samples:
+    def column(self, time: _Times) -> Samples:
         return namespace(self, time).where(time >= self.time, 1.0 * self.sign, 0.0)
 
 
@@ -161,7 +163,7 @@ class WarmUp(Transient):
     time_constant: Value = parameter("τ", "time")
     sign: int = option(1)
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Samples:
+    def column(self, time: _Times) -> Samples:
         return self.sign * namespace(self, time).exp(-time / self.time_constant)
 
 
@@ -177,7 +179,7 @@ class ChannelEffect(Transient):
     sign: int = option(1)
     channel: str = eqx.field(static=True, default="")
     reference: Value = 0.0
-    samples: Float[Array | np.ndarray, " n"] | None = None
+    samples: _Times | None = None
     rate: float = eqx.field(static=True, default=0.0)
 
     @property
@@ -189,7 +191,7 @@ class ChannelEffect(Transient):
             return self
         return self.replace(samples=np.asarray(channels[self.channel], float), rate=float(rate))
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Samples:
+    def column(self, time: _Times) -> Samples:
         if self.samples is None:
             raise AllanjaxError(f"{self.name()} needs the samples of {self.channel!r}")
         xp = namespace(self, time)
