@@ -25,7 +25,6 @@ from allanjax.inspection.windows import (
     groups_of,
     mean_squares,
     noise_scores,
-    running_sums,
     runs,
     shortest_half,
     steps_of,
@@ -259,7 +258,8 @@ def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, 
     squares += [((of.step**2).T, np.ones(of.step.shape[1]), 2 * of.lag) for of in steps]
     for square, weight, width in squares:
         # A place counts as touched if one of its windows is in a run.
-        places = running_sums(touched, width) > 0
+        count = np.concatenate([[0], np.cumsum(touched)])
+        places = count[width:] > count[: len(count) - width]
         quiet = ~places & (weight > 0)
         if quiet.sum() < 4:
             continue
@@ -287,7 +287,8 @@ def beside(windows: Windows, run: Run, others: Sequence[Run]) -> tuple[OfAxes, O
         return zero, zero
     # The same difference of means wherever it exists.
     apart, k = run.last - run.first, min(len(left), len(right))
-    level = running_sums(windows.mean, k) / k
+    total = np.concatenate([[zero], np.cumsum(windows.mean, axis=0)])
+    level = (total[k:] - total[:-k]) / k
     usual = level[k + apart :] - level[: len(level) - k - apart]
     scatter = shortest_half(usual.T)[1] if len(usual) > _BESIDE else zero
     return right.mean(axis=0) - left.mean(axis=0), scatter

@@ -284,11 +284,6 @@ def shortest_half(
     return 0.5 * (low + high), (high - low) / _HALF_WIDTH
 
 
-def running_sums(x: Float[np.ndarray, "w ..."], length: int) -> Float[np.ndarray, "places ..."]:
-    """Return sums over so many successive rows, from each row on."""
-    return np.lib.stride_tricks.sliding_window_view(x, length, axis=0).sum(axis=-1)
-
-
 def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
     """Return mean square differences of neighbouring clusters; NaN for windows without any."""
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -330,7 +325,9 @@ def noise_scores(
             continue
         middle = np.median(root[known], axis=0)
         relative = root / np.where(middle > 0.0, middle, np.inf)
-        averaged = running_sums(np.where(np.isfinite(relative), relative, 1.0), length) / length
+        total = np.cumsum(np.where(np.isfinite(relative), relative, 1.0), axis=0)
+        total = np.concatenate([np.zeros((1, total.shape[1])), total])
+        averaged = (total[length:] - total[:-length]) / length
         together = np.stack([averaged[:, g].mean(axis=1) for g in groups])
         # The scatter is no less than that of as many independent differences.
         usual = float(max(np.median(pairs), 1.0))
@@ -349,11 +346,12 @@ def steps_of(
     groups, floor = groups_of(sensors), lattice_power(windows)
     weight = windows.count.astype(float) if left_out is None else windows.count * ~left_out
     mean = windows.mean - windows.mean.mean(axis=0)
+    total = np.concatenate([[0.0 * mean[0]], np.cumsum(weight[:, None] * mean, axis=0)])
+    known = np.concatenate([[0.0], np.cumsum(weight)])
     lag = 1
     while len(windows) >= _FEWEST * lag:
-        count = running_sums(weight, lag)
-        total = running_sums(weight[:, None] * mean, lag)
-        level = total / np.where(count > 0.0, count, np.nan)[:, None]
+        count = known[lag:] - known[:-lag]
+        level = (total[lag:] - total[:-lag]) / np.where(count > 0.0, count, np.nan)[:, None]
         step = (level[lag:] - level[:-lag]).T
         if np.isfinite(step[0]).sum() < _FEWEST:
             return
