@@ -19,6 +19,12 @@ def namespace(*values: Any) -> ModuleType:
     return jax.numpy if any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(values)) else np
 
 
+def as_array(x: Any, *others: Any) -> tuple[ModuleType, Any]:
+    """Namespace of x and other values, see `namespace`, and x as an array of floats in it."""
+    xp = namespace(x, *others)
+    return xp, xp.asarray(x, float)
+
+
 def special_functions(xp: ModuleType) -> ModuleType:
     """Module of special functions, such as `gammaln`, for the arrays of a namespace."""
     if xp is np:

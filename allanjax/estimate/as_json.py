@@ -16,10 +16,9 @@ import numpy as np
 from allanjax.allan.deviation import AllanDeviation
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import finite_or_none
-from allanjax.estimate.likely_models import class_of
 from allanjax.estimate.misfit import Misfit
 from allanjax.estimate.result import AxisFit, Fit, extended_model, fitted_model
-from allanjax.estimate.selection import Averaged, AxisSelection, TermSelection, TermSet
+from allanjax.estimate.selection import AxisSelection, TermSelection, TermSet
 from allanjax.inspection.facts import Fact
 from allanjax.noise.estimate import Estimate, Variation
 from allanjax.noise.model import Model
@@ -48,11 +47,9 @@ _NUMBERS = _keys("""unit value std interval_68 interval_95=interval upper_limit_
 _KEYS: Mapping[type, dict[str, str]] = {
     Fit: _keys("""schema_version= allanjax_version= recording= objective converged model= response= curve=
         axes= facts warnings stretch_s=longest_part parts_s=parts notes"""),
-    Fact: _keys("kind text axes consequence size unit spans share"),
-    Axis: _keys("name sensor unit"),
     AxisFit: _keys("""mean_si=mean rms_si=rms converged dead= reason chi2 dof p_value discrepancy widening
         measured moving not_measured verdict=word misfit other_misfit coefficients= covariance= selection=
-        selection_discrepancy= selection_averaged= extension= regression="""),
+        selection_discrepancy= extension= regression="""),
     Misfit: _keys("""of=curve largest_deviation=largest at at_unit=unit rms_deviation=rms
         octave_deviation=sustained scatter felt_by=felt"""),
     Estimate: _keys("label term symbol kind detected rivals held measured variation") | _NUMBERS,
@@ -60,7 +57,6 @@ _KEYS: Mapping[type, dict[str, str]] = {
     AllanDeviation: _keys("""kind overlapping estimator other_stretches=others cluster_time_s=cluster_time
         cluster_size count deviation= degrees_of_freedom="""),
     TermSet: _keys("terms parameters probability log_evidence chosen= intervals_95_si=intervals"),
-    Averaged: _keys("coefficients= cluster_time_s=cluster_time deviation interval_95=interval"),
 }
 
 
@@ -68,7 +64,7 @@ def in_json(value: Any) -> Any:
     """A value in types of JSON, which has neither NaN nor infinity: numbers that are not finite are None."""
     if isinstance(value, Estimate):
         return {**_written(value), **in_both_units(value)}
-    if type(value) in _KEYS:
+    if dataclasses.is_dataclass(value):
         return _written(value)
     if isinstance(value, Mapping):
         return {key: in_json(x) for key, x in value.items()}
@@ -79,18 +75,22 @@ def in_json(value: Any) -> Any:
     return finite_or_none(value) if isinstance(value, float) else value
 
 
+def _keys_of(kind: Any) -> Mapping[str, str]:
+    """Keys of a class, by default the names of its fields, and the attribute behind each."""
+    return _KEYS.get(kind) or {field.name: field.name for field in dataclasses.fields(kind)}
+
+
 def _written(of: Any, keys: Mapping[str, str] | None = None) -> dict[str, Any]:
-    keys = _KEYS[type(of)] if keys is None else keys
+    keys = _keys_of(type(of)) if keys is None else keys
     return {key: in_json(getattr(of, name)) if name else None for key, name in keys.items()}
 
 
 def read(made: type[_Made], document: Mapping[str, Any], **given: Any) -> _Made:
     """The object of a class from its JSON, and as given what that does not hold; else fields have defaults.
 
-    Null is NaN in a field that cannot be None. Keys are the names of fields unless `_KEYS` has others.
+    Null is NaN in a field that cannot be None.
     """
-    own = _KEYS.get(made) or {field.name: field.name for field in dataclasses.fields(made)}  # type: ignore[arg-type]
-    keys = {name: key for key, name in own.items()}
+    keys = {name: key for key, name in _keys_of(made).items()}
     for field in dataclasses.fields(made):  # type: ignore[arg-type]
         key, kind = keys.get(field.name, ""), str(field.type)
         if field.name in given or key not in document:
@@ -148,9 +148,6 @@ def _axis(result: AxisFit, ranking: AxisSelection | None = None, dead: bool = Fa
     if ranking is not None:
         sets = [{**_written(s), "chosen": s == ranking.chosen} for s in ranking.ranking]
         more |= {"selection": sets, "selection_discrepancy": ranking.discrepancy}
-        if (of := ranking.averaged) is not None:
-            averaged = {**_written(of), "coefficients": in_json(list(of.coefficients.values()))}
-            more["selection_averaged"] = averaged
     if result.own_template is not None and result.plain is not None:
         more["extension"] = {
             **_terms(result.own_template),
@@ -252,7 +249,7 @@ def _fit(document: Mapping[str, Any], classes: _Classes) -> Fit:
     axes, keys = tuple(axis for _, axis in alive), {"deviation": "deviation", "edf": "degrees_of_freedom"}
     known = {name: np.array([curve[key][x.name] for x in axes], float).T for name, key in keys.items()}
     chosen = all(a["selection"] is not None for a, _ in alive)
-    rankings = tuple(_selection(*of_axis, classes) for of_axis in alive) if chosen else ()
+    rankings = tuple(_selection(*of_axis) for of_axis in alive) if chosen else ()
     return read(
         Fit,
         document,
@@ -308,9 +305,9 @@ def _result(a: Mapping[str, Any], axis: Axis, template: Model, classes: _Classes
     )
 
 
-def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Estimate:
+def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis) -> Estimate:
     """Coefficient in SI."""
-    si = c["si"]
+    si, more = c["si"], dict[str, Any]()
     for name, key in (("interval", "interval_95"), ("interval_68", "interval_68")):
         # Without an upper end it extends to infinity; without both there is none.
         low, high = (math.nan if x is None else x for x in si[key])
@@ -322,15 +319,9 @@ def _estimate(c: Mapping[str, Any], p: Parameter, axis: Axis, **more: Any) -> Es
     return read(Estimate, {**c, **si}, axis=axis, parameter=p, **more)
 
 
-def _selection(a: Mapping[str, Any], axis: Axis, classes: _Classes) -> AxisSelection:
-    ranking, averaged = [], None
+def _selection(a: Mapping[str, Any], axis: Axis) -> AxisSelection:
+    ranking = []
     for s in a["selection"]:
         evidence = -math.inf if s["log_evidence"] is None else s["log_evidence"]
         ranking.append(read(TermSet, s, log_evidence=evidence))
-    if of := a.get("selection_averaged"):
-        coefficients = {}
-        for c in of["coefficients"]:
-            parameter = class_of(c["term"], classes).amplitude_parameter()
-            coefficients[c["label"]] = _estimate(c, parameter, axis, source="averaged")
-        averaged = read(Averaged, of, coefficients=coefficients)
-    return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"], averaged)
+    return AxisSelection(axis, tuple(ranking), a["selection_discrepancy"])

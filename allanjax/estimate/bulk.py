@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 _TOGETHER = 64
 # Arrays are padded to a multiple of so many cluster sizes: at octaves, two programs serve all records.
 _CAPACITY = 8
+_Table: TypeAlias = Float[np.ndarray, "axes coefficients"]
+_PerAxis: TypeAlias = Float[np.ndarray, " axes"]
+_Flags: TypeAlias = Bool[np.ndarray, " axes"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -57,17 +60,17 @@ class BulkFit(ByValue, Tabled):
 
     template: Model
     curve: AllanDeviation
-    value: Float[np.ndarray, "axes coefficients"]
-    std: Float[np.ndarray, "axes coefficients"]
-    lower: Float[np.ndarray, "axes coefficients"]
-    upper: Float[np.ndarray, "axes coefficients"]
-    upper_limit: Float[np.ndarray, "axes coefficients"]
+    value: _Table
+    std: _Table
+    lower: _Table
+    upper: _Table
+    upper_limit: _Table
     detected: Bool[np.ndarray, "axes coefficients"]
-    converged: Bool[np.ndarray, " axes"]
-    chi2: Float[np.ndarray, " axes"]
+    converged: _Flags
+    chi2: _PerAxis
     dof: int
-    discrepancy: Float[np.ndarray, " axes"]
-    measured: Bool[np.ndarray, " axes"]
+    discrepancy: _PerAxis
+    measured: _Flags
 
     @property
     def coefficients(self) -> tuple[str, ...]:

@@ -59,6 +59,7 @@ _LENGTHS, _PER_OCTAVE = 40, 32
 _ROUNDS, _LINE = 3, 6.0
 # Characters of a finding that the table has room for; a longer one is cut, and printed in full below.
 _CELL = 71
+_Terms: TypeAlias = Float[np.ndarray, " terms"]
 Trial: TypeAlias = tuple[float, Float[np.ndarray, "terms m"], Float[np.ndarray, " m"]]
 
 
@@ -147,7 +148,7 @@ def _lengths(
 
 def _rough_fit(
     statistics: SpectralStatistics, size: Float[np.ndarray, " m"], columns: Float[np.ndarray, "terms m"]
-) -> tuple[Float[np.ndarray, " terms"], Float[np.ndarray, " terms"], bool]:
+) -> tuple[_Terms, _Terms, bool]:
     """Powers of the terms in the spectrum of an axis, their standard deviations, and whether they fit."""
     level, used = statistics.squares / size, np.ones(len(size))
     # Levels are averaged over neighbours at first, as single ones scatter.
@@ -187,9 +188,7 @@ def trial_lengths(terms: Sequence[NoiseTerm], rate: float, n: int) -> Iterator[T
         yield samples / rate, levels, bins.size.astype(float)
 
 
-def _needed(
-    c: Estimate, k: int, power: Float[np.ndarray, " terms"], fits: bool, trials: Sequence[Trial]
-) -> NeededLength:
+def _needed(c: Estimate, k: int, power: _Terms, fits: bool, trials: Sequence[Trial]) -> NeededLength:
     """How long to record for one coefficient of an axis, given the powers of its detected terms."""
     now, std = trials[0][0], c.std / c.value if c.detected and c.measured else math.nan
     if not c.measured:
@@ -209,8 +208,8 @@ def _needed(
 def length_for(
     target: float,
     std: float,
-    gradient: Float[np.ndarray, " terms"],
-    power: Float[np.ndarray, " terms"],
+    gradient: _Terms,
+    power: _Terms,
     trials: Sequence[Trial],
 ) -> float | None:
     """Length [s] at which the Cramér–Rao bound of a quantity is `target`; None if that is more than a month.

@@ -36,6 +36,7 @@ Samples: TypeAlias = Float[np.ndarray, " n"]
 Cosines: TypeAlias = Float[np.ndarray, " n-1"]
 Peaks: TypeAlias = Sequence[float] | Float[np.ndarray, " peaks"]
 Regressors: TypeAlias = Mapping[str, Samples]
+_Levels: TypeAlias = Float[np.ndarray, " m"]
 InUse: TypeAlias = Bool[np.ndarray, "*axes terms"]
 
 # A line is fitted to so many coefficients on either side; farther away its best fit is subtracted. Those
@@ -194,8 +195,8 @@ class Projection(NamedTuple):
     squares, zero for columns not in use.
     """
 
-    level: Float[np.ndarray, " m"]
-    dof: Float[np.ndarray, " m"]
+    level: _Levels
+    dof: _Levels
     amplitude: Float[np.ndarray, " columns"]
     covariance: Float[np.ndarray, "columns columns"]
 
@@ -215,7 +216,7 @@ class AxisSpectrum(ByValue):
     """
 
     bins: Bins
-    squares: Float[np.ndarray, " m"]
+    squares: _Levels
     cross: Float[np.ndarray, "m columns"]
     gram: Float[np.ndarray, "m columns columns"]
     owners: tuple[str | int, ...]
@@ -277,7 +278,7 @@ class AxisSpectrum(ByValue):
         return cls(bins, sums[:, 0, 0], sums[:, 0, 1:], sums[:, 1:, 1:], owners, lines)
 
     @property
-    def overlap(self) -> Float[np.ndarray, " m"]:
+    def overlap(self) -> _Levels:
         """What products of two lines add to the squares."""
         if len(self.lines) < 2:
             return np.zeros(len(self.squares))
@@ -292,7 +293,7 @@ class AxisSpectrum(ByValue):
         """Which columns are in use if these terms are: theirs, and those of regressors."""
         return np.array([isinstance(owner, str) or active[owner] for owner in self.owners], bool)
 
-    def project(self, variance: Float[np.ndarray, " m"], used: np.ndarray) -> Projection:
+    def project(self, variance: _Levels, used: np.ndarray) -> Projection:
         """Project out the columns in use, given the variance of the noise in each bin."""
         q = len(self.owners)
         amplitude, covariance = np.zeros(q), np.zeros((q, q))

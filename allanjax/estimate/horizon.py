@@ -62,6 +62,7 @@ _MEMORIES, _MARKOV_MEMORIES, _TIMES = 61, 25, 11
 # Filters whose true error exceeds the smallest one by more than this factor are not chosen.
 _WORSE = 1.1
 _QUANTILES = (0.025, 0.975, 0.16, 0.84)
+_Times: TypeAlias = Float[np.ndarray, " t"]
 _Noise: TypeAlias = tuple[Axis, Mapping[str, Estimate], Model, Sequence[Likely]]
 
 
@@ -73,7 +74,7 @@ class _Filters:
     """
 
     @np.errstate(invalid="ignore")
-    def __init__(self, pairs: Float[np.ndarray, "g 2"], steps: Float[np.ndarray, " t"], rate: float) -> None:
+    def __init__(self, pairs: Float[np.ndarray, "g 2"], steps: _Times, rate: float) -> None:
         """Filters of these memories and correlation times [s]."""
         self.steps, self.rate = steps, rate
         self.memory, self.time = pairs.T
@@ -169,11 +170,11 @@ class AxisHorizon(ByValue):
     bounding_time: float
     raw_white: float
     raw_walk: float
-    time: Float[np.ndarray, " t"]
-    error: Float[np.ndarray, " t"]
-    raw_error: Float[np.ndarray, " t"]
-    raw_prediction: Float[np.ndarray, " t"]
-    bound: Float[np.ndarray, " t"]
+    time: _Times
+    error: _Times
+    raw_error: _Times
+    raw_prediction: _Times
+    bound: _Times
     shares: Mapping[str, float]
     sets: int = 1
 

@@ -8,7 +8,7 @@ The curve of a fit is that of its detected terms; where sets of terms are undeci
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,6 +29,9 @@ _WIDEST, _TIMES = 1.5, 15
 _MOSTLY = 0.5
 
 
+_Times: TypeAlias = Float[np.ndarray, " t"]
+
+
 class FittedAxis(Protocol):
     """What is needed of the fit of an axis (`AxisFit`)."""
 
@@ -38,8 +41,6 @@ class FittedAxis(Protocol):
     def coefficients(self) -> Mapping[str, Estimate]: ...
     @property
     def covariance(self) -> Float[np.ndarray, "params params"]: ...
-    @property
-    def own_template(self) -> Model | None: ...
 
 
 # Terms among which a fit chooses.
@@ -200,9 +201,7 @@ def _factors(
     return np.exp(rng.multivariate_normal(np.zeros(len(scale)), covariance * np.outer(scale, scale), draws))
 
 
-def allowed(
-    curve: AllanDeviation, column: int, cluster_time: Float[np.ndarray, " t"]
-) -> tuple[Float[np.ndarray, " t"], Float[np.ndarray, " t"]]:
+def allowed(curve: AllanDeviation, column: int, cluster_time: _Times) -> tuple[_Times, _Times]:
     """Ends of the measured 95 % interval of an axis's Allan deviation; none beyond the measured times [s]."""
     log = np.log(cluster_time)
     own = np.log(curve.cluster_time)
@@ -213,7 +212,7 @@ def allowed(
     return low, high
 
 
-def curve_of(likely: Likely, rate: float, cluster_time: Float[np.ndarray, " t"]) -> Float[np.ndarray, "3 t"]:
+def curve_of(likely: Likely, rate: float, cluster_time: _Times) -> Float[np.ndarray, "3 t"]:
     """Allan deviation that sets of terms state together, and the ends of its 95 % interval.
 
     The lower end is that of the detected terms; the upper one includes those below a limit.

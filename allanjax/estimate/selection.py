@@ -1,8 +1,4 @@
-"""The choice of noise terms: every subset of the candidates, ranked by its evidence, and their average.
-
-For the average, sets are drawn by their probabilities, and the logarithms of their powers from the normal law
-at the maximum of their likelihood: where the data cannot distinguish two terms, the drift may be known.
-"""
+"""The choice of noise terms: every subset of the candidates, ranked by its evidence."""
 
 from __future__ import annotations
 
@@ -19,36 +15,27 @@ from allanjax.base.chi_squared import beyond_doubt
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError, FitError
 from allanjax.base.normal import TWO_SIDED_95
-from allanjax.base.tables import Column, Number, PerAxis, column, columns_from, tables_of
-from allanjax.base.wording import duration, percent, plain
+from allanjax.base.tables import Column, PerAxis, columns_from
+from allanjax.base.wording import percent, plain
 from allanjax.estimate.design import correlation_times, model_to_fit
 from allanjax.estimate.evidence import Ramps, TermSets, evidence, information, term_sets
-from allanjax.estimate.inference import estimate_of
 from allanjax.estimate.spectral.components import columns_of
 from allanjax.estimate.spectral.fit import chi_squared, error_of_powers, share_with_error
 from allanjax.inspection import inspect
 from allanjax.inspection.facts import Fact, warnings_of
-from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
+from allanjax.noise.estimate import SYMBOLS, title_of
 from allanjax.noise.model import Model
 from allanjax.noise.notation import ModelLike
 from allanjax.noise.terms import DriftRamp, Markov, basic_terms
 from allanjax.record.io.given import RecordingLike, as_recording
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SENSORS, Sensor, default_coefficient_unit, unit_scale
 from allanjax.spectrum.cosine import Bins, Part, SpectralStatistics, joint_statistics
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Number of draws of sets and powers, and the shortest cluster of the drift, in samples.
-_DRAWS, _SHORTEST = 2000, 10
-# Number of decades of the cluster time, from 1 s on, at which the drift is printed.
-_DECADES = 7
 # Standard deviation, in ln, of a power that the data hardly determine.
 _WIDEST = 1.5
-# Probability, relative to the best set's, below which sets are not drawn.
-_IMPROBABLE = 1e-4
-_QUANTILES = (0.5, 0.025, 0.975, 0.16, 0.84, 0.95)
 # Bayes factors of the best set below which another cannot be distinguished (Kass & Raftery 1995: 20 is
 # "strong"), and below which a fit takes the other if it is simpler.
 _ODDS, _PARSIMONY = 20.0, 5.0
@@ -61,29 +48,6 @@ _ROUNDS = 2
 _SHORT = 1 << 13
 # Sets more nats than this behind the best one are not tried with a second free time.
 _FAR = 7.0
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Averaged(ByValue):
-    """Coefficients and drift averaged over sets of noise terms.
-
-    Attributes:
-        coefficients: the candidates' amplitudes by label: median and intervals over all sets, including those
-            without the term. A term is detected if zero has a probability below 2.5 %.
-        cluster_time: cluster times [s], octaves from ten samples to a quarter of the record.
-        deviation: median Allan deviation of the noise there [rad/s or m/s²].
-        interval: its 95 % interval (m, 2).
-    """
-
-    coefficients: Mapping[str, Estimate]
-    cluster_time: Float[np.ndarray, " m"]
-    deviation: Float[np.ndarray, " m"]
-    interval: Float[np.ndarray, "m 2"]
-
-    def at(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Deviation and the ends of its interval at a cluster time [s]; nan where there is none."""
-        curves, log_time = np.log([self.deviation, *self.interval.T]), np.log(self.cluster_time)
-        return np.exp([np.interp(np.log(time), log_time, y, np.nan, np.nan) for y in curves])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,14 +85,12 @@ class AxisSelection(ByValue):
     Attributes:
         axis, ranking: the axis, and all sets, the most probable first.
         discrepancy: relative error of the best set's root spectrum that explains its misfit; 0 if it fits.
-        averaged: coefficients and drift averaged over all sets.
         spectrum: what was ranked; None for a selection from a file.
     """
 
     axis: Axis
     ranking: tuple[TermSet, ...]
     discrepancy: float
-    averaged: Averaged | None = None
     spectrum: tuple[Bins, SpectralStatistics] | None = dataclasses.field(default=None, compare=False)
 
     @property
@@ -210,10 +172,6 @@ class AxisSelection(ByValue):
                 found.append((titles[0], "{} without it, {} with it", one.probability, two.probability))
         return tuple(found[:3])
 
-    def ambiguities(self) -> tuple[str, ...]:
-        """What the data leave undecided, in words, the most probable first."""
-        return tuple(_in_words(text, words, [one], [two]) for text, words, one, two in self.undecided())
-
     def to_dataframe(self) -> pd.DataFrame:
         """Table with one row per set; log-evidences are relative to the best set [nats]."""
         import pandas as pd
@@ -280,7 +238,7 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
         return "noise terms by evidence"
 
     def _tables(self) -> list[list[Column]]:
-        """The sets with their probabilities, and the averaged drift at 1, 10, 100, … s."""
+        """The sets with their probabilities."""
         rows = []
         for axis in self.results:
             close, chosen = len(axis.indistinguishable), axis.chosen
@@ -290,24 +248,13 @@ class TermSelection(ByValue, PerAxis[AxisSelection]):
                 behind = f"{axis.best.log_evidence - s.log_evidence:.1f}"
                 rows.append((axis.axis.name, terms, f"{100.0 * s.probability:.1f}", behind, verdict))
         heads = ("axis", "noise terms", "probability (%)", "nats behind", "verdict")
-        return [columns_from(heads, rows), *(t for sensor in SENSORS for t in self._drifts(sensor))]
-
-    def _drifts(self, sensor: Sensor) -> list[list[Column]]:
-        drifts = {r.axis.name: r.averaged for r in self.results if r.averaged and r.axis.sensor == sensor}
-        unit, columns = default_coefficient_unit(sensor, 0.0), []
-        for time in 10.0 ** np.arange(_DECADES):
-            drift = [drift.at(time) / unit_scale(unit, sensor) for drift in drifts.values()]
-            if np.isfinite(drift).any():
-                numbers = [Number(x, (high - low) / 2.0 / TWO_SIDED_95) for x, low, high in drift]
-                columns.append(column(f"σ at {duration(time)}", unit, numbers))
-        return tables_of([Column("axis", list(drifts))], [], columns) if columns else []
+        return [columns_from(heads, rows)]
 
     def _notes(self) -> list[str]:
         terms = {t for axis in self.results for s in axis.ranking for t in s.terms}
         sensor = self.results[0].axis.sensor
         names = [f"{symbol}: {title_of(term, sensor)}" for term, symbol in SYMBOLS.items() if term in terms]
-        drift = "σ: Allan deviation averaged over all sets by their probabilities, ± 1σ"
-        return [", ".join(names), drift]
+        return [", ".join(names)]
 
 
 def select_terms(
@@ -422,9 +369,9 @@ class Candidates(NamedTuple):
 
     A set has a place for each of the `plain` terms without a free shape, and for each term with a free time;
     `owner` is the term of each place. The columns, of unit amplitude, are of the plain terms, and of the
-    term with a free time at the times of a grid: `levels` [rate²] in the bins, and Allan `variances` at
-    octaves of the cluster `time` [s]. `ramp` is the index of the ramp, if there is one; `size` the number of
-    coefficients in each bin, multiplied by the share of their weight that it keeps.
+    term with a free time at the times of a grid: `levels` [rate²] in the bins. `ramp` is the index of the
+    ramp, if there is one; `size` the number of coefficients in each bin, multiplied by the share of their
+    weight that it keeps.
     """
 
     model: Model
@@ -433,8 +380,6 @@ class Candidates(NamedTuple):
     plain: int
     owner: Int[np.ndarray, " places"]
     levels: Float[np.ndarray, "columns m"]
-    time: Float[np.ndarray, " t"]
-    variances: Float[np.ndarray, "columns t"]
     size: Float[np.ndarray, " m"]
     statistics: Any = None
 
@@ -447,12 +392,9 @@ class Candidates(NamedTuple):
             times = correlation_times(bins.n / bins.rate, bins.rate)
             name = next(p.name for p in term.parameters()[1:] if term.is_free(p))
             units += [term.replace(**{name: float(time)}) for time in times]
-        octaves = np.log2(max(bins.n / 4.0 / _SHORTEST, 1.0))
-        time = _SHORTEST / bins.rate * 2.0 ** np.arange(np.floor(octaves) + 1.0)
-        variances = np.array([term.with_unit_amplitude().allan_variance(time) for term in units])
-        ramp, owner, size = ramps[0] if ramps else None, np.array(fixed + shaped), bins.size.astype(float)
+        ramp, owner = ramps[0] if ramps else None, np.array(fixed + shaped)
         levels = columns_of(units, bins).mean(axis=1)
-        return cls(model, bins, ramp, len(fixed), owner, levels, time, variances, size)
+        return cls(model, bins, ramp, len(fixed), owner, levels, bins.size.astype(float))
 
     @property
     def sets(self) -> TermSets:
@@ -473,7 +415,7 @@ class Candidates(NamedTuple):
         return TermSets(columns, np.c_[rows[:, :-1], np.ones((len(rows), 2), bool)], rows[:, -1])
 
     def ranked_for(self, axis: Axis) -> AxisSelection:
-        """Ranking of the sets, and their average."""
+        """Ranking of the sets."""
         weighed, found, error = self, self.sets, 0.0
         # Where all terms together do not fit, whatever their time, no set with a time is used.
         every = found.of(found.used.all(axis=1))
@@ -510,14 +452,10 @@ class Candidates(NamedTuple):
             known = weighed.intervals(best) if behind > -np.log(_ODDS) else {}
             names = tuple(itertools.compress(labels, sets[k]))
             ranking.append(TermSet(names, int(free @ sets[k]), behind, float(probability[k]), known))
-        averaged = weighed.averaged(axis, found, np.exp(each - np.logaddexp.reduce(total)))
-        return AxisSelection(axis, tuple(ranking), error / 2.0, averaged, (self.bins, self.statistics))
+        return AxisSelection(axis, tuple(ranking), error / 2.0, (self.bins, self.statistics))
 
     def evidence(self, sets: TermSets) -> TermSets:
         return evidence(sets, self.levels, self.statistics, self.size)
-
-    def ramps(self, found: TermSets) -> Ramps:
-        return Ramps(self.statistics.cross, self.statistics.gram, found.ramp)
 
     def mean(self, found: TermSets) -> Float[np.ndarray, "sets m"]:
         """Expected levels of sets at the maxima of their likelihoods."""
@@ -527,53 +465,23 @@ class Candidates(NamedTuple):
         """Relative error that makes the best set fit; 0 if it does."""
         best = found.of([np.argmax(found.log_evidence)])
         level, mean = self.statistics.squares / self.size, self.mean(best)
-        level, shape, _ = self.ramps(best).removed(level, self.size / 2.0, mean)
+        ramps = Ramps(self.statistics.cross, self.statistics.gram, best.ramp)
+        level, shape, _ = ramps.removed(level, self.size / 2.0, mean)
         ratio, dof, degrees = (level / mean)[0], 2.0 * shape[0], max(len(self.size) - 3.0, 1.0)
         if chi_squared(ratio, dof) <= beyond_doubt(degrees):
             return 0.0
         return error_of_powers(ratio, dof, self.bins.per_octave(), degrees)
 
-    def covariance(self, found: TermSets) -> Float[np.ndarray, "sets places places"]:
-        """Covariance of the logarithms of the powers of sets."""
-        F = information(self.levels[found.columns], self.mean(found), self.size / 2.0)
-        F *= found.power[:, :, None] * found.power[:, None]
-        # A power that few coefficients determine is as likely half as large as twice as large.
-        return np.linalg.inv(F + np.eye(len(F[0])) / _WIDEST**2)
-
     def intervals(self, best: TermSets) -> dict[str, tuple[float, float]]:
         """95 % interval of each amplitude of a set but the ramp's, by its label."""
         labels = {p.term: p.label for p in self.model.parameters if p.parameter.is_amplitude}
-        value, spread = np.sqrt(best.power[0]), np.sqrt(np.diag(self.covariance(best)[0])) / 2.0
-        ends = value * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
+        power, mean = best.power[0], self.mean(best)[0]
+        F = information(self.levels[best.columns[0]], mean, self.size / 2.0) * np.outer(power, power)
+        # A power that few coefficients determine is as likely half as large as twice as large.
+        spread = np.sqrt(np.diag(np.linalg.inv(F + np.eye(len(F)) / _WIDEST**2))) / 2.0
+        ends = np.sqrt(power) * np.exp(TWO_SIDED_95 * np.array([-spread, spread]))
         every = zip(self.owner.tolist(), *ends.tolist(), strict=True)
         return {labels[k]: (low, high) for k, low, high in every if high > 0.0}
-
-    def averaged(self, axis: Axis, found: TermSets, probability: Float[np.ndarray, " sets"]) -> Averaged:
-        """Average over the sets, drawn by their probabilities."""
-        rng = np.random.default_rng(0)
-        likely = probability > _IMPROBABLE * probability.max()
-        found, weight = found.of(likely), probability[likely] / probability[likely].sum()
-        drawn = np.repeat(np.arange(len(weight)), rng.multinomial(_DRAWS, weight))
-        root = np.linalg.cholesky(self.covariance(found))[drawn]
-        log = root @ rng.standard_normal((_DRAWS, len(self.owner), 1))
-        power, squares = found.power[drawn] * np.exp(log[..., 0]), np.zeros((_DRAWS, len(self.model)))
-        squares[:, self.owner] = power
-        variance = np.einsum("dp,dpt->dt", power, self.variances[found.columns[drawn]])
-        if self.ramp is not None:
-            slope, precision = (x[drawn] for x in self.ramps(found).slope(self.mean(found)))
-            slope += rng.standard_normal(_DRAWS) / np.sqrt(precision)
-            squares[:, self.ramp] = np.where(found.ramp[drawn], slope**2, 0.0)
-            # A ramp of R per second has σ² = R²T²/2 (4.56).
-            variance += np.outer(squares[:, self.ramp], self.time**2 / 2.0)
-        middle, *ends = np.quantile(np.sqrt(variance), _QUANTILES[:3], axis=0)
-        amplitudes = (p for p in self.model.parameters if p.parameter.is_amplitude)
-        coefficients = {}
-        for p in amplitudes:
-            draws = np.sqrt(squares[:, p.term])
-            median, *limits = np.quantile(draws, _QUANTILES).tolist()
-            of_draws = median, float(draws.std()), limits, limits[0] > 0.0
-            coefficients[p.label] = estimate_of(p, axis, *of_draws, source="averaged")
-        return Averaged(coefficients, self.time, middle, np.stack(ends, axis=1))
 
 
 def _sorted_terms(model: Model) -> tuple[list[int], list[int], list[int]]:

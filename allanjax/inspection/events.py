@@ -10,15 +10,17 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Consequence, Fact, amount, grid, listed, seconds, span
 from allanjax.inspection.levels import Levels
 from allanjax.inspection.windows import (
     LENGTHS,
+    OfAxes,
     Scores,
     Steps,
+    WhichWindows,
     Windows,
     groups_of,
     mean_squares,
@@ -84,8 +86,23 @@ _REMEDY = (
     "select a part with --start and --stop (start=, stop=, .between), use all samples with --as-is "
     "(as_is=True), or run allanjax critique for the causes"
 )
-# Kinds of events in the order in which they are reported.
-_KINDS = ("noisier", "quieter", "silent", "warm-up", "step", "shift", "knock", "spike")
+# Clauses about one event and about several: of another noise, and at an instant; of each kind, in the order
+# in which they are reported.
+_NOISE = "{spans} is {ratio} {kind} than the rest", "{spans} are {ratio} {kind} than the rest"
+_INSTANT = "a {kind} of {size} at {places} ({axis})", "{count} {kind}s of up to {size} ({axis}) at {places}"
+_CLAUSES = {
+    "noisier": _NOISE,
+    "quieter": _NOISE,
+    "silent": ("{axis} does not change at all in {spans}",) * 2,
+    "warm-up": ("warm-up drift until {end} s ({axis} starts {size} off)",) * 2,
+    "step": _INSTANT,
+    "shift": ("{axis} shifts by {size} in {spans}", "the mean shifts by up to {size} ({axis}) in {spans}"),
+    "knock": _INSTANT,
+    "spike": (
+        "an outlying sample {size} off at {places} ({axis})",
+        "{count} outlying samples of up to {size} off ({axis}) at {places}",
+    ),
+}
 
 #: Samples by axis name: ranges from the first index up to but not including the last.
 Places = Mapping[str, tuple[tuple[int, int], ...]]
@@ -138,7 +155,7 @@ def unusual(windows: Windows, sensors: Sequence[str]) -> list[Run]:
     return _merged(sorted(disturbed + moved, key=lambda s: s.first))
 
 
-def touched_by(windows: Windows, disturbed: Sequence[Run]) -> Bool[np.ndarray, " w"]:
+def touched_by(windows: Windows, disturbed: Sequence[Run]) -> WhichWindows:
     """Return which windows are in one of these runs."""
     touched = np.zeros(len(windows), bool)
     for s in disturbed:
@@ -146,7 +163,7 @@ def touched_by(windows: Windows, disturbed: Sequence[Run]) -> Bool[np.ndarray, "
     return touched
 
 
-def _runs(scores: Sequence[Scores], length: int, unusual: Bool[np.ndarray, " w"]) -> list[tuple[int, int]]:
+def _runs(scores: Sequence[Scores], length: int, unusual: WhichWindows) -> list[tuple[int, int]]:
     """Return runs of windows with a score beyond the threshold, extended by neighbours beyond a lower one.
 
     Beside windows that are known to be unusual, the threshold is lower.
@@ -259,9 +276,7 @@ def effects_of(windows: Windows, disturbed: Sequence[Run]) -> Float[np.ndarray, 
     return effects
 
 
-def beside(
-    windows: Windows, run: Run, others: Sequence[Run]
-) -> tuple[Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
+def beside(windows: Windows, run: Run, others: Sequence[Run]) -> tuple[OfAxes, OfAxes]:
     """Change of the mean across a run, and its usual scatter; zero at the ends of the record."""
     before = max([s.last for s in others if s.last <= run.first], default=0)
     after = min([s.first for s in others if s.first >= run.last], default=len(windows))
@@ -432,7 +447,7 @@ def _levels(
     The typical ones are from the windows outside all events, or from all windows if there are none.
     """
 
-    def level(rows: slice | Bool[np.ndarray, " w"]) -> Float[np.ndarray, "scales axes"]:
+    def level(rows: slice | WhichWindows) -> Float[np.ndarray, "scales axes"]:
         return windows.power[:, rows].sum(axis=1) / np.maximum(windows.pairs[:, rows].sum(axis=1), 1)[:, None]
 
     untouched = ~touched_by(windows, events)
@@ -523,7 +538,7 @@ class Treatment:
 
     def describe(self, events: Sequence[Event]) -> str:
         """Events in words, e.g. "0–5 s is 9 times noisier than the rest, a step of 1 deg/s at 9 s"."""
-        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _KINDS]
+        by_kind = [(kind, [e for e in events if e.kind == kind]) for kind in _CLAUSES]
         return ", ".join(self._clause(kind, of) for kind, of in by_kind if of)
 
     @property
@@ -595,27 +610,20 @@ class Treatment:
         # Time spans, rounded; outwards if the rounded ends were the same.
         ends = [(e.first / self.rate / step, e.last / self.rate / step) for e in events]
         ends = [x if round(x[0]) != round(x[1]) else (np.floor(x[0]), np.ceil(x[1])) for x in ends]
-        places = listed([span(step * first, step * last, step) for first, last in ends])
+        middles = [seconds(0.5 * (e.first + e.last) / self.rate, step) for e in events]
         largest = max(events, key=lambda e: abs(e.size))
         axis = self.axes[largest.axis]
-        size = amount(abs(largest.size), axis)
-        if kind in ("noisier", "quieter"):
-            # Two digits, or three where it is near one.
-            ratio = f"{plain(largest.size, 2 if largest.size >= 2.0 else 3)} times"
-            much = "far" if largest.size > _FAR else ratio
-            return f"{places} {'is' if len(events) == 1 else 'are'} {much} {kind} than the rest"
-        if kind == "silent":
-            return f"{axis.name} does not change at all in {places}"
-        if kind == "warm-up":
-            until = seconds(events[-1].last / self.rate, step)
-            return f"warm-up drift until {until} s ({axis.name} starts {size} off)"
-        if kind == "shift":
-            if len(events) == 1:
-                return f"{axis.name} shifts by {size} in {places}"
-            return f"the mean shifts by up to {size} ({axis.name}) in {places}"
-        middles = listed([f"{seconds(0.5 * (e.first + e.last) / self.rate, step)} s" for e in events])
-        noun, off = ("outlying sample", " off") if kind == "spike" else (kind, "")
-        if len(events) > 1:
-            return f"{len(events)} {noun}s of up to {size}{off} ({axis.name}) at {middles}"
-        a, of = ("an", "") if kind == "spike" else ("a", "of ")
-        return f"{a} {noun} {of}{size}{off} at {middles} ({axis.name})"
+        # Two digits, or three where it is near one.
+        ratio = f"{plain(largest.size, 2 if largest.size >= 2.0 else 3)} times"
+        one, several = _CLAUSES[kind]
+        clause = one if len(events) == 1 else several
+        return clause.format(
+            kind=kind,
+            spans=listed([span(step * first, step * last, step) for first, last in ends]),
+            places=listed([f"{middle} s" for middle in middles]),
+            end=seconds(events[-1].last / self.rate, step),
+            ratio="far" if largest.size > _FAR else ratio,
+            size=amount(abs(largest.size), axis),
+            axis=axis.name,
+            count=len(events),
+        )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -65,10 +65,6 @@ class Fact(ByValue):
     def grave(self) -> bool:
         """Whether the coefficients of the affected axes are not a measurement of the sensor."""
         return self.consequence == NOT_A_MEASUREMENT
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fact in types of JSON."""
-        return dataclasses.asdict(self) | {"axes": list(self.axes), "spans": [list(x) for x in self.spans]}
 
 
 def ordered(facts: Iterable[Fact]) -> tuple[Fact, ...]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.equality import ByValue
@@ -30,7 +30,18 @@ from allanjax.inspection.plausible import (
     temperatures,
 )
 from allanjax.inspection.spectral import spectral_facts
-from allanjax.inspection.windows import Windows, mean_squares, motion_warning, motions, rms_within, runs
+from allanjax.inspection.windows import (
+    OfAxes,
+    Samples,
+    Values,
+    Which,
+    Windows,
+    mean_squares,
+    motion_warning,
+    motions,
+    rms_within,
+    runs,
+)
 from allanjax.record.completion import bridged, completed
 from allanjax.record.recording import Axis, DeadAxis, Recording
 from allanjax.record.units import rate_unit_of
@@ -77,8 +88,8 @@ class Inspection(ByValue):
     rate: float
     n: int
     axes: tuple[Axis, ...]
-    mean: Float[np.ndarray, " axes"]
-    rms: Float[np.ndarray, " axes"]
+    mean: OfAxes
+    rms: OfAxes
     parts: tuple[tuple[float, float], ...]
     lost: Places
     refusal: str
@@ -86,8 +97,8 @@ class Inspection(ByValue):
     notes: tuple[str, ...]
     events: tuple[Event, ...]
     left_out: str
-    steps: Float[np.ndarray, " axes"]
-    added_noise: Float[np.ndarray, " axes"]
+    steps: OfAxes
+    added_noise: OfAxes
 
     @property
     def longest_part(self) -> tuple[float, float] | None:
@@ -144,7 +155,7 @@ class Inspection(ByValue):
             f"{span(*self.longest_part, grid(self.n / self.rate))} again with start={start}, stop={stop} "
             f"(--start {start} --stop {stop}), or use all samples with as_is=True (--as-is)"
         )
-        facts = [fact for fact in self.facts if not fact.text.startswith(self.left_out)]
+        facts = [f for f in self.facts if f.kind != "disturbances" or f.consequence != "none"]
         names = tuple(axis.name for axis in self.axes)
         refused = Fact("disturbances", f"no coefficients: {refusal}", names, "not a measurement")
         return dataclasses.replace(self, parts=(), refusal=refusal, facts=ordered([*facts, refused]))
@@ -207,7 +218,7 @@ def look(
     vibrating: bool = False,
     may_move: bool = False,
     recording: Recording | None = None,
-    spikes: Sequence[Bool[np.ndarray, " n"]] = (),
+    spikes: Sequence[Which] = (),
     ends: Ends | None = None,
     dead: Sequence[DeadAxis] = (),
 ) -> Inspection:
@@ -293,9 +304,9 @@ def _of_samples(
     recording: Recording,
     part: Windows,
     longest: tuple[float, float] | None,
-    spikes: Sequence[Bool[np.ndarray, " n"]],
+    spikes: Sequence[Which],
     lost: Places,
-) -> tuple[list[Fact], Float[np.ndarray, " axes"], Float[np.ndarray, " axes"]]:
+) -> tuple[list[Fact], OfAxes, OfAxes]:
     """Facts from the samples themselves; the step, and the rms of added white noise, of each axis."""
     rows = slice(*((0, recording.n) if longest is None else (round(t * recording.rate) for t in longest)))
     values, drawn = recording.values[rows].T, _drawn(recording)[rows].T
@@ -328,9 +339,7 @@ def _of_samples(
     return [*facts, *single], steps, added_noise
 
 
-def _bridged(
-    values: Float[np.ndarray, "n axes"], where: Sequence[Bool[np.ndarray, " n"]]
-) -> Float[np.ndarray, "n axes"]:
+def _bridged(values: Values, where: Sequence[Which]) -> Values:
     """Return the samples of all axes with those at `where` interpolated."""
     if not any(at.any() for at in where):
         return values
@@ -351,7 +360,7 @@ def _drawn(recording: Recording) -> Bool[np.ndarray, "n axes"]:
     return np.zeros_like(recording.values, bool) if recording.missing is None else recording.missing
 
 
-def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _spikes(x: Samples, drawn: Which) -> Which:
     """Return isolated outliers of an axis that change its Allan variance by more than its own error."""
     at = spikes_in(x) & ~drawn
     without = bridged(x, at)
@@ -359,14 +368,12 @@ def _spikes(x: Float[np.ndarray, " n"], drawn: Bool[np.ndarray, " n"]) -> Bool[n
     return np.zeros_like(at) if _is_trifle(float(off @ off) / len(x), without) else at
 
 
-def _is_trifle(variance: float, x: Float[np.ndarray, " n"]) -> bool:
+def _is_trifle(variance: float, x: Samples) -> bool:
     """Return whether additional variance changes the Allan variance by less than its own error."""
     return variance <= max(TRIFLE, np.sqrt(2.0 / len(x))) * np.mean(np.diff(x) ** 2) / 2.0
 
 
-def _spike_facts(
-    recording: Recording, without: Float[np.ndarray, "n axes"], spikes: Sequence[Bool[np.ndarray, " n"]]
-) -> Iterator[Fact]:
+def _spike_facts(recording: Recording, without: Values, spikes: Sequence[Which]) -> Iterator[Fact]:
     """Yield facts about isolated outliers that are left out."""
     for axis, x, calm, at in zip(recording.axes, recording.values.T, without.T, spikes, strict=True):
         if not at.any():
@@ -390,7 +397,7 @@ def _completed(recording: Recording, lost: Bool[np.ndarray, "n axes"]) -> Record
     return dataclasses.replace(recording, values=completed(recording.values, missing), missing=missing)
 
 
-def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def spikes_in(x: Samples) -> Which:
     """Return which samples are isolated outliers, up to three close together; none if there are too many.
 
     An outlier is far both from the mean of its two neighbours and from the median of the seven samples around
@@ -408,7 +415,7 @@ def spikes_in(x: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     return far if far.mean() <= _MOST else np.zeros_like(far)
 
 
-def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
+def outliers_of(x: Samples, step: float) -> tuple[int, float]:
     """Return the number of samples beyond Gaussian noise, and the variance that they add.
 
     Both are zero if chance explains the number. Deviations up to a rounding `step` do not count.
@@ -420,7 +427,7 @@ def outliers_of(x: Float[np.ndarray, " n"], step: float) -> tuple[int, float]:
     return len(beyond), float(np.sum(beyond**2 - 1.0)) * scale**2 / len(x)
 
 
-def _distances(x: Float[np.ndarray, " n"]) -> tuple[Float[np.ndarray, " n"], float]:
+def _distances(x: Samples) -> tuple[Samples, float]:
     """Return distances from the mean of the two neighbours in robust standard deviations, and that deviation.
 
     Distances are zero if many samples equal that mean: the output is rounded, and its steps are not outliers.

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from allanjax.inspection.windows import Windows, lattice_power, runs
+from allanjax.inspection.windows import OfAxes, WhichWindows, Windows, lattice_power, runs
 
 # Length [s] of the stretches that are compared, as a share of the record at most, and their fewest samples.
 _STRETCH, _SHARE, _SAMPLES = 1.0, 1.0 / 240.0, 64
@@ -52,7 +52,7 @@ class Levels(NamedTuple):
         doubt: why the quiet part may not be the sensor at rest, in words; "" if it is.
     """
 
-    loud: Bool[np.ndarray, " w"]
+    loud: WhichWindows
     ratio: float
     axis: int
     doubt: str
@@ -98,7 +98,7 @@ def levels_of(windows: Windows, rate: float) -> Levels | None:
 
 
 def _mean(
-    power: Float[np.ndarray, ...], pairs: Float[np.ndarray, ...], floor: Float[np.ndarray, " axes"]
+    power: Float[np.ndarray, ...], pairs: Float[np.ndarray, ...], floor: OfAxes
 ) -> Float[np.ndarray, ...]:
     """Mean square differences, with what rounding may cause."""
     return power / np.maximum(pairs, 1) + floor + 1e-300

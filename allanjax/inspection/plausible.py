@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from allanjax.base.earth import STANDARD_GRAVITY as _G
 from allanjax.base.wording import duration, plain
 from allanjax.inspection.facts import Consequence, Fact, amount
-from allanjax.inspection.windows import AT_REST, DEG, Windows, rms_within
+from allanjax.inspection.windows import AT_REST, DEG, OfAxes, Samples, Values, Windows, rms_within
 from allanjax.record.completion import widening
 from allanjax.record.io.timestamps import format_jitter
 from allanjax.record.recording import Axis, DeadAxis, Recording, scales_of
@@ -78,9 +78,9 @@ _CHANCE = 0.01
 def implausible(
     axes: Sequence[Axis],
     rate: float,
-    mean: Float[np.ndarray, " axes"],
+    mean: OfAxes,
     white: Float[np.ndarray, "scales axes"],
-    auxiliary: Mapping[str, Float[np.ndarray, " n"]],
+    auxiliary: Mapping[str, Samples],
     moving: Collection[str] = (),
     vibrating: bool = False,
 ) -> list[Fact]:
@@ -119,9 +119,7 @@ def accelerometers(axes: Sequence[Axis]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _accel(
-    axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: Float[np.ndarray, " axes"], moving: bool
-) -> str:
+def _accel(axes: Sequence[Axis], accel: Sequence[int], rate: float, mean: OfAxes, moving: bool) -> str:
     """Return a warning about an accelerometer that does not measure gravity, or ""."""
     size = float(np.linalg.norm(mean[accel]))
     triad = len(accel) >= 3
@@ -159,7 +157,7 @@ def _accel(
 
 def _gyro(
     axes: Sequence[Axis],
-    mean: Float[np.ndarray, " axes"],
+    mean: OfAxes,
     white: Float[np.ndarray, "scales axes"],
     moving: bool,
     platform_moves: bool,
@@ -193,7 +191,7 @@ def _gyro(
     return ""
 
 
-def _rate(rate: float, auxiliary: Mapping[str, Float[np.ndarray, " n"]]) -> str:
+def _rate(rate: float, auxiliary: Mapping[str, Samples]) -> str:
     """Return a warning about an unused column of times that contradicts the rate, or ""."""
     for name, column in auxiliary.items():
         if not ("time" in name.lower() or name.lower() in ("t", "stamp")):
@@ -223,7 +221,7 @@ def short(n: int, rate: float, axes: Sequence[Axis]) -> list[Fact]:
     return [Fact("length", line, tuple(axis.name for axis in axes), size=n / rate, unit="s")]
 
 
-def lattice(x: Float[np.ndarray, " n"]) -> float | None:
+def lattice(x: Samples) -> float | None:
     """Return the step between the values if these are multiples of one, else None."""
     values = np.unique(x)
     least = 1e-9 * float(np.max(abs(values))) + 1e-300
@@ -259,17 +257,16 @@ class Ends:
     count_below: Int[np.ndarray, "2 axes"]
 
     @classmethod
-    def of(cls, values: Float[np.ndarray, "n axes"]) -> Ends:
+    def of(cls, values: Values) -> Ends:
         """Return the ends of the range of these samples."""
-        sides = [values, -values]
-        value = [x.max(axis=0, initial=-np.inf) for x in sides]
-        at = [x == top for x, top in zip(sides, value, strict=True)]
-        others = [np.where(there, -np.inf, x) for x, there in zip(sides, at, strict=True)]
-        below = [x.max(axis=0, initial=-np.inf) for x in others]
-        runs = [there[:1].sum(axis=0) + (there[1:] & ~there[:-1]).sum(axis=0) for there in at]
-        count_below = [(x == level).sum(axis=0) for x, level in zip(others, below, strict=True)]
-        count = [there.sum(axis=0) for there in at]
-        return cls(len(values), *map(np.array, (value, count, runs, below, count_below)))
+        sides = np.stack([values, -values])
+        value = sides.max(axis=1, initial=-np.inf)
+        at = sides == value[:, None]
+        runs = at[:, :1].sum(axis=1) + (at[:, 1:] & ~at[:, :-1]).sum(axis=1)
+        others = np.where(at, -np.inf, sides)
+        below = others.max(axis=1, initial=-np.inf)
+        count_below = (others == below[:, None]).sum(axis=1)
+        return cls(len(values), value, at.sum(axis=1), runs, below, count_below)
 
     def merge(self, right: Ends) -> Ends:
         """Return the ends of the range of two pieces together."""
@@ -289,7 +286,7 @@ class Ends:
         names = [field.name for field in dataclasses.fields(self) if field.name != "n"]
         return dataclasses.replace(self, **{name: getattr(self, name)[:, keep] for name in names})
 
-    def piled_up(self, steps: Float[np.ndarray, " axes"]) -> Bool[np.ndarray, "2 axes"]:
+    def piled_up(self, steps: OfAxes) -> Bool[np.ndarray, "2 axes"]:
         """Whether more samples are at an end than a tail explains, given each axis's step (0 for none)."""
         # Copies of a single extreme sample do not count.
         often = (self.runs >= _LEAST) | (self.count >= _MANY)
@@ -302,7 +299,7 @@ class Ends:
 
 def resolved(
     windows: Windows, axes: Sequence[Axis], columns: Sequence[Float[np.ndarray, " recorded"]] | None
-) -> tuple[list[Fact], Float[np.ndarray, " axes"]]:
+) -> tuple[list[Fact], OfAxes]:
     """Return facts about axes with coarsely rounded or repeated samples, and the step of each axis.
 
     `columns` are the samples of each axis, if they are in memory. The step [rad/s or m/s²] is 0 if none is
@@ -337,7 +334,7 @@ def resolved(
     return facts, steps
 
 
-def saturated(axes: Sequence[Axis], ends: Ends, steps: Float[np.ndarray, " axes"]) -> list[Fact]:
+def saturated(axes: Sequence[Axis], ends: Ends, steps: OfAxes) -> list[Fact]:
     """Return facts about axes with more samples at their largest or smallest value than a tail explains."""
     facts = []
     for side, k in np.argwhere(ends.piled_up(steps) & (ends.count >= _LEAST)):
@@ -388,7 +385,7 @@ def describe_jitter(recording: Recording) -> str:
     return f"jitter {format_jitter(jitter)}, {share} % of the interval"
 
 
-def temperatures(recording: Recording) -> dict[str, Float[np.ndarray, " n"]]:
+def temperatures(recording: Recording) -> dict[str, Samples]:
     """Return the temperature channels by name."""
     return {key: z for key, z in recording.auxiliary.items() if "temp" in key.lower()}
 

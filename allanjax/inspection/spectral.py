@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,7 +14,7 @@ from allanjax.base.threads import for_each
 from allanjax.base.wording import plain
 from allanjax.inspection.facts import Fact, listed
 from allanjax.inspection.plausible import lattice
-from allanjax.inspection.windows import runs
+from allanjax.inspection.windows import Samples, Values, runs
 from allanjax.record.recording import Axis
 
 # Samples of the longest segment, fewest segments, and fewest samples of a segment that shows lines.
@@ -33,6 +33,9 @@ _BANDS, _PASSBAND, _FLAT = 4, (1 / 16, 1 / 4), 2.0
 _LOOKED_AT, _CLEAR, _STRAIGHT, _TWICE, _ZERO, _TAIL = 1 << 16, 60.0, 0.05, 0.3, 0.02, 20.0
 
 
+_Levels: TypeAlias = Float[np.ndarray, " m"]
+
+
 class Spectrum(NamedTuple):
     """Mean of the periodograms of overlapping segments (Welch 1967), with Hann's window.
 
@@ -42,13 +45,13 @@ class Spectrum(NamedTuple):
         segments: how many independent ones there are.
     """
 
-    frequency: Float[np.ndarray, " m"]
+    frequency: _Levels
     level: Float[np.ndarray, "m axes"]
     segments: float
 
 
 def spectral_facts(
-    values: Float[np.ndarray, "n axes"],
+    values: Values,
     rate: float,
     axes: Sequence[Axis],
     held: Collection[str],
@@ -69,7 +72,7 @@ def spectral_facts(
     yield from _lines(spectrum, axes)
 
 
-def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | None:
+def spectrum_of(values: Values, rate: float) -> Spectrum | None:
     """Return the spectrum of samples; None for fewer than 512."""
     size = min(_SEGMENT, 1 << int(np.log2(max(len(values) // _FEWEST, 1))))
     if size < _SHORTEST:
@@ -77,7 +80,7 @@ def spectrum_of(values: Float[np.ndarray, "n axes"], rate: float) -> Spectrum | 
     window = np.hanning(size + 1)[:-1]
     count = 2 * len(values) // size - 1
 
-    def level(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " m"]:
+    def level(x: Samples) -> _Levels:
         segments = np.lib.stride_tricks.sliding_window_view(x, size)[:: size // 2]
         c = rfft((segments - segments.mean(axis=1, keepdims=True)) * window)
         parts = c.view(float).reshape(count, -1, 2)
@@ -139,9 +142,7 @@ def bandwidth_in(spectrum: Spectrum, axis: int) -> float | None:
     return None
 
 
-def interpolated_from(
-    values: Float[np.ndarray, "n axes"], rate: float, eligible: Bool[np.ndarray, " axes"]
-) -> float | None:
+def interpolated_from(values: Values, rate: float, eligible: Bool[np.ndarray, " axes"]) -> float | None:
     """Return the rate [Hz] of a sensor's samples before they were interpolated; None if they were not.
 
     The variance of interpolated samples is periodic, with minima halfway between two samples of the sensor.
@@ -157,7 +158,7 @@ def interpolated_from(
         return None
     second = np.diff(x, 2, axis=0)
     straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
-    total: Float[np.ndarray, " m"] | float = 0.0
+    total: _Levels | float = 0.0
     for own in second.T * np.hanning(len(second)):
         # A line in the samples causes one at twice its frequency in their squares.
         c = rfft(own)
@@ -181,18 +182,17 @@ def interpolated_from(
     return line if straight > _STRAIGHT else rate - line
 
 
-def _around(level: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
+def _around(level: _Levels) -> _Levels:
     """Return the level beside each bin: the geometric mean of the medians on either side, for any slope.
 
     Bins too close to an end have the median of the other side.
     """
+    import pandas as pd
+
+    def before(logs: _Levels) -> _Levels:
+        beside = pd.Series(logs).shift(_NEAR + 1)
+        return beside.rolling(_FAR - _NEAR, min_periods=1).median().to_numpy()
+
     logs = np.log(np.maximum(level, 1e-300))
-    width = _FAR - _NEAR
-    # What is missing at the ends comes last when sorted.
-    padded = np.pad(logs, _FAR, constant_values=np.inf)
-    ordered = np.sort(np.lib.stride_tricks.sliding_window_view(padded, width), axis=-1)
-    count, rows = np.isfinite(ordered).sum(axis=-1), np.arange(len(ordered))
-    medians = (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2.0
-    left, right = medians[: len(logs)], medians[_FAR + _NEAR + 1 :][: len(logs)]
-    left, right = np.where(np.isfinite(left), left, right), np.where(np.isfinite(right), right, left)
-    return np.exp((left + right) / 2.0)
+    sides = np.stack([before(logs), before(logs[::-1])[::-1]])
+    return np.exp(np.nanmean(sides, axis=0))

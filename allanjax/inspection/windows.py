@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -63,8 +63,15 @@ WANDERS = {"gyro": 3.0 * DEG, "accel": 0.5}
 # Largest rms about the mean at rest [rad/s or m/s²]: the noisiest sensors above have half as much at 400 Hz.
 SHAKES = {"gyro": 10.0 * DEG, "accel": 2.0}
 
+#: Samples of all axes, and of one; which samples, and which windows; a number of each axis.
+Values: TypeAlias = Float[np.ndarray, "n axes"]
+Samples: TypeAlias = Float[np.ndarray, " n"]
+Which: TypeAlias = Bool[np.ndarray, " n"]
+WhichWindows: TypeAlias = Bool[np.ndarray, " w"]
+OfAxes: TypeAlias = Float[np.ndarray, " axes"]
+_OfWindows: TypeAlias = Float[np.ndarray, "w axes"]
 #: Scores of axes and groups of axes.
-Scores = Float[np.ndarray, "groups places"]
+Scores: TypeAlias = Float[np.ndarray, "groups places"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,18 +92,18 @@ class Windows:
 
     size: int
     count: Int[np.ndarray, " w"]
-    mean: Float[np.ndarray, "w axes"]
-    low: Float[np.ndarray, "w axes"]
-    high: Float[np.ndarray, "w axes"]
+    mean: _OfWindows
+    low: _OfWindows
+    high: _OfWindows
     power: Float[np.ndarray, "scales w axes"]
     pairs: Int[np.ndarray, "scales w"]
-    peak: Float[np.ndarray, "w axes"]
+    peak: _OfWindows
     repeats: Int[np.ndarray, "w axes"]
-    resolution: Float[np.ndarray, " axes"]
+    resolution: OfAxes
     rest: Float[np.ndarray, "r axes"]
 
     @classmethod
-    def of(cls, values: Float[np.ndarray, "n axes"], size: int | None = None) -> Windows:
+    def of(cls, values: Values, size: int | None = None) -> Windows:
         """Windows of these samples, of `size` samples each; by default `MOST` windows at most."""
         if size is None:
             size = SHORTEST
@@ -122,7 +129,7 @@ class Windows:
         return len(self.count)
 
     @property
-    def repeated(self) -> Float[np.ndarray, "w axes"]:
+    def repeated(self) -> _OfWindows:
         """Share of the samples in each window that are equal to the one before."""
         compared = (SHORTEST - 1) * (self.count // SHORTEST)
         return self.repeats / np.maximum(compared, 1)[:, None]
@@ -137,7 +144,7 @@ class Windows:
         """Indices of the first sample of each window, and of the one after the last window."""
         return np.concatenate([[0], np.cumsum(self.count)])
 
-    def updated(self, values: Float[np.ndarray, "n axes"]) -> Windows:
+    def updated(self, values: Values) -> Windows:
         """These windows and those of the samples that follow, twice as long once there would be too many."""
         held, left = self, np.concatenate([self.rest, values])
         while (free := MOST - len(held)) * held.size + held.size <= len(left):
@@ -204,7 +211,7 @@ class Windows:
         odd = b._with_scale(np.zeros(b.mean.shape), np.zeros(len(b), bool))
         return longer._joined(odd)
 
-    def _with_scale(self, power: Float[np.ndarray, "w axes"], pairs: Bool[np.ndarray, " w"]) -> Windows:
+    def _with_scale(self, power: _OfWindows, pairs: WhichWindows) -> Windows:
         """These as windows of twice the size, with the sums of squares at one more cluster size."""
         return dataclasses.replace(
             self,
@@ -221,7 +228,7 @@ class Windows:
         return dataclasses.replace(self, **paired, mean=mean)
 
 
-def _statistics(values: Float[np.ndarray, "n axes"], size: int, length: int) -> Windows:
+def _statistics(values: Values, size: int, length: int) -> Windows:
     """Windows of `length` samples without a rest: `size`, or fewer for a single short one."""
     axes = values.shape[1]
     # Axis by axis, so that neighbouring samples are adjacent in memory.
@@ -261,7 +268,7 @@ class Steps:
     lag: int
     score: Scores
     step: Float[np.ndarray, "axes places"]
-    scatter: Float[np.ndarray, " axes"]
+    scatter: OfAxes
 
 
 def shortest_half(
@@ -283,7 +290,7 @@ def mean_squares(windows: Windows) -> Float[np.ndarray, "scales w axes"]:
         return np.where(windows.pairs[..., None] > 0, windows.power / windows.pairs[..., None], np.nan)
 
 
-def lattice_power(windows: Windows) -> Float[np.ndarray, " axes"]:
+def lattice_power(windows: Windows) -> OfAxes:
     """Return the mean square difference that rounding alone may cause if samples have few values."""
     repeated = np.median(windows.repeated, axis=0)
     share = np.clip((repeated - _DITHERED) / (_COARSE - _DITHERED), 0.0, 1.0)
@@ -300,7 +307,7 @@ def groups_of(sensors: Sequence[str]) -> list[list[int]]:
 
 
 def noise_scores(
-    windows: Windows, sensors: Sequence[str], length: int, left_out: Bool[np.ndarray, " w"]
+    windows: Windows, sensors: Sequence[str], length: int, left_out: WhichWindows
 ) -> Iterator[Scores]:
     """Return scores of the noise at each cluster size within a window, averaged over `length` windows.
 
@@ -329,7 +336,7 @@ def noise_scores(
 
 
 def steps_of(
-    windows: Windows, sensors: Sequence[str], left_out: Bool[np.ndarray, " w"] | None = None
+    windows: Windows, sensors: Sequence[str], left_out: WhichWindows | None = None
 ) -> Iterator[Steps]:
     """Differences between the means of neighbouring runs of 1, 2, 4, … windows, with scores.
 
@@ -416,7 +423,7 @@ def motions(windows: Windows, axes: Sequence[Axis], rate: float) -> list[Motion]
     return sorted(evidence, key=lambda motion: motion.factor)
 
 
-def rms_within(windows: Windows, most: int | None = None) -> Float[np.ndarray, " axes"]:
+def rms_within(windows: Windows, most: int | None = None) -> OfAxes:
     """Return the rms of the samples about the mean of their window, or of parts of 2^most samples."""
     # The sum of squares about the mean is a weighted sum over the differences of halves of all sizes.
     power = windows.power[:most]
@@ -439,7 +446,7 @@ def motion_warning(moving: Sequence[Motion], axes: Sequence[Axis], disturbed: bo
     )
 
 
-def runs(mask: Bool[np.ndarray, " n"], gap: int) -> list[tuple[int, int]]:
+def runs(mask: Which, gap: int) -> list[tuple[int, int]]:
     """Return first and end index of each run of true values; runs at most `gap` apart are joined."""
     joined: list[tuple[int, int]] = []
     for a, b in runs_of(mask).tolist():

@@ -126,11 +126,17 @@ class DataSheet(ByValue, Tabled):
         coefficients = {}
         for p in model.parameters:
             if p.parameter.is_amplitude:
-                value = float(model.values[p.label] or 0.0)
-                known: dict[str, Any] = {"label": p.label, "term": p.term_label, "parameter": p.parameter}
-                ends = (value, value)
+                value = float(p.start or 0.0)
                 coefficients[p.label] = Estimate(
-                    axis=axis, value=value, std=0.0, interval=ends, interval_68=ends, held=True, **known
+                    axis=axis,
+                    label=p.label,
+                    term=p.term_label,
+                    parameter=p.parameter,
+                    value=value,
+                    std=0.0,
+                    interval=(value, value),
+                    interval_68=(value, value),
+                    held=True,
                 )
         return coefficients
 

@@ -6,7 +6,6 @@ import dataclasses
 import math
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -70,7 +69,7 @@ class Estimate(ByValue):
         interval_68: 68 % interval.
         unit: unit of all these numbers; SI by default.
         usual_unit: usual unit, e.g. "deg/√h"; for a model's parameter it follows from the parameter.
-        source: "fit", "posterior", "spectrum", "critique", "calibration", or "averaged" over sets of terms.
+        source: "fit", "posterior", "spectrum", "critique" or "calibration".
         parameter: the parameter of the noise term, whose name is `term`; None for derived quantities and for
             a finding's parameters.
         upper_limit: one-sided 95 % limit of an amplitude; or of another parameter that may have any smaller
@@ -99,7 +98,7 @@ class Estimate(ByValue):
     interval_68: tuple[float, float]
     unit: str = ""
     usual_unit: str = ""
-    source: Literal["fit", "posterior", "spectrum", "critique", "calibration", "averaged"] = "fit"
+    source: Literal["fit", "posterior", "spectrum", "critique", "calibration"] = "fit"
     parameter: Parameter | None = None
     term: str = ""
     upper_limit: float | None = None
@@ -482,7 +481,7 @@ class AxisReadings(ByValue):
 
     axis: Axis
     estimates: Mapping[str, Estimate | None]
-    reasons: Mapping[str, str] = dataclasses.field(default_factory=lambda: MappingProxyType({}))
+    reasons: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def __getitem__(self, label: str) -> Estimate | None:
         """The estimate of this label, or None."""

@@ -20,7 +20,7 @@ from allanjax.base.arrays import namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.module import Module
 from allanjax.noise.parameter import Parameter, Parametrized
-from allanjax.noise.process import Process
+from allanjax.noise.process import Process, Reals, RealsLike, Samples
 from allanjax.noise.response import FilteredProcess, Response
 from allanjax.noise.state_space import Block, StateSpace, filtered_block, together
 from allanjax.record.units import Sensor
@@ -42,7 +42,7 @@ class NoiseTerm(Parametrized, Process):
     """
 
     # ------------------------------------------------------------------ what some subclasses provide
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+    def column(self, time: Float[Array | np.ndarray, " n"]) -> Samples:
         """Values of a deterministic term of unit amplitude at times [s] since the record's start.
 
         Only for terms of which nothing but the amplitude is unknown, unlike a line of unknown phase.
@@ -316,33 +316,33 @@ class Model(Module):
         return together(blocks)
 
     # ------------------------------------------------------------------ sums over the terms
-    def phase_covariance(self, lag: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: RealsLike) -> Reals:
         """Generalized covariance of the integrated rate [rad² or (m/s)²] at lags [s]."""
         return self._sum("phase_covariance", namespace(lag).asarray(lag))
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Two-sided rate PSD, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz]; lines have no density."""
         return self._sum("psd", frequency)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """Two-sided PSD of samples at `rate` [Hz], aliases included; lines and ramps have none."""
         return self._sum("sampled_psd", frequency, rate)
 
-    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def allan_variance(self, cluster_time: RealsLike) -> Reals:
         """Allan variance [rate²] at cluster times [s]."""
         return self._sum("allan_variance", cluster_time)
 
-    def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def hadamard_variance(self, cluster_time: RealsLike) -> Reals:
         """Hadamard variance [rate²] at cluster times [s]."""
         return self._sum("hadamard_variance", cluster_time)
 
-    def _sum(self, method: str, x: Float[ArrayLike, ...], *more: float) -> Float[Array, ...]:
+    def _sum(self, method: str, x: RealsLike, *more: float) -> Reals:
         """Sum of this method's values over the processes; zeros without any, NumPy's unless x is JAX's."""
         self.check_complete()
         values = (getattr(process, method)(x, *more) for process in self.processes)
         return sum(values, namespace(x).zeros(np.shape(x)))
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples of the sum, n means of the rate, each term drawn with a key of its own."""
         self.check_complete()
         keys = jax.random.split(key, max(len(self.terms), 1))

@@ -21,12 +21,17 @@ import numpy as np
 from jax.scipy.special import erfc
 from jaxtyping import Array, ArrayLike, Float, Num, PRNGKeyArray
 
-from allanjax.base.arrays import namespace
+from allanjax.base.arrays import as_array, namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.module import Module
 
+#: Real numbers in an array of any shape, such as a spectrum, and what may be made one, such as frequencies.
+Reals: TypeAlias = Float[Array, "..."]
+RealsLike: TypeAlias = Float[ArrayLike, "..."]
+#: Samples of one axis.
+Samples: TypeAlias = Float[Array, " n"]
 #: G at lags ≥ 0 [s].
-PhaseCovariance: TypeAlias = Callable[[Float[Array, "..."]], Float[Array, "..."]]
+PhaseCovariance: TypeAlias = Callable[[Reals], Reals]
 
 # Lags that `sampled_density` sums one by one; beyond, it replaces the sum by an integral.
 _SINGLE_LAGS = 512
@@ -98,7 +103,7 @@ def sampled_density(G_of: PhaseCovariance, a: Float[Array, ""], rate: float) -> 
     return (total + integral + correction) / rate
 
 
-def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Float[Array, " n"]:
+def increment_autocovariance(G_of: PhaseCovariance, n: int, rate: float) -> Samples:
     """Autocovariance of x[k+1] − x[k] at lags 0 … n−1 samples: the fourth difference of G.
 
     Rounding of a growing G drowns that difference at long lags. Where G is smooth over a sample, its
@@ -143,8 +148,8 @@ def is_continuous(sample_interval: Any) -> bool:
 
 
 def exponential_covariance(
-    pole: Num[Array, ""], weight: Num[ArrayLike, ""], lag: Float[Array, ...], sample_interval: float
-) -> Float[Array, ...]:
+    pole: Num[Array, ""], weight: Num[ArrayLike, ""], lag: Reals, sample_interval: float
+) -> Reals:
     """Phase covariance G at lags [s] of R(t) = Re[weight·e^{pole·t}], pole in 1/s with a negative real part.
 
     G is −R integrated twice, or, with a sample interval [s], summed twice: its second difference at multiples
@@ -190,10 +195,10 @@ def mean_lags(x: Any, M: Any) -> tuple[Any, Any, Any]:
 def exponential_density(
     pole: Num[ArrayLike, ""],
     weight: Num[ArrayLike, ""],
-    frequency: Float[ArrayLike, ...],
+    frequency: RealsLike,
     rate: float,
     sample_interval: float,
-) -> Float[Array, ...]:
+) -> Reals:
     """Two-sided PSD at frequencies [Hz] of R(t) = Re[weight·e^{pole·t}] read at the sample instants.
 
     Samples at `rate` are means of M readings, a sample interval [s] apart, see `mean_lags`. M is 1 at the
@@ -262,7 +267,7 @@ class Parts(NamedTuple):
     walk: Any
     poles: Poles
 
-    def phase_covariance(self, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals, rate: float) -> Reals:
         """Phase covariance G at lags [s] that are multiples of 1/rate; between them it is interpolated."""
         xp = namespace(self, lag)
         h = 1.0 / rate
@@ -297,14 +302,14 @@ class Process(Module):
     #: True if the term oscillates for long: all its power fluctuates together, see `power_scatter`.
     narrow_band: ClassVar[bool] = False
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         """Generalized covariance G [rad² or (m/s)²] of the integrated rate at lags ≥ 0 [s].
 
         Known up to c0 + c1·t², two constants that the lags along the last axis of a call have in common.
         """
         raise NotImplementedError(f"{type(self).__name__} does not define phase_covariance(lag)")
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Two-sided power spectral density of the rate, (rad/s)²/Hz or (m/s²)²/Hz, at frequencies [Hz].
 
         Zero for a line, whose power is all at its own frequency, and for what happens once.
@@ -313,7 +318,7 @@ class Process(Module):
             return namespace(self, frequency).zeros(np.shape(frequency))
         raise NotImplementedError(f"{type(self).__name__} does not define psd(frequency)")
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """Two-sided PSD of the samples with aliases, (rad/s)²/Hz or (m/s²)²/Hz, up to the Nyquist frequency.
 
         The samples are means over 1/rate, so that minus the second difference of G takes the place of
@@ -321,14 +326,13 @@ class Process(Module):
         over a dozen periods, enough for a covariance that is smooth or has ended by then; narrow-band terms
         and those with a closed form override it. Zero for a deterministic term.
         """
-        xp = namespace(self, frequency, rate)
-        f = xp.asarray(frequency, float)
+        xp, f = as_array(frequency, self, rate)
         if self.deterministic:
             return xp.zeros(f.shape)
         # With derivatives of G, which are JAX's.
         return _summed_density(self, 2.0 * np.pi * f.ravel() / rate, rate).reshape(f.shape)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples of the rate (n means over sample intervals) at `rate` [Hz], exact in law.
 
         The default draws the increments of the rate, whose autocovariance is that of the second difference
@@ -353,7 +357,7 @@ class Process(Module):
         """Whether G oscillates with a period of its own, so that sums over lags need more nodes."""
         return self.narrow_band
 
-    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def end_effect(self, frequency: RealsLike, rate: float) -> Reals:
         """Power [rate²] that a record's two ends add to its cosine spectrum, times its number of samples.
 
         It spreads over all frequencies, and matters for terms whose own density falls off towards low ones.
@@ -365,21 +369,18 @@ class Process(Module):
         """Relative variance of a narrow-band process's mean square over a record of this duration [s]."""
         raise NotImplementedError(f"{type(self).__name__} is narrow-band and must define power_scatter")
 
-    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def allan_variance(self, cluster_time: RealsLike) -> Reals:
         """Allan variance [rate²] at cluster times [s]: [6G(0) − 8G(T) + 2G(2T)]/(2T²)."""
         return self._filter_variance(cluster_time, (6.0, -8.0, 2.0), 2.0)
 
-    def hadamard_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def hadamard_variance(self, cluster_time: RealsLike) -> Reals:
         """Hadamard variance [rate²] at cluster times [s]: [20G(0) − 30G(T) + 12G(2T) − 2G(3T)]/(6T²)."""
         return self._filter_variance(cluster_time, (20.0, -30.0, 12.0, -2.0), 6.0)
 
     @np.errstate(divide="ignore", invalid="ignore")
-    def _filter_variance(
-        self, cluster_time: Float[ArrayLike, ...], weights: Sequence[float], divisor: float
-    ) -> Float[Array, ...]:
+    def _filter_variance(self, cluster_time: RealsLike, weights: Sequence[float], divisor: float) -> Reals:
         """Weighted sum of G at 0, 1, … cluster times, over divisor·T²."""
-        xp = namespace(self, cluster_time)
-        T = xp.asarray(cluster_time, float)
+        xp, T = as_array(cluster_time, self)
         G = self.phase_covariance(T[..., None] * xp.arange(len(weights)))
         return G @ xp.asarray(weights) / (divisor * T**2)
 

@@ -17,17 +17,29 @@ from __future__ import annotations
 import abc
 import functools
 import math
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
 
-from allanjax.base.arrays import namespace
+from allanjax.base.arrays import as_array, namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.parameter import Parametrized, Value, option, parameter
-from allanjax.noise.process import Parts, Poles, Process, is_continuous, linear_recurrence
+from allanjax.noise.process import (
+    Parts,
+    Poles,
+    Process,
+    Reals,
+    RealsLike,
+    Samples,
+    is_continuous,
+    linear_recurrence,
+)
+
+#: Coefficients b and a of a digital filter, see `Response.transfer`.
+Transfer: TypeAlias = tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]
 
 
 class Response(Parametrized):
@@ -38,18 +50,18 @@ class Response(Parametrized):
     """
 
     @abc.abstractmethod
-    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def power(self, frequency: RealsLike, rate: float) -> Reals:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
 
     @abc.abstractmethod
-    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+    def phase_covariance(self, process: Any, lag: Reals, rate: float) -> Reals:
         """Phase covariance G of a `Process` after the filter, at lags [s] for samples at `rate` [Hz]."""
 
     @abc.abstractmethod
-    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+    def filtered(self, x: Samples, rate: float) -> Samples:
         """Samples after the filter, which starts at rest."""
 
-    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+    def transfer(self, rate: float) -> Transfer:
         """Coefficients b and a of y_k = Σ b_j x_{k−j} − Σ_{j≥1} a_j y_{k−j}, a_0 = 1, at `rate` [Hz].
 
         Any filter with the same power response would do: noise after it has the same law.
@@ -79,7 +91,13 @@ class Response(Parametrized):
 
 
 class RecursiveFilter(Response):
-    """A response that has poles."""
+    """A response that has poles, and a bandwidth."""
+
+    bandwidth: eqx.AbstractVar[Value]
+
+    def _angle(self, rate: float) -> Any:
+        """Bandwidth in radians per sample interval."""
+        return 2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate
 
     @abc.abstractmethod
     def poles(self, rate: float) -> Poles:
@@ -89,16 +107,16 @@ class RecursiveFilter(Response):
         """The constant part of the power response besides its poles; 0 unless a filter overrides it."""
         return 0.0
 
-    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def power(self, frequency: RealsLike, rate: float) -> Reals:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
-        xp = namespace(self, frequency, rate)
-        s = xp.sin(math.pi * xp.asarray(frequency, float) / rate) ** 2
+        xp, f = as_array(frequency, self, rate)
+        s = xp.sin(math.pi * f / rate) ** 2
         # A filter's parameters may be arrays that broadcast against the frequencies.
         w, c = (x[(..., *(None,) * (s.ndim + 1 - x.ndim))] for x in self.poles(rate))
         of_poles = xp.sum(c * (1.0 - w**2) / ((1.0 - w) ** 2 + 4.0 * w * s), axis=0)
         return xp.real(of_poles) + self.constant(rate)
 
-    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+    def phase_covariance(self, process: Any, lag: Reals, rate: float) -> Reals:
         """Phase covariance G, after the filter, of a process with the method `parts(rate)`."""
         change = self.change(process.parts(rate), rate)
         return process.phase_covariance(lag) + change.phase_covariance(lag, rate)
@@ -147,15 +165,15 @@ class LowPass1(RecursiveFilter):
     bandwidth: Value = parameter("f_c", "frequency")
 
     def poles(self, rate: float) -> Poles:
-        return one_pole(2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate)
+        return one_pole(self._angle(rate))
 
-    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
-        w = jnp.exp(-2.0 * math.pi * jnp.asarray(self.bandwidth) / rate)
+    def filtered(self, x: Samples, rate: float) -> Samples:
+        w = jnp.exp(-self._angle(rate))
         return linear_recurrence(w, (1.0 - w) * x)
 
-    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
-        x = 2.0 * math.pi * self.bandwidth / rate
-        return np.array([-np.expm1(-x)]), np.array([1.0, -np.exp(-x)])
+    def transfer(self, rate: float) -> Transfer:
+        angle = self._angle(rate)
+        return np.array([-np.expm1(-angle)]), np.array([1.0, -np.exp(-angle)])
 
 
 class LowPass2(RecursiveFilter):
@@ -168,8 +186,7 @@ class LowPass2(RecursiveFilter):
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
 
     def poles(self, rate: float) -> Poles:
-        wc = 2.0 * math.pi * namespace(self, rate).asarray(self.bandwidth, float) / rate
-        return two_poles(wc, self.quality_factor)
+        return two_poles(self._angle(rate), self.quality_factor)
 
     def _zero(self, rate: float) -> tuple[Any, Any]:
         """Coefficients b_0 and b_1: a zero, from the response at frequency zero and at half the rate."""
@@ -178,12 +195,12 @@ class LowPass2(RecursiveFilter):
         low, high = ends[0] * xp.abs(1.0 - w) ** 2, ends[1] * xp.abs(1.0 + w) ** 2
         return (low + high) / 2.0, (low - high) / 2.0
 
-    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+    def filtered(self, x: Samples, rate: float) -> Samples:
         w, (b0, b1) = self.poles(rate).pole[0], self._zero(rate)
         drive = b0 * x + b1 * jnp.concatenate([jnp.zeros(1), x[:-1]])
         return jnp.imag(w * linear_recurrence(w, drive + 0j)) / jnp.imag(w)
 
-    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+    def transfer(self, rate: float) -> Transfer:
         return np.array(self._zero(rate)), np.poly(self.poles(rate).pole).real
 
 
@@ -193,7 +210,7 @@ class LowPass2(RecursiveFilter):
 # −q², q = t·e^{iφ}, φ = π(2k + 1 − m)/2m, k = 0 … m − 1. In w = (1 − q)/(1 + q) they are inside the unit
 # circle, and
 #
-#     R = g + Σ c(1 − w²)/D(w),    c = q/[m(1 − q²)],    g = 1/[1 + (−1)^m t^{−2m}],
+#     R = g + Σ c(1 − w²)/D(w),    c = q/[m(1 − q²)],    g = −Σ cq = 1/[1 + (−1)^m t^{−2m}],
 #
 # D(w) = (1 − w)² + 4ws, s = sin²(πf/rate): partial fractions in s, v = s/(1 − s). The filter itself is a
 # chain of stages y_k = w·y_{k−1} + (1 − w)/2·(x_k + x_{k−1}), what the bilinear transformation makes of one
@@ -246,8 +263,6 @@ def butterworth_poles(tangent: Any, order: int) -> Any:
 class _Bilinear(RecursiveFilter):
     """A filter of analog poles −q, which the bilinear transformation makes digital."""
 
-    bandwidth: eqx.AbstractVar[Value]
-
     @abc.abstractmethod
     def _analog(self, tangent: Any) -> Any:
         """The poles' q for t = tan(πf_c/rate)."""
@@ -260,7 +275,7 @@ class _Bilinear(RecursiveFilter):
             )
         return self
 
-    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+    def filtered(self, x: Samples, rate: float) -> Samples:
         q = self._analog(self._tangent(rate))
         y = x + 0j
         for w in jnp.asarray((1.0 - q) / (1.0 + q)):
@@ -268,21 +283,31 @@ class _Bilinear(RecursiveFilter):
             y = linear_recurrence(w, (1.0 - w) / 2.0 * (y + before))
         return jnp.real(y)
 
-    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+    def transfer(self, rate: float) -> Transfer:
         q = self._analog(self._tangent(rate))
         w = (1.0 - q) / (1.0 + q)
         return np.prod((1.0 - w) / 2.0).real * np.poly(-np.ones(len(w))), np.poly(w).real
 
     def _half_angle(self, rate: float) -> Any:
         """Half the bandwidth in radians per sample interval."""
-        xp = namespace(self, rate)
-        return math.pi * xp.minimum(xp.asarray(self.bandwidth, float) / rate, LARGEST_BANDWIDTH / 2.0)
+        return namespace(self, rate).minimum(self._angle(rate), LARGEST_BANDWIDTH * math.pi) / 2.0
 
     def _tangent(self, rate: float) -> Any:
         """Tangent t = tan(πf_c/rate)."""
         return namespace(self, rate).tan(self._half_angle(rate))
 
-    def _passed(self, frequency: Float[ArrayLike, ...], rate: float) -> tuple[Any, Any]:
+    def _apart(self, rate: float) -> Any:
+        """The poles' q, which partial fractions need apart from one."""
+        return self._analog(self._tangent(rate))
+
+    def poles(self, rate: float) -> Poles:
+        return bilinear_poles(self._apart(rate))
+
+    def constant(self, rate: float) -> Float[ArrayLike, ""]:
+        """The constant part: what is left of 1 at frequency zero."""
+        return -namespace(self, rate).sum(self._apart(rate) * self.poles(rate).weight).real
+
+    def _passed(self, frequency: RealsLike, rate: float) -> tuple[Any, Any]:
         """Shares of t² and v in t² + v, up to a common factor, neither of which is infinite."""
         xp, half = namespace(self, frequency, rate), self._half_angle(rate)
         a = math.pi * xp.asarray(frequency, float) / rate
@@ -299,15 +324,7 @@ class Biquad(_Bilinear):
     bandwidth: Value = parameter("f_c", "frequency")
     quality_factor: Value = parameter("Q_c", "number", lower=0.5, default=math.sqrt(0.5))
 
-    def poles(self, rate: float) -> Poles:
-        return bilinear_poles(self._analog(self._tangent(rate)))
-
-    def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        q = self._analog(self._tangent(rate))
-        xp = namespace(self, rate)
-        return xp.real(xp.sum(-_shares(q) * q**2 / (1.0 - q**2)))
-
-    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def power(self, frequency: RealsLike, rate: float) -> Reals:
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
         passed, stopped = self._passed(frequency, rate)
         return passed**2 / ((passed - stopped) ** 2 + passed * stopped / self.quality_factor**2)
@@ -327,20 +344,13 @@ class Butterworth(_Bilinear):
     bandwidth: Value = parameter("f_c", "frequency")
     order: int = option(default=2, most=8)
 
-    def poles(self, rate: float) -> Poles:
-        return bilinear_poles(self._analog(self._apart(rate)))
-
-    def constant(self, rate: float) -> Float[ArrayLike, ""]:
-        return 1.0 / (1.0 + (-1.0) ** self.order * self._apart(rate) ** (-2 * self.order))
-
-    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def power(self, frequency: RealsLike, rate: float) -> Reals:
         """Power response at frequencies [Hz] for samples at `rate` [Hz], exact deep in the stop band."""
         passed, stopped = self._passed(frequency, rate)
         return passed**self.order / (passed**self.order + stopped**self.order)
 
     def _apart(self, rate: float) -> Any:
-        """Tangent with which no pole is at 0."""
-        return apart_from_one(self._tangent(rate), self.order)
+        return self._analog(apart_from_one(self._tangent(rate), self.order))
 
     def _analog(self, tangent: Any) -> Any:
         return butterworth_poles(tangent, self.order)
@@ -406,11 +416,11 @@ class MovingAverage(Response):
             )
         return self
 
-    def power(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def power(self, frequency: RealsLike, rate: float) -> Reals:
         """Power response at frequencies [Hz] for samples at `rate` [Hz]."""
-        xp = namespace(self, frequency, rate)
+        xp, f = as_array(frequency, self, rate)
         samples = self._samples(rate)
-        x = xp.asarray(frequency, float) / rate
+        x = f / rate
         m = xp.floor(samples)
         share = samples - m
 
@@ -421,7 +431,7 @@ class MovingAverage(Response):
         norm = (1.0 - share) * m**2 + share * (m + 1.0) ** 2
         return (((1.0 - share) * mean(m) + share * mean(m + 1.0)) / norm) ** self.order
 
-    def phase_covariance(self, process: Any, lag: Float[Array, ...], rate: float) -> Float[Array, ...]:
+    def phase_covariance(self, process: Any, lag: Reals, rate: float) -> Reals:
         """Phase covariance G after the filter: that before it, weighted (τ − |d|h)+ at d samples away."""
         xp = namespace(self, process, lag, rate)
         samples = self._samples(rate)
@@ -437,14 +447,14 @@ class MovingAverage(Response):
     def ahead(self) -> int:
         return _REACH
 
-    def filtered(self, x: Float[Array, " n"], rate: float) -> Float[Array, " n"]:
+    def filtered(self, x: Samples, rate: float) -> Samples:
         """Samples after the filter, without delay; the straight line from first to last is unchanged."""
         n = len(x)
         line = x[0] + (x[-1] - x[0]) * jnp.arange(n) / (n - 1)
         amplitude = jnp.sqrt(self.power(jnp.fft.rfftfreq(n, 1.0 / rate), rate))
         return jnp.fft.irfft(amplitude * jnp.fft.rfft(x - line), n) + line
 
-    def transfer(self, rate: float) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " p"]]:
+    def transfer(self, rate: float) -> Transfer:
         """Coefficients of means over whole samples; else of the minimum-delay filter with this response."""
         samples = float(self._samples(rate))
         count = math.ceil(samples - 1e-9)
@@ -513,19 +523,19 @@ class FilteredProcess(Process):
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         return self.process.power_scatter(duration)
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return self.response.phase_covariance(self.process, lag, self._known_rate)
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         return self.response.power(frequency, self._known_rate) * self.process.psd(frequency)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         return self.response.power(frequency, rate) * self.process.sampled_psd(frequency, rate)
 
-    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def end_effect(self, frequency: RealsLike, rate: float) -> Reals:
         return self.response.power(frequency, rate) * self.process.end_effect(frequency, rate)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples; the filter has run over thousands of samples before the first."""
         x = self.process.simulate(key, n + _SETTLING, rate)
         # It starts at rest at the first of these, which is added again: it leaves constants unchanged.

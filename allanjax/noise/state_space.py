@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float
+from jaxtyping import Bool, Float
 
 from allanjax.base.equality import ByValue
-from allanjax.base.errors import AllanjaxError
 from allanjax.base.late import presented
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import significant
@@ -23,6 +22,7 @@ from allanjax.record.units import Sensor, default_coefficient_unit, si_unit
 # and independent of each other. Where a sample is the mean of a process over its interval, that mean is a
 # state of its own beside the value at the end of the interval: the two share their noise, and R stays zero.
 
+_Square: TypeAlias = Float[np.ndarray, "n n"]
 # Doublings after which the sum for a stationary covariance has converged, or never will.
 _DOUBLINGS = 80
 
@@ -42,10 +42,10 @@ class Block:
         level: which states are random walks, that is, have no stationary law.
     """
 
-    transition: Float[np.ndarray, "n n"]
+    transition: _Square
     observation: Any
-    noise: Float[np.ndarray, "n n"]
-    start: Float[np.ndarray, "n n"]
+    noise: _Square
+    start: _Square
     names: tuple[str, ...]
     white: float = 0.0
     time_exponents: tuple[float, ...] = ()
@@ -124,7 +124,7 @@ def together(blocks: Sequence[Block]) -> Block:
     """Sum of independent blocks: their states side by side."""
     from scipy.linalg import block_diag
 
-    def joined(name: str) -> Float[np.ndarray, "n n"]:
+    def joined(name: str) -> _Square:
         parts = [getattr(b, name) for b in blocks if b.size]
         return block_diag(*parts) if parts else np.zeros((0, 0))
 
@@ -216,11 +216,11 @@ class StateSpace(ByValue, Tabled):
         model: the noise model in words.
     """
 
-    A: Float[np.ndarray, "n n"]
+    A: _Square
     H: Float[np.ndarray, "1 n"]
-    Q: Float[np.ndarray, "n n"]
+    Q: _Square
     R: Float[np.ndarray, "1 1"]
-    P0: Float[np.ndarray, "n n"]
+    P0: _Square
     names: tuple[str, ...]
     units: tuple[str, ...]
     rate: float
@@ -264,48 +264,6 @@ class StateSpace(ByValue, Tabled):
             transition, noise = transition @ transition, transition @ noise @ transition.T + noise
             n //= 2
         return all_of, added
-
-    def allan_variance(self, cluster_time: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        """Allan variance [rate²], from the matrices alone, at cluster times [s].
-
-        Raises:
-            AllanjaxError: a cluster time that is not a multiple of the sample interval.
-        """
-        size = np.asarray(cluster_time, float) * self.rate
-        samples = np.round(size)
-        if np.any(samples < 1) or np.any(np.abs(size - samples) > 1e-6 * size):
-            raise AllanjaxError(
-                f"cluster times must be multiples of {1 / self.rate:g} s, the sample interval"
-            )
-        return np.array([self._allan(int(m)) for m in samples.flat]).reshape(size.shape)
-
-    def _allan(self, m: int) -> float:
-        """Allan variance of clusters of m samples: that of the difference of two sums of m."""
-        transition, added = self.sum_covariance(m)
-        covariance = np.zeros_like(transition)
-        covariance[:-1, :-1] = self.P0
-        covariance = transition @ covariance @ transition.T + added
-        turned = np.append(np.ones(self.size), -1.0)
-        transition = transition * turned
-        covariance = transition @ covariance @ transition.T + added
-        return float(covariance[-1, -1]) / (2.0 * m**2)
-
-    def spectrum(self, frequency: Float[ArrayLike, ...]) -> Float[np.ndarray, ...]:
-        """Two-sided PSD of the samples [rate²/Hz], from the matrices alone, at frequencies [Hz].
-
-        Lines and ramps have none.
-        """
-        f = np.asarray(frequency, float)
-        # The states that noise reaches.
-        driven = np.diag(self.Q) > 0.0
-        for _ in range(self.size):
-            driven = driven | (self.A[:, driven] != 0.0).any(axis=1)
-        A, H, Q = self.A[np.ix_(driven, driven)], self.H[:, driven], self.Q[np.ix_(driven, driven)]
-        turn = np.exp(2j * np.pi * f.reshape(-1, 1, 1) / self.rate)
-        row = np.broadcast_to(H.T.astype(complex), (f.size, len(A), 1))
-        gain = np.linalg.solve(np.swapaxes(turn * np.eye(len(A)) - A, 1, 2), row)[..., 0]
-        power = np.einsum("fi,ij,fj->f", gain, Q, gain.conj()).real
-        return ((power + self.R[0, 0]) / self.rate).reshape(f.shape)
 
     @presented
     def to_numpy(self, path: str | os.PathLike[str]) -> None:

@@ -66,6 +66,30 @@ def of_states(space: aj.StateSpace, n: int) -> tuple[np.ndarray, np.ndarray]:
     return H @ joint @ H.T + space.R[0, 0] * np.eye(n), joint
 
 
+def allan_variance_of_states(space: aj.StateSpace, m: int) -> float:
+    """Allan variance of clusters of m samples: that of the difference of two sums of m."""
+    transition, added = space.sum_covariance(m)
+    covariance = np.zeros_like(transition)
+    covariance[:-1, :-1] = space.P0
+    covariance = transition @ covariance @ transition.T + added
+    transition = transition * np.append(np.ones(space.size), -1.0)
+    return float((transition @ covariance @ transition.T + added)[-1, -1]) / (2.0 * m**2)
+
+
+def spectrum_of_states(space: aj.StateSpace, f: np.ndarray) -> np.ndarray:
+    """Two-sided PSD of the samples at frequencies [Hz], without lines and ramps."""
+    # The states that noise reaches.
+    driven = np.diag(space.Q) > 0.0
+    for _ in range(space.size):
+        driven = driven | (space.A[:, driven] != 0.0).any(axis=1)
+    A, H, Q = space.A[np.ix_(driven, driven)], space.H[:, driven], space.Q[np.ix_(driven, driven)]
+    turn = np.exp(2j * np.pi * f.reshape(-1, 1, 1) / space.rate)
+    row = np.broadcast_to(H.T.astype(complex), (f.size, len(A), 1))
+    gain = np.linalg.solve(np.swapaxes(turn * np.eye(len(A)) - A, 1, 2), row)[..., 0]
+    power = np.einsum("fi,ij,fj->f", gain, Q, gain.conj()).real
+    return (power + space.R[0, 0]) / space.rate
+
+
 def of_samples(term: aj.NoiseTerm, n: int, rate: float) -> np.ndarray:
     """Covariance of samples of a term that are 0 … n − 1 apart."""
     kind = type(term).__name__

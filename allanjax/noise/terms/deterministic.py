@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from allanjax.base.arrays import namespace
+from allanjax.base.arrays import as_array, namespace
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, option, parameter
-from allanjax.noise.process import in_gauge
+from allanjax.noise.process import Reals, RealsLike, Samples, in_gauge
 from allanjax.noise.state_space import Block
+
+_Times: TypeAlias = Float[Array | np.ndarray, " n"]
 
 
 class DriftRamp(NoiseTerm):
@@ -32,19 +34,19 @@ class DriftRamp(NoiseTerm):
     sign: int = option(1)
     deterministic: ClassVar[bool] = True
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return self.coefficient**2 * lag**4 / 24.0
 
     @np.errstate(divide="ignore")
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Flicker-acceleration spectrum R²/(2πf)³, which has the same slope in the Allan plot (4.58)."""
-        xp = namespace(self, frequency)
-        return self.coefficient**2 / xp.abs(2.0 * np.pi * xp.asarray(frequency, float)) ** 3
+        xp, f = as_array(frequency, self)
+        return self.coefficient**2 / xp.abs(2.0 * np.pi * f) ** 3
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+    def column(self, time: _Times) -> Samples:
         return self.sign * namespace(self, time).asarray(time)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         return self.coefficient * self.column((jnp.arange(n) + 0.5) / rate)
 
     def state_block(self, rate: float, duration: float | None) -> Block:
@@ -79,10 +81,10 @@ class Sinusoid(NoiseTerm):
     def oscillates(self) -> bool:
         return True
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         xp, w = namespace(self, lag), 2.0 * np.pi * self.frequency
 
-        def series(x: Float[Array, ...]) -> Float[Array, ...]:
+        def series(x: Reals) -> Reals:
             total = xp.zeros_like(x)
             for k in range(10, 1, -1):
                 total = total * x**2 + (-1) ** k / math.factorial(2 * k)
@@ -100,7 +102,7 @@ class Sinusoid(NoiseTerm):
         start = self.amplitude**2 / 2.0 * np.eye(2)
         return Block(transition, [1.0, 0.0], np.zeros((2, 2)), start, ("cosine", "sine"))
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated line with its phase, a random one if it has none."""
         amplitude = self.amplitude * (jnp.sinc(self.frequency / rate) if self.sample_interval == 0.0 else 1.0)
         cycles = self.frequency / rate * jnp.arange(n) % 1.0
@@ -122,7 +124,7 @@ class Transient(NoiseTerm):
     amplitude: eqx.AbstractVar[Value]
     deterministic: ClassVar[bool] = True
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return namespace(self, lag).zeros(np.shape(lag))
 
     def state_block(self, rate: float, duration: float | None) -> Block:
@@ -131,7 +133,7 @@ class Transient(NoiseTerm):
             f"and leave the term out, model.without(['{self.name()}'])"
         )
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         return self.amplitude * self.column((jnp.arange(n) + 0.5) / rate)
 
 
@@ -146,7 +148,7 @@ class BiasStep(Transient):
     time: Value = parameter("t_s", "time")
     sign: int = option(1)
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+    def column(self, time: _Times) -> Samples:
         return namespace(self, time).where(time >= self.time, 1.0 * self.sign, 0.0)
 
 
@@ -161,7 +163,7 @@ class WarmUp(Transient):
     time_constant: Value = parameter("τ", "time")
     sign: int = option(1)
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+    def column(self, time: _Times) -> Samples:
         return self.sign * namespace(self, time).exp(-time / self.time_constant)
 
 
@@ -177,7 +179,7 @@ class ChannelEffect(Transient):
     sign: int = option(1)
     channel: str = eqx.field(static=True, default="")
     reference: Value = 0.0
-    samples: Float[Array | np.ndarray, " n"] | None = None
+    samples: _Times | None = None
     rate: float = eqx.field(static=True, default=0.0)
 
     @property
@@ -189,14 +191,14 @@ class ChannelEffect(Transient):
             return self
         return self.replace(samples=np.asarray(channels[self.channel], float), rate=float(rate))
 
-    def column(self, time: Float[Array | np.ndarray, " n"]) -> Float[Array, " n"]:
+    def column(self, time: _Times) -> Samples:
         if self.samples is None:
             raise AllanjaxError(f"{self.name()} needs the samples of {self.channel!r}")
         xp = namespace(self, time)
         at = (xp.arange(len(self.samples)) + 0.5) / self.rate
         return self.sign * (xp.interp(time - self.lag, at, self.samples) - self.reference)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         return jnp.zeros(n) if self.samples is None else super().simulate(key, n, rate)
 
     def __repr__(self) -> str:

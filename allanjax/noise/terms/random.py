@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Complex, Float, Num, PRNGKeyArray
 
-from allanjax.base.arrays import namespace, special_functions
+from allanjax.base.arrays import as_array, namespace, special_functions
 from allanjax.base.errors import AllanjaxError
 from allanjax.noise.model import NoiseTerm
 from allanjax.noise.parameter import Value, option, parameter
@@ -24,6 +24,9 @@ from allanjax.noise.process import (
     NO_POLES,
     Parts,
     Poles,
+    Reals,
+    RealsLike,
+    Samples,
     averaged_lags,
     exponential_covariance,
     exponential_density,
@@ -49,18 +52,18 @@ class Markov(NoiseTerm):
     amplitude: Value = parameter("q_c", time_exponent=-0.5)
     correlation_time: Value = parameter("T_c", "time")
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         T_c = self.correlation_time
         return -(self.amplitude**2) * T_c**3 / 2.0 * exponential_remainder(-lag / T_c)
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         w = 2.0 * np.pi * namespace(self, frequency).asarray(frequency) * self.correlation_time
         return (self.amplitude * self.correlation_time) ** 2 / (1.0 + w**2)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """PSD of means over the sample interval, whose autocovariance is geometric from the first lag on."""
-        xp = namespace(self, frequency, rate)
-        a = 2.0 * np.pi * xp.asarray(frequency) / rate
+        xp, f = as_array(frequency, self, rate)
+        a = 2.0 * np.pi * f / rate
         x = 1.0 / (rate * self.correlation_time)
         at_zero, at_one = averaged_lags(x)
         # cos a − e^{-x} and 1 − 2e^{-x} cos a + e^{-2x}, without cancellation where both are small.
@@ -92,7 +95,7 @@ class Markov(NoiseTerm):
         variance = self.amplitude**2 * self.correlation_time / 2.0
         return mean_block(variance, 1.0 / (rate * self.correlation_time))
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples: an exact recursion of the state, and Gaussian means between its values."""
         x = 1.0 / (rate * self.correlation_time)
         sigma = self.amplitude * jnp.sqrt(self.correlation_time / 2.0)
@@ -119,17 +122,17 @@ class _Exponential(NoiseTerm):
     def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         """Pole λ, real or complex, and weight c of the autocovariance."""
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return exponential_covariance(*self._mode(), lag, self.sample_interval)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         return exponential_density(*self._mode(), frequency, rate, self.sample_interval)
 
     def state_block(self, rate: float, duration: float | None) -> Block:
         pole, weight = self._mode()
         return exponential_block(weight, pole / rate)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples by the exact recursion of the state: of an oscillator, one complex mode."""
         pole, weight = self._mode()
         variance, step, first = jnp.real(weight), jnp.exp(pole / rate), jnp.arange(n) == 0
@@ -169,12 +172,12 @@ class Telegraph(_Exponential):
     def _mode(self) -> tuple[Num[Array, ""], Num[Array, ""]]:
         return -2.0 / namespace(self).asarray(self.dwell_time, float), self.amplitude**2 / 4.0
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Two-sided PSD (amplitude²/4)·T_d/(1 + (πf·T_d)²)."""
         x = np.pi * namespace(self, frequency).asarray(frequency) * self.dwell_time
         return self.amplitude**2 / 4.0 * self.dwell_time / (1.0 + x**2)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated path with exponential dwell times: an odd Poisson number of jumps changes the level.
 
         The levels have mean zero and are equally likely at the start.
@@ -212,20 +215,20 @@ class Resonance(_Exponential):
         """Relative variance 2∫R²/(R(0)²·duration) = Q_f/(π f0·duration), for Q_f not near ½."""
         return self.quality_factor / (np.pi * self.frequency * namespace(self, duration).asarray(duration))
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Two-sided PSD 2σ²(ω0³/Q_f)/[(ω0² − ω²)² + (ω0ω/Q_f)²]."""
         w0 = 2.0 * np.pi * self.frequency
         w = 2.0 * np.pi * namespace(self, frequency).asarray(frequency)
         shape = (w0**2 - w**2) ** 2 + (w0 * w / self.quality_factor) ** 2
         return 2.0 * self.amplitude**2 * w0**3 / self.quality_factor / shape
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """PSD of the oscillator at the sample instants, or of its means between them."""
         if not is_continuous(self.sample_interval):
             return super().sampled_psd(frequency, rate)
         # For means, Σ_m psd(f + m·rate)·sinc².
-        xp = namespace(self, frequency, rate)
-        aliases = xp.asarray(frequency, float)[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
+        xp, f = as_array(frequency, self, rate)
+        aliases = f[..., None] + rate * np.arange(-_ALIASES, _ALIASES + 1)
         return xp.sum(self.psd(aliases) * xp.sinc(aliases / rate) ** 2, axis=-1)
 
     def parts(self, rate: float) -> Parts:
@@ -235,7 +238,7 @@ class Resonance(_Exponential):
         poles = Poles(xp.stack([w, xp.conj(w)]), xp.stack([half, xp.conj(half)]))
         return Parts(0.0, 0.0, 0.0, poles)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         of = NoiseTerm if is_continuous(self.sample_interval) else _Exponential
         return of.simulate(self, key, n, rate)
 
@@ -280,17 +283,17 @@ class WanderingResonance(Resonance):
         """Sum of what this method of the oscillators returns."""
         return sum(getattr(one, method)(*arguments) for one in self._oscillators())
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return self._sum("phase_covariance", lag)
 
     def power_scatter(self, duration: Float[ArrayLike, ""]) -> Float[Array, ""]:
         """Relative variance of the mean square: the oscillators' powers fluctuate independently."""
         return sum(x**2 * o.power_scatter(duration) for x, o in zip(SHARES, self._oscillators(), strict=True))
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         return self._sum("psd", frequency)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         return self._sum("sampled_psd", frequency, rate)
 
     def parts(self, rate: float) -> Parts:
@@ -303,7 +306,7 @@ class WanderingResonance(Resonance):
         blocks = (one.state_block(rate, duration) for one in self._oscillators())
         return together([b.labelled(str(k + 1)) for k, b in enumerate(blocks)])
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated samples: a stationary process with this spectrum."""
         keys = jax.random.split(key, len(SHARES))
         draws = [one.simulate(k, n, rate) for k, one in zip(keys, self._oscillators(), strict=True)]
@@ -330,7 +333,7 @@ class LowPass(_Exponential):
             return -w, power / 2.0
         return w * (-1.0 + 1j) / math.sqrt(2.0), power * (1.0 - 1j) / math.sqrt(8.0)
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         ratio = namespace(self, frequency).asarray(frequency, float) / self.bandwidth
         return self.coefficient**2 / (1.0 + ratio ** (2 * self.order))
 
@@ -345,10 +348,10 @@ class Quantization(NoiseTerm):
     #: Sample interval [s]; only the PSD needs it (4.28).
     sample_interval: float = 0.0
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return namespace(self, lag).where(lag == 0.0, self.coefficient**2, 0.0)
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         """Two-sided PSD of sampled data, 4Q² sin²(πfT_z)/T_z ≈ (2πf)² T_z Q² (4.28).
 
         Raises:
@@ -361,16 +364,16 @@ class Quantization(NoiseTerm):
             )
         return 4.0 * self.coefficient**2 / T_z * xp.sin(np.pi * xp.asarray(frequency) * T_z) ** 2
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         return self.sampled(rate).psd(frequency)
 
-    def end_effect(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def end_effect(self, frequency: RealsLike, rate: float) -> Reals:
         """Power of the first and last reading's errors, which no neighbouring increment takes back."""
-        xp = namespace(self, frequency, rate)
-        a = 2.0 * np.pi * xp.asarray(frequency) / rate
+        xp, f = as_array(frequency, self, rate)
+        a = 2.0 * np.pi * f / rate
         return 2.0 * (self.coefficient * rate) ** 2 * (1.0 + xp.cos(a))
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         return self.coefficient * rate * jnp.diff(jax.random.normal(key, (n + 1,)))
 
     def parts(self, rate: float) -> Parts:
@@ -393,16 +396,16 @@ class AngleRandomWalk(NoiseTerm):
 
     coefficient: Value = parameter("N", time_exponent=0.5)
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return -(self.coefficient**2) * lag / 2.0
 
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
+    def psd(self, frequency: RealsLike) -> Reals:
         return namespace(self, frequency).full(np.shape(frequency), self.coefficient**2)
 
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         return self.psd(frequency)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         return self.coefficient * jnp.sqrt(rate) * jax.random.normal(key, (n,))
 
     def parts(self, rate: float) -> Parts:
@@ -420,22 +423,22 @@ class RateRandomWalk(NoiseTerm):
 
     coefficient: Value = parameter("K", time_exponent=-0.5)
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         return self.coefficient**2 * lag**3 / 12.0
 
     @np.errstate(divide="ignore")
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        xp = namespace(self, frequency)
-        return (self.coefficient / (2.0 * np.pi * xp.asarray(frequency))) ** 2
+    def psd(self, frequency: RealsLike) -> Reals:
+        _, f = as_array(frequency, self)
+        return (self.coefficient / (2.0 * np.pi * f)) ** 2
 
     @np.errstate(divide="ignore")
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """PSD of the samples, K²/rate²·(2 + cos a)/(12 sin²(a/2)), a = 2πf/rate."""
-        xp = namespace(self, frequency, rate)
-        a = 2.0 * np.pi * xp.asarray(frequency) / rate
+        xp, f = as_array(frequency, self, rate)
+        a = 2.0 * np.pi * f / rate
         return (self.coefficient / rate) ** 2 * (2.0 + xp.cos(a)) / (12.0 * xp.sin(a / 2.0) ** 2)
 
-    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Float[Array, " n"]:
+    def simulate(self, key: PRNGKeyArray, n: int, rate: float) -> Samples:
         """Simulated means of a Brownian path over sample intervals: from its end points and bridges."""
         steps, bridge = jax.random.normal(key, (2, n)) / jnp.sqrt(rate)
         path_end = linear_recurrence(1.0, steps)
@@ -473,7 +476,7 @@ class BiasInstability(NoiseTerm):
     def oscillates(self) -> bool:
         return not self._has_no_cutoff()
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         xp = namespace(self, lag)
         B2 = self.coefficient**2
         if self._has_no_cutoff():
@@ -499,16 +502,16 @@ class BiasInstability(NoiseTerm):
         return gauss_markov_sum(self, rate, duration)
 
     @np.errstate(divide="ignore")
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        xp = namespace(self, frequency)
-        f = xp.abs(xp.asarray(frequency, float))
-        return xp.where(f <= self.cutoff_frequency, self.coefficient**2 / (2.0 * np.pi * f), 0.0)
+    def psd(self, frequency: RealsLike) -> Reals:
+        xp, f = as_array(frequency, self)
+        passes = xp.abs(f) <= self.cutoff_frequency
+        return xp.where(passes, self.coefficient**2 / (2.0 * np.pi * xp.abs(f)), 0.0)
 
     def at_low_frequencies(self) -> BiasInstability:
         return self.replace(cutoff_frequency=math.inf)
 
     @np.errstate(divide="ignore", invalid="ignore")
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """PSD with aliases, Σ_m psd(f + m·rate)·sinc²: without a cutoff a sum of Hurwitz's zeta."""
         xp = namespace(self, frequency, rate)
         u = xp.asarray(frequency, float) / rate
@@ -537,7 +540,7 @@ def _flicker_parts() -> Parts:
     return Parts(white, difference, 0.0, Poles(pole[there], share * weight[there]))
 
 
-def _cutoff_flicker(x: Float[Array, ...]) -> Float[Array, ...]:
+def _cutoff_flicker(x: Reals) -> Reals:
     """Scaled G of flicker noise with a cutoff at x = 2πf0·t, in a gauge that vanishes like x⁴.
 
     ½ − cos(x)/2 + x sin(x)/2 + x² Cin(x)/2 − ¾x².
@@ -573,7 +576,7 @@ class PowerLaw(NoiseTerm):
     amplitude: Value = parameter("A", time_exponent=0.5)
     exponent: Value = parameter("α", "number", lower=-1.0, upper=3.0)
 
-    def phase_covariance(self, lag: Float[Array, ...]) -> Float[Array, ...]:
+    def phase_covariance(self, lag: Reals) -> Reals:
         """Phase covariance −A²(2π)^α·t^(α+1)/[2Γ(α+2) cos(πα/2)], less a multiple of t² infinite at α = 1."""
         # cos(πα/2) = −sin(πε/2), ε = α − 1, and ε/sin(πε/2) = 2Γ(1 + ε/2)Γ(1 − ε/2)/π, smooth at zero.
         xp = namespace(self, lag)
@@ -589,15 +592,15 @@ class PowerLaw(NoiseTerm):
         return self.amplitude**2 * scale * power * lag**2 * (lag > 0.0)
 
     @np.errstate(divide="ignore")
-    def psd(self, frequency: Float[ArrayLike, ...]) -> Float[Array, ...]:
-        xp = namespace(self, frequency)
-        return self.amplitude**2 * xp.abs(xp.asarray(frequency, float)) ** -self.exponent
+    def psd(self, frequency: RealsLike) -> Reals:
+        xp, f = as_array(frequency, self)
+        return self.amplitude**2 * xp.abs(f) ** -self.exponent
 
     @np.errstate(divide="ignore", invalid="ignore")
-    def sampled_psd(self, frequency: Float[ArrayLike, ...], rate: float) -> Float[Array, ...]:
+    def sampled_psd(self, frequency: RealsLike, rate: float) -> Reals:
         """PSD with aliases: A²·rate^−α·sin²(πu)/π²·[ζ(α+2, u) + ζ(α+2, 1−u)], u = f/rate."""
-        xp = namespace(self, frequency, rate)
-        u = xp.asarray(frequency, float) / rate
+        xp, f = as_array(frequency, self, rate)
+        u = f / rate
         aliases = _hurwitz(2.0 + self.exponent, u) + _hurwitz(2.0 + self.exponent, 1.0 - u)
         return self.amplitude**2 * rate**-self.exponent * (xp.sin(np.pi * u) / np.pi) ** 2 * aliases
 
@@ -606,7 +609,7 @@ class PowerLaw(NoiseTerm):
         return gauss_markov_sum(self, rate, duration)
 
 
-def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:
+def _relative_expm1(x: Reals) -> Reals:
     """Quotient (e^x − 1)/x, smooth at zero."""
     xp = namespace(x)
     small = xp.abs(x) < 1e-2
@@ -615,7 +618,7 @@ def _relative_expm1(x: Float[Array, ...]) -> Float[Array, ...]:
     return xp.where(small, series, xp.expm1(far) / far)
 
 
-def _hurwitz(s: Value, q: Float[Array, ...]) -> Float[Array, ...]:
+def _hurwitz(s: Value, q: Reals) -> Reals:
     """Hurwitz's zeta Σ_k (q + k)^(−s), s > 1, by Euler–Maclaurin: JAX's has no derivative by s."""
     k = np.arange(_SINGLE)
     x = q + _SINGLE
