@@ -103,9 +103,10 @@ class Recursive(Echo):
 def test_a_users_response_works_as_the_packages_own():
     model = (Recursive(3.0) * RANDOM["walk"] + RANDOM["white"]).sampled(RATE)
     C, T = dense.covariance(model, 40, RATE), np.array([1, 2, 13])
-    for one in (model, model.state_space(RATE)):
-        expected = [dense.allan_variance(C, m) for m in T]
-        assert_allclose(one.allan_variance(T / RATE), expected, rtol=1e-9)
+    expected = [dense.allan_variance(C, m) for m in T]
+    assert_allclose(model.allan_variance(T / RATE), expected, rtol=1e-9)
+    space = model.state_space(RATE)
+    assert_allclose([dense.allan_variance_of_states(space, m) for m in T], expected, rtol=1e-9)
     assert model.values["recursive_bandwidth"] == 3.0
 
 

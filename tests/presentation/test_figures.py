@@ -171,9 +171,11 @@ def test_a_misfit_is_marked_in_the_figure_of_its_curve():
         assert set(lines_of(panel)["worst place"].get_xdata()) == {misfit.at}
     assert str(misfit) in texts(figure)
     other = aj.plot_psd(aj.power_spectrum(bench.recording("line")), fit)
-    assert "worst place" not in lines_of(panels(other)["gyro_x"])
-    assert fit["gyro_x"].verdict.startswith("does not fit: Allan deviation")
-    assert fit["gyro_x"].verdict in texts(other)
+    of_spectrum = fit["gyro_x"].other_misfit
+    assert (misfit.unit, of_spectrum.unit) == ("s", "Hz")
+    assert set(lines_of(panels(other)["gyro_x"])["worst place"].get_xdata()) == {of_spectrum.at}
+    assert fit["gyro_x"].verdict.startswith("does not fit: ")
+    assert str(of_spectrum) in texts(other)
     (result,) = fit.results
     moving = dataclasses.replace(fit, results=(result.unmeasured(not_measured=("at rest",)),))
     assert texts(moving.plot()).count("not a measurement") == 1
