@@ -73,6 +73,10 @@ def outcomes(kind: str, length: str, seed: int) -> list[tuple[str, str, bool, bo
     stream.update(recording.values)
     for name, fit in (("fit", aj.fit(recording)), ("stream", stream.fit())):
         for axis in fit.results:
+            if not axis.measured:
+                # A stream cannot leave out what it takes for a disturbance.
+                found.append((name, "refused", False, False))
+                continue
             for symbol, true in truth.items():
                 c = axis[symbol]
                 low, high = c.interval if c.detected else (0.0, c.upper_limit)
@@ -143,7 +147,7 @@ def run(
             found = list(itertools.chain(*run_tasks(outcomes, tasks)))
             outside += [left for _, symbol, _, left in found if symbol == "outside"]
             rows += list(coverage(kind, length, found))
-    head = ["", "length", "by", "axes", *(f"{s}: detected, holds" for s in SYMBOLS)]
+    head = ["", "length", "by", "axes", "refused", *(f"{s}: detected, holds" for s in SYMBOLS)]
     yield f"## Coverage, seeds from {seed} on\n\n{table(head, rows)}"
     yield f'Outside: {sum(outside)} of {len(outside)} axes whose verdict is "fits".'
     behind = []
@@ -159,7 +163,8 @@ def run(
 def coverage(kind: str, length: str, found: Sequence[tuple[str, str, bool, bool]]) -> Iterator[list[Any]]:
     """Rows of a kind of sensor: by fit and stream, which share is detected and which share holds."""
     for name in ("fit", "stream"):
-        row: list[Any] = [kind, length, name, sum(o[:2] == (name, "N") for o in found)]
+        counts = (sum(o[:2] == (name, which) for o in found) for which in ("N", "refused"))
+        row: list[Any] = [kind, length, name, *counts]
         for symbol in SYMBOLS:
             own = [(detected, holds) for by, s, detected, holds in found if (by, s) == (name, symbol)]
             detected, holds = zip(*own, strict=True)
