@@ -8,7 +8,6 @@ given all others.
 from __future__ import annotations
 
 import itertools
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -73,36 +72,28 @@ def draw_between(
 _LAGS, _HARMONICS, _KEPT, _SMOOTH = 200, 20, 0.9, 200
 # Points at which the law is tabulated; least share of their variance at a frequency.
 _GRID, _LOWEST = 2000, 0.1
-_Coefficients: TypeAlias = Float[np.ndarray, " n-1"]
 
 
-def draw_unrounded(x: Float[np.ndarray, " n"], step: float, seed: int) -> Float[np.ndarray, " n"]:
+def draw_unrounded(x: Float[np.ndarray, " n"], step: float, seed: int) -> Float[np.ndarray, " n"] | None:
     """Draw of samples before they were rounded to multiples of a step, of at most twice their deviation.
+
+    None if errors of rounding are nowhere most of the spectrum, as they are where a filter has fallen.
 
     The errors are then nearly independent of the samples (Widrow 1961), so that a coefficient has a normal
     law given the rounded one, if the spectra of both are known. That of the samples is the record's own less
     that of the errors; most of the least density of these stays, as a filter leaves little else at places.
     """
-    c, own, error = _spectra(x, step)
+    c = centred(x)
+    own = uniform_filter1d(c**2, min(_SMOOTH, len(c)), mode="nearest")
+    error = _errors_of_rounding(x, step)
     white = _KEPT * float(error.min())
+    if np.min(own - error) >= white:
+        return None
     error = error - white
     v = np.maximum(own - error, 0.5 * white)
     kept = v / (v + error)
     draw = kept * c + np.sqrt(kept * error) * np.random.default_rng(seed).standard_normal(len(c))
     return x.mean() + in_time(draw)
-
-
-def mostly_rounded(x: Float[np.ndarray, " n"], step: float) -> bool:
-    """Whether errors of rounding are most of what a filter leaves at some frequencies."""
-    _, own, error = _spectra(x, step)
-    return bool(np.min(own - error) < _KEPT * error.min())
-
-
-def _spectra(x: Float[np.ndarray, " n"], step: float) -> tuple[_Coefficients, _Coefficients, _Coefficients]:
-    """Cosine coefficients of samples, the spectrum of their squares, and that of the errors of rounding."""
-    c = centred(x)
-    own = uniform_filter1d(c**2, min(_SMOOTH, len(c)), mode="nearest")
-    return c, own, _errors_of_rounding(x, step)
 
 
 def _errors_of_rounding(x: Float[np.ndarray, " n"], step: float) -> Float[np.ndarray, " n-1"]:

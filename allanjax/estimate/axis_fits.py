@@ -193,7 +193,8 @@ def judged(template: Model, spectrum: AxisSpectrum, active: InUse, result: AxisF
     The law of the levels is known at all frequencies, but that of variances at long cluster times is not.
     """
     random = np.array([not term.deterministic for term in template.terms])
-    sufficient, fits, misfit = result.converged and result.discrepancy == 0.0, False, None
+    sufficient = result.converged and result.discrepancy == 0.0
+    fits, misfit = False, None
     if result.converged:
         noise = [term for term in result.model.sampled(spectrum.bins.rate).terms if not term.deterministic]
         power = [getattr(term, term.amplitude_parameter().name) ** 2 for term in noise]

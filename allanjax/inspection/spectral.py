@@ -152,11 +152,11 @@ def interpolated_from(values: Values, rate: float, eligible: Bool[np.ndarray, " 
         return None
     x = values[:_LOOKED_AT, eligible]
     # Of slow samples that are rounded to coarse steps only the steps would show.
-    steps = np.array([lattice(own) or 0.0 for own in x.T])
-    x = x[:, steps < np.std(np.diff(x, 2, axis=0), axis=0)]
-    if not x.size:
+    steps, second = np.array([lattice(own) or 0.0 for own in x.T]), np.diff(x, 2, axis=0)
+    fine = steps < np.std(second, axis=0)
+    if not fine.any():
         return None
-    second = np.diff(x, 2, axis=0)
+    x, second = x[:, fine], second[:, fine]
     straight = float(np.mean(abs(second) < _ZERO * np.sqrt(np.mean(np.diff(x, axis=0) ** 2, axis=0))))
     total: _Levels | float = 0.0
     for own in second.T * np.hanning(len(second)):

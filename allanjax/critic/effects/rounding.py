@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from allanjax.critic.effect import Candidate, Effect, View
-from allanjax.critic.imputation import draw_between, draw_unrounded, local_deviation, mostly_rounded
+from allanjax.critic.imputation import draw_between, draw_unrounded, local_deviation
 from allanjax.critic.policy import judged
 from allanjax.inspection.plausible import TOLERANCE, lattice
 
@@ -34,11 +34,10 @@ class Rounding(Effect):
         q = lattice(recorded)
         if q is None or is_harmless(q, recorded) or not np.array_equal(view.samples, view.raw):
             return None
-        x, fine = view.samples, q < _COARSE * local_deviation(recorded)
-        if fine and mostly_rounded(x, q):
-            x = draw_unrounded(x, q, view.n)
-        else:
-            x, _ = draw_between(x, x - q / 2.0, x + q / 2.0, view.n)
+        fine = q < _COARSE * local_deviation(recorded)
+        x = draw_unrounded(view.samples, q, view.n) if fine else None
+        if x is None:
+            x, _ = draw_between(view.samples, view.samples - q / 2.0, view.samples + q / 2.0, view.n)
         # Missing samples were drawn without rounding and need none.
         x = np.where(view.drawn, view.samples, x)
         # It is visible directly in the samples: all are so close to multiples that chance is excluded.

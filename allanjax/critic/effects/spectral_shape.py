@@ -37,7 +37,7 @@ from allanjax.estimate.spectral.search import (
 )
 from allanjax.noise.estimate import Estimate
 from allanjax.noise.model import Model
-from allanjax.noise.response import HALF_POWER, Response
+from allanjax.noise.response import Response
 from allanjax.noise.terms import PowerLaw
 from allanjax.record.completion import in_time
 from allanjax.spectrum.cosine import cosine_transform
@@ -171,11 +171,10 @@ def _with_what_is_known(view: View, spectrum: Spectrum, found: Fitted) -> Fitted
         if rounded.evidence > found.evidence - _AS_LIKELY:
             found = rounded
     if kind.is_mean:
-        whole = 2.0 * np.pi * HALF_POWER * kind.narrowing
-        samples = whole / found.structure.corner
+        samples = kind.of_one_sample / found.structure.corner
         nearest = np.rint(samples)
         if abs(samples / nearest - 1.0) < _WHOLE:
-            exact = found.structure.with_response(kind, whole / nearest)
+            exact = found.structure.with_response(kind, kind.of_one_sample / nearest)
             found = found._replace(structure=exact)
     return found
 

@@ -271,6 +271,11 @@ class Kind(NamedTuple):
         """Ratio of the half-power frequency to the bandwidth: below 1 of several means."""
         return filters.HALF_POWERS[self.order - 1] / filters.HALF_POWER if self.is_mean else 1.0
 
+    @property
+    def of_one_sample(self) -> float:
+        """Corner of means over one sample [radians per sample]; those over m have an m-th of it."""
+        return 2.0 * math.pi * filters.HALF_POWER * self.narrowing
+
     def of(self, bandwidth: float, quality: float) -> Response:
         """Response of this kind; filters without a quality factor ignore it."""
         if self.is_shaped:

@@ -42,7 +42,6 @@ from allanjax.estimate.spectral.model import (
     response_of,
     wandering,
 )
-from allanjax.noise.response import HALF_POWER
 from allanjax.noise.terms import NoiseTerm
 from allanjax.spectrum.cosine import Bins
 from allanjax.spectrum.peaks import LOWEST, Peak, level_beside, peaks_of
@@ -380,9 +379,8 @@ def _starts(kind: kinds.Kind, corners: Float[np.ndarray, " k"]) -> list[float]:
     """Corners to start from: those of means over whole samples, since their zeros fit or do not."""
     if not kind.is_mean:
         return corners.tolist()
-    one = 2.0 * np.pi * HALF_POWER * kind.narrowing
-    samples = one / corners
-    return (one / np.unique(np.where(samples < _SEVERAL, samples, np.rint(samples)))).tolist()
+    samples = kind.of_one_sample / corners
+    return (kind.of_one_sample / np.unique(np.where(samples < _SEVERAL, samples, np.rint(samples)))).tolist()
 
 
 def _kinds(kind: kinds.Kind) -> list[kinds.Kind]:
