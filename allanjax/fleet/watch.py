@@ -1,0 +1,204 @@
+"""Characterization of text while a logger writes it to a file, or while it comes through a pipe."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import select
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.base.wording import percent
+from allanjax.estimate.check import in_words, length_for, random_terms, trial_lengths
+from allanjax.fleet.stream import AllanAccumulator
+from allanjax.noise.estimate import SYMBOLS
+from allanjax.record.io.assembly import chunks_of
+from allanjax.record.io.text import growing_text
+
+if TYPE_CHECKING:
+    from allanjax.estimate.result import AxisFit, Fit
+    from allanjax.fleet.options import FitOptions
+    from allanjax.record.io.assembly import ChunkedRecording
+    from allanjax.record.validation import Source
+
+# Lines from which columns, units and rate are recognised; pause [s] between two looks for more lines; and
+# size [bytes] of what is read at a time.
+_FIRST, _PAUSE, _PIECE = 200, 0.1, 1 << 16
+# Time [s] after which a file that does not grow has ended.
+_LAST = 60.0
+# Share of the time that fits may take, which leaves the machine to the logger.
+_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class Aim:
+    """A relative standard deviation to which a coefficient, "N", "B" or "K", is to be known on every axis."""
+
+    symbol: str
+    relative_std: float
+
+    @classmethod
+    def parse(cls, text: str) -> Aim:
+        """The aim in words such as "B 10 %"; AllanjaxError if they are others."""
+        found = re.fullmatch(r"\s*([NBK])\s*(\d+(?:\.\d+)?)\s*%\s*", text)
+        if found is None or float(found[2]) == 0.0:
+            raise AllanjaxError(
+                f"{text!r} is no aim; give N, B or K and a relative standard deviation, e.g. 'B 10 %'"
+            )
+        return cls(found[1], float(found[2]) / 100.0)
+
+    def seconds(self, fit: Fit) -> float:
+        """Length [s] of a record that reaches the aim on all axes: that of the fit once it is reached.
+
+        It is nan if it is unknown, as before the coefficient is detected on every axis.
+        """
+        n, rate = fit.curve.n, fit.curve.rate
+        terms, trials = random_terms(), list(trial_lengths(random_terms(), rate, n))
+        k = [SYMBOLS[term.name()] for term in terms].index(self.symbol)
+
+        def needed(result: AxisFit) -> float | None:
+            found = [result[term.name()] for term in terms]
+            c = found[k]
+            if not (result.measured and c.detected and c.std > 0.0):
+                return None
+            if c.std <= self.relative_std * c.value:
+                return n / rate
+            power = np.array([x.value**2 if x.detected else 0.0 for x in found])
+            size = 2.0 * c.value
+            aim = size * self.relative_std * c.value
+            return length_for(aim, size * c.std, np.eye(len(terms))[k], power, trials)
+
+        lengths = [needed(result) if result.converged else None for result in fit.results]
+        return max((math.nan if length is None else length for length in lengths), key=_unknown_last)
+
+    def words(self, fit: Fit, seconds: float) -> str:
+        """How far a fit is from the aim, which needs so many `seconds`: "B to 10 % in about 40 min more"."""
+        aim, now = percent(self.relative_std), fit.curve.n / fit.curve.rate
+        if math.isnan(seconds):
+            return f"{self.symbol} to {aim} cannot be predicted before it is known on every axis"
+        if seconds <= now:
+            return f"{self.symbol} known to {aim}"
+        return f"{self.symbol} to {aim} in about {in_words(seconds - now)} more"
+
+
+def _unknown_last(length: float) -> tuple[bool, float]:
+    return math.isnan(length), length
+
+
+def lines_of(
+    stream: IO[bytes], growing: bool, every: float, stopped: Callable[[], bool]
+) -> Iterator[bytes]:
+    """Yield whole lines of a stream as they come, those of at least `every` [s] at a time.
+
+    Args:
+        stream: a pipe, or a file.
+        growing: whether more may follow at the end of the stream, as in a file that is being written.
+        every: least time [s] between batches.
+        stopped: whether to end before the stream does.
+
+    Raises:
+        RecordingError: the file has become shorter.
+    """
+    rest, ended, least = b"", False, _FIRST
+    begin = grown = time.monotonic()
+    while not (ended or stopped()):
+        piece = b""
+        if growing:
+            piece = stream.read(_PIECE)
+            if os.fstat(stream.fileno()).st_size < stream.tell():
+                raise RecordingError("the file has become shorter; watch the file that is written now")
+        elif select.select([stream], [], [], _PAUSE)[0]:
+            piece = os.read(stream.fileno(), _PIECE)
+            ended = not piece
+        if piece:
+            grown = time.monotonic()
+        elif growing:
+            ended = time.monotonic() - grown > _LAST
+            time.sleep(_PAUSE)
+        rest += piece
+        if time.monotonic() - begin >= every and rest.count(b"\n") >= least:
+            whole, _, rest = rest.rpartition(b"\n")
+            least, begin = 1, time.monotonic()
+            yield whole + b"\n"
+    whole, mark, _ = rest.rpartition(b"\n")
+    if mark:
+        yield whole + mark
+
+
+class Watch:
+    """Fits of a record that grows, in constant memory.
+
+    A gap, a bad value or a disturbance ends a piece of the record, and a new piece begins after it.
+
+    Attributes:
+        longest: the fit of the longest piece so far; None before there is one.
+    """
+
+    def __init__(
+        self, batches: Iterator[bytes], options: FitOptions, source: Source, warn: Callable[[str], None]
+    ) -> None:
+        """Watch lines that come in batches; `warn` is told why a piece ends."""
+        self.longest: Fit | None = None
+        self._batches, self._options, self._source, self._warn = batches, options, source, warn
+
+    def fits(self) -> Iterator[Fit]:
+        """Yield the fit of the present piece from time to time, and when it ends.
+
+        Raises:
+            RecordingError: the first lines are not those of a recording.
+        """
+        known = False
+        for table in growing_text(self._batches, self._source):
+            first = next(table.rows(_PIECE))
+            try:
+                recording = chunks_of(table, self._source.label, self._options.reading, len(first[0]))
+                known = True
+                yield from self._fits_of(recording)
+            except (RecordingError, FitError) as error:
+                if not known:
+                    raise
+                self._end_piece(error)
+
+    def _end_piece(self, why: AllanjaxError) -> None:
+        # What follows the reason is advice for files that have ended.
+        self._warn(f"{str(why).partition('; ')[0]}; a new piece of the record begins here")
+
+    def _samples(self, recording: ChunkedRecording) -> Iterator[Float[np.ndarray, "n axes"]]:
+        """Yield the samples of a piece up to its end, which a gap or a bad value may be."""
+        try:
+            yield from recording
+        except RecordingError as error:
+            self._end_piece(error)
+
+    def _fits_of(self, recording: ChunkedRecording) -> Iterator[Fit]:
+        """Yield the fit of a piece from time to time, and when it ends."""
+        accumulator = AllanAccumulator(recording.rate, recording.axes, name=recording.name)
+        fitted, due = 0, 0.0
+        for samples in self._samples(recording):
+            accumulator.update(samples)
+            begin = time.monotonic()
+            if begin >= due:
+                yield self._fit(accumulator)
+                # The first fit also compiles.
+                took = time.monotonic() - begin if fitted else 0.0
+                fitted, due = accumulator.n, time.monotonic() + took / _SHARE
+        if accumulator.n > fitted:
+            yield self._fit(accumulator)
+
+    def _fit(self, accumulator: AllanAccumulator) -> Fit:
+        """Fit of a piece; FitError if it was disturbed."""
+        options = self._options
+        seen = accumulator.inspect(as_is=options.as_is, vibrating=options.vibrating)
+        if seen.refusal or seen.longest_part is not None:
+            raise FitError(f"{accumulator.name}: {', '.join(fact.text for fact in seen.facts)}")
+        fit = accumulator.fit_inspected(seen, options.model, options.objective)
+        if self.longest is None or fit.curve.n >= self.longest.curve.n:
+            self.longest = fit
+        return fit
