@@ -94,7 +94,7 @@ class Trace:
         layer: what it is, e.g. "measured" or "model"; layers are shown and hidden together.
         x, y: the points.
         low, high: ends of their intervals.
-        look: "dots", "line" or "dashes".
+        look: "dots", "rings", which dots do not hide, "line" or "dashes".
         labels: what hovering adds for each point, as numbers of `names`.
         names: texts for `labels`.
     """
@@ -141,6 +141,7 @@ class View:
         groups: names of the axes or recordings.
         traces, marks, spans: what is drawn.
         log: which scales are logarithmic: "xy", "x", "y" or "".
+        single: whether marks are shown of one group at a time.
         interval: what the intervals of the traces are.
         hidden: layers that are hidden at first.
     """
@@ -155,6 +156,7 @@ class View:
     marks: Sequence[Mark] = ()
     spans: Sequence[Span] = ()
     log: str = "xy"
+    single: bool = False
     interval: str = "95 %"
     hidden: Sequence[str] = ()
 
@@ -181,7 +183,8 @@ Block: TypeAlias = Text | Table | Units | Exports | Fold | Row | Chart
 
 @dataclasses.dataclass(frozen=True)
 class Section:
-    """A part of a page with its heading."""
+    """A part of a page with its heading, on paper only if it is `printed`."""
 
     title: str
     blocks: Sequence[Block]
+    printed: bool = True

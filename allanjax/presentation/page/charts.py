@@ -67,16 +67,21 @@ def _view(
     return View(*labels, units=[*dict(units).items()], groups=names, traces=traces, hidden=hidden, **more)
 
 
-def curves(fit: Fit, spectrum: PowerSpectrum | None, findings: Sequence[Finding]) -> dict[Sensor, Chart]:
-    """Allan deviations of each sensor, and their spectra as a second view."""
-    charts = {}
+def curves(fit: Fit) -> list[Chart]:
+    """Allan deviations of each sensor."""
+    charts = []
     for sensor, own in by_sensor([r.axis for r in fit.results]):
-        views = [_allan(fit, own)]
-        if spectrum is not None:
-            views.append(density(fit, spectrum, own, findings))
         summary = f"Allan deviation of {', '.join(a.name for *_, a in own)}; the table has the coefficients."
-        charts[sensor] = Chart(SENSORS[sensor].capitalize(), views, summary)
+        charts.append(Chart(SENSORS[sensor].capitalize(), [_allan(fit, own)], summary))
     return charts
+
+
+def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) -> list[Chart]:
+    """Power spectral densities of each sensor."""
+    return [
+        Chart(f"{SENSORS[sensor].capitalize()}: power spectral density", [_density(fit, spectrum, own, findings)])
+        for sensor, own in by_sensor([r.axis for r in fit.results])
+    ]
 
 
 def _allan(fit: Fit, own: Sequence[Own]) -> View:
@@ -92,7 +97,7 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
         traces += _curve(group, result, curve.rate, points, time, _variance, np.sqrt, stated)
         marks += _marks(fit, k, group)
     units = (rate_unit(axis), (SI[axis.sensor]["rate"], 1.0))
-    return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks)
+    return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks, single=True)
 
 
 def _variance(term: Process, time: _Places, rate: float) -> Any:
@@ -100,7 +105,7 @@ def _variance(term: Process, time: _Places, rate: float) -> Any:
     return None if isinstance(term, allan_figure.Transient) else term.allan_variance(time)
 
 
-def _density(term: Process, frequency: _Places, rate: float) -> Any:
+def _psd(term: Process, frequency: _Places, rate: float) -> Any:
     """One-sided density of a term; None of one that has none."""
     return None if term.deterministic else 2.0 * np.asarray(term.sampled_psd(frequency, rate))
 
@@ -161,7 +166,7 @@ def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
         yield Mark("0.664·B", at, MINIMUM * c.value, group)
 
 
-def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Sequence[Finding]) -> View:
+def _density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Sequence[Finding]) -> View:
     """One-sided PSD with 95 % intervals, models, terms, and the findings that are in the spectrum."""
     low, high = spectrum.confidence_interval(0.95)
     traces, names = list[Trace](), [a.name for *_, a in own]
@@ -172,7 +177,7 @@ def density(fit: Fit, spectrum: PowerSpectrum, own: Sequence[Own], findings: Seq
             x = spectrum_figure.frequencies(spectrum, result.model)
         points = (spectrum.frequency, spectrum.density[:, k], low[:, k], high[:, k])
         stated = [fit.model_density(axis.name, x)] if result.converged else []
-        traces += _curve(group, result, spectrum.rate, points, x, _density, np.positive, stated)
+        traces += _curve(group, result, spectrum.rate, points, x, _psd, np.positive, stated)
     unit = SI[own[0].axis.sensor]["rate"]
     units = (density_unit(own[0].axis), (f"({unit})²/Hz", 1.0))
     spans = [_span(f, names) for f in findings if _is_within(f, names, 0.5 * spectrum.rate)]
@@ -191,6 +196,15 @@ def _span(finding: Finding, names: Sequence[str]) -> Span:
     own = [names.index(name) for name in finding.axes if name in names]
     start, stop = (float(x) for x in finding.span)
     return Span(finding.named(finding.cause), start, stop, own[0] if len(own) == 1 < len(names) else None)
+
+
+def above(amplitude: float, r: AxisFit) -> str:
+    """Power of a line of this amplitude [SI] over that of the rest of an axis, in words."""
+    line = 0.5 * amplitude**2
+    ratio = line / (r.rms**2 - line)
+    if not ratio > 0.0:
+        return ""
+    return f", {f'{plain(ratio, 2)} times' if ratio > 1.0 else percent(ratio)} its noise power"
 
 
 def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:

@@ -6,14 +6,15 @@ import datetime
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan, rate_unit
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import record_size
+from allanjax.base.wording import percent, plain, record_size
 from allanjax.comparison.compare import Comparison, axes_of
+from allanjax.comparison.specification import MET, MISSED, LimitCheck, SpecCheck
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
@@ -22,6 +23,7 @@ from allanjax.fleet.table import lines_of, times
 from allanjax.fleet.table import tables as fleet_tables
 from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import SYMBOLS, Estimate, title_of
+from allanjax.noise.terms import Sinusoid
 from allanjax.presentation.draw import SENSORS
 from allanjax.presentation.export.exporting import exported
 from allanjax.presentation.export.targets import TARGETS
@@ -53,71 +55,190 @@ if TYPE_CHECKING:
 _LONG = 10_000
 # Cluster times at which models without a record are drawn [s].
 _TIMES = np.geomspace(0.01, 1e4, 150)
+# What the fit compares with the model, and definitions by Hou (2004), chapter 4.
+_COMPARED = {
+    "allan": "overlapping Allan variances",
+    "wavelet": "Haar wavelet variances",
+    "whittle": "power spectrum, by Whittle's likelihood",
+    "exact": "samples, by their exact likelihood",
+}
+_DEFINITIONS = {
+    "quantization": "Q, quantization, is read at σ(τ) = √3 Q/τ.",
+    "angle_random_walk": "N, angle (velocity) random walk, is white noise of the two-sided density N²: "
+    "σ(τ) = N/√τ, so N is read at 1 s. The spectra here and most data sheets are one-sided: √2 N.",
+    "bias_instability": "B, bias instability, is flicker noise, whose σ is flat at √(2 ln 2/π) B = 0.664 B.",
+    "rate_random_walk": "K, rate (acceleration) random walk, is read at σ(τ) = K √(τ/3), so at 3 s.",
+    "ramp": "R, drift ramp, is read at σ(τ) = R τ/√2.",
+}
+_REFERENCES = (
+    "References: IEEE Std 952 (gyros) and IEEE Std 1293 (accelerometers), Allan variance; W. J. Riley, NIST "
+    "Special Publication 1065, 2008 (estimators and intervals); H. Hou, UCGE Report 20201, 2004 (terms)."
+)
 
 
-def of_record(
-    fit: Fit,
-    critique: Critique | None,
-    recording: Recording | None,
-    spectrum: PowerSpectrum | None,
-    check: Check | None,
-    origin: Mapping[str, str],
-) -> Iterator[Section]:
+_STYLES = {"pass": "good", "fail": "bad", "undecided": "care"}
+
+
+class Reported(NamedTuple):
+    """What a page shows of one recording; what is missing is left out or follows from the rest.
+
+    Attributes:
+        fit: its fit.
+        critique: its critique.
+        recording: its samples.
+        spectrum: its spectrum.
+        check: its check.
+        limits: its check against a specification.
+        conditions: serial number, temperature and others, in words by headings.
+        origin: where it is from, in the same way.
+    """
+
+    fit: Fit
+    critique: Critique | None = None
+    recording: Recording | None = None
+    spectrum: PowerSpectrum | None = None
+    check: Check | None = None
+    limits: SpecCheck | None = None
+    conditions: Mapping[str, str] = {}
+    origin: Mapping[str, str] = {}
+
+
+def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
+    fit, critique, recording, spectrum = one[:4]
     findings = () if critique is None else critique.findings
-    tables, curves = coefficients(fit), charts.curves(fit, spectrum, findings)
-    pairs = [Row([*([tables[s]] if s in tables else []), chart]) for s, chart in curves.items()]
-    yield Section("Result", [*verdict(fit, critique), *pairs, *warnings(fit, critique)])
+    result = [*verdict(one), Row([*coefficients(fit).values()]), Row(charts.curves(fit))]
+    yield Section("Result", [*result, *warnings(fit, critique)])
+    if one.limits is not None:
+        yield Section("Limits", [*limits(one.limits)])
     if spectrum is not None:
-        own = charts.by_sensor([r.axis for r in fit.results])
-        views = [(SENSORS[sensor], charts.density(fit, spectrum, axes, findings)) for sensor, axes in own]
-        densities = [Chart(f"{name.capitalize()}: power spectral density", [view]) for name, view in views]
-        yield Section("Spectrum", [Row(densities)])
+        yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
     if recording is not None:
         yield Section("Record", [Row(charts.over_time(recording, fit, critique))])
         if recording.n >= _LONG:
             dynamic = dynamic_allan(recording)
-            yield Section("Through time", [Row(charts.through_time(dynamic, critique))])
+            yield Section("Through time", [Row(charts.through_time(dynamic, critique))], printed=False)
     if residuals := charts.residuals(fit, spectrum):
-        yield Section("Residuals", [Row(residuals)])
+        yield Section("Residuals", [Row(residuals)], printed=False)
     if critique is not None:
         # Here, as the critic imports slow libraries.
         from allanjax.presentation.page.story import findings_in_full
 
-        yield Section("What a simulation gets wrong", list(findings_in_full(critique)))
+        yield Section("What a simulation gets wrong", [*findings_in_full(critique)])
     if any(r.measured for r in fit.results):
-        yield Section("Predicted drift", [Row(charts.drifts(fit))])
-    yield Section("Exports", list(exports(fit)))
-    yield Section("Details", list(details(fit, check)))
-    yield Section("How this page was made", [made(fit, origin)])
+        yield Section("Predicted drift", [Row(charts.drifts(fit))], printed=False)
+    yield Section("Exports", [*exports(fit)], printed=False)
+    yield Section("Details", [*details(fit, one.check)], printed=False)
+    yield Section("Method", [Text(method(fit)), Text(_REFERENCES, "note")])
+    yield Section("How this page was made", [made(fit, one.origin)])
 
 
 # --- Verdict and coefficients -------------------------------------------------------------------------------
 
 
-def verdict(fit: Fit, critique: Critique | None) -> Iterator[Text]:
-    """Whether the coefficients are a measurement, and whether the model fits."""
-    failed = [*fit.not_measured, *fit.without_result]
-    off = [r.axis.name for r in fit.results if r.measured and not r.fits]
-    good = [r.axis.name for r in fit.results if r.measured and r.fits]
-    style, text = "good", f"Good: the noise model fits {'all axes' if len(good) > 1 else 'the axis'}."
-    if failed:
-        style = "bad"
-        text = f"Not a measurement of the sensor on {listed(failed, 6) if good or off else 'any axis'}."
-    if off:
-        if not failed:
-            style, text = "care", "Usable with care."
-        which = listed(off, 6) if good or failed else "any axis"
-        text += f" The model does not fit {which}; the intervals are wider for it."
-    if good and style != "good":
-        text += f" It fits {listed(good, 6)}."
-    yield Text(text, f"verdict {style}")
-    size = f"{record_size(fit.curve.n, fit.curve.rate)}{fit.curve.describe_others()}."
-    yield Text(size, "note")
-    if critique is not None:
-        from allanjax.presentation.page.story import headline
+def verdict(one: Reported) -> Iterator[Text]:
+    """Whether limits are met, what was found, whether the model fits, and the conditions of the record."""
+    fit, failed = one.fit, [*one.fit.not_measured, *one.fit.without_result]
+    off, good = ([r.axis.name for r in fit.results if r.measured and r.fits is fits] for fits in (False, True))
+    disturbed, also = _lines(fit), list[str]()
+    if one.critique is not None:
+        from allanjax.presentation.page.story import in_words
 
-        yield headline(critique)
+        disturbed, also = in_words(one.critique, fit)
+    if one.limits is not None:
+        yield _against(one.limits)
+    styles, words = list[str](), list[str]()
+    if failed:
+        styles.append("bad")
+        where = listed(failed, 6) if good or off else "any axis"
+        words.append(f"Not a measurement of the sensor on {where}.")
+    if disturbed:
+        styles.append("care")
+        count = "One disturbance" if len(disturbed) == 1 else f"{len(disturbed)} disturbances"
+        words.append(f"{count}: {listed(disturbed, 3)}.")
+    if off:
+        styles.append("care")
+        where = listed(off, 6) if good or failed else "any axis"
+        words.append(f"The noise model does not fit {where}; the intervals are wider for it.")
+    if good:
+        of_all = "all axes" if len(good) > 1 else "the axis"
+        none = "No disturbance was found. " if one.critique is not None and not disturbed else ""
+        words.append(f"{none}The noise model fits {listed(good, 6) if off or failed else of_all}.")
+    style = next((style for style in ("bad", "care") if style in styles), "good")
+    yield Text(" ".join(words), f"verdict {style}")
+    if also:
+        yield Text(f"Also found: {listed(also, 6)}.")
+    size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
+    known = (f"{name}: {text}" for name, text in one.conditions.items())
+    yield Text(" · ".join([size, *known]), "note")
+
+
+def _lines(fit: Fit) -> list[str]:
+    """Spectral lines that the models of a fit have, in words."""
+    lines = [(r, t) for r in fit.results if r.converged for t in r.model.terms if isinstance(t, Sinusoid)]
+    return [
+        f"a spectral line at {plain(line.frequency, 4)} Hz on {r.axis.name}{charts.above(line.amplitude, r)}"
+        for r, line in lines
+    ]
+
+
+def _against(judged: SpecCheck) -> Text:
+    """Whether limits are met, and which are not."""
+    word, axes = judged.verdict, dict[str, list[str]]()
+    for r in judged.results:
+        if r.verdict == word:
+            axes.setdefault(r.limit.title, []).append(r.axis)
+    which = listed([f"{title} of {listed(names)}" for title, names in axes.items()])
+    text = "all limits are met" if word == "pass" else f"{word}, {which}"
+    return Text(f"{judged.sheet}: {text}.", f"verdict {_STYLES[word]}")
+
+
+def limits(judged: SpecCheck) -> Iterator[Block]:
+    """Each limit with the estimate, the margin below the limit, and what would decide."""
+    heads = "axis", "figure", "limit", "estimate ± 1σ", "margin (95 %)", "probability", "verdict"
+    rows = []
+    for r in judged.results:
+        axis, figure, estimate, limit, unit, chance, word = r.row()
+        cells = axis, figure, f"{limit} {unit}", estimate, _margin(r), chance
+        rows.append([*map(Cell, cells), Cell(word, remark=_decided(r))])
+    yield Table([*map(Cell, heads)], rows)
+    yield Text(
+        "Margin: how far the value is below its limit. Probability: that the true value of this unit is below "
+        f"the limit; it passes from {percent(MET)} on, and fails up to {percent(MISSED)}. A typical value is "
+        "no limit for one unit.",
+        "note",
+    )
+
+
+def _margin(r: LimitCheck) -> str:
+    """Margin below a limit with its interval, or the least that it may be."""
+    if (c := r.estimate) is None or c.held:
+        return "–"
+    value, low, high = (100.0 * (1.0 - x / r.limit.value) for x in (c.value, *c.interval[::-1]))
+    if not c.detected:
+        most = c.upper_limit
+        return "–" if most is None else f"at least {100.0 * (1.0 - most / r.limit.value):.2g} %"
+    return f"{value:.2g} % ({low:.2g} … {high:.2g})"
+
+
+def _decided(r: LimitCheck) -> str:
+    """Why a limit is undecided, and how long a record would decide."""
+    if r.seconds is not None and np.isfinite(r.seconds):
+        return f"a record of {plain(r.seconds / 60.0, 2)} min would decide if the value stayed the same"
+    return r.reason
+
+
+def method(fit: Fit) -> str:
+    """How the values were found, and what they and their intervals mean."""
+    terms = "Its terms are chosen by their evidence" if fit.chosen else f"Its terms are given, {fit.template}"
+    labels = {label for r in fit.results if r.converged for label in r.coefficients}
+    known = [text for label, text in _DEFINITIONS.items() if label in labels]
+    return (
+        f"A noise model is fitted to the {_COMPARED[fit.objective]} of each axis at rest. {terms}. A value is "
+        "given ± one standard deviation; the interval below it contains the true value with a probability of "
+        "95 %, and allows for the choice of terms. “<” is an upper limit (95 %) of what is not detected. "
+        + " ".join(known)
+    )
 
 
 def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
@@ -137,15 +258,17 @@ def coefficients(fit: Fit) -> dict[Sensor, Table]:
         every = {label: c for of in found for label, c in of.items()}
         known = [label for label in dict.fromkeys((*SYMBOLS, *every)) if label in every]
         labels = [label for label in known if label in MAIN or _shown(label, found)]
-        heads = [Cell(every[label].symbol, remark=every[label].title) for label in labels]
-        rows = [
-            [Cell(r.axis.name), *(_cell(of.get(label)) for label in labels), Cell(r.word)]
-            for r, of in zip(results, found, strict=True)
-        ]
+        rows = [[_head(every[label]), *(_cell(of.get(label)) for of in found)] for label in labels]
         if rows:
-            caption = f"Noise coefficients of the {SENSORS[sensor]} ± 1σ, with 95 % intervals below"
-            tables[sensor] = Table([Cell(SENSORS[sensor]), *heads, Cell("fit")], rows, caption)
+            heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
+            rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
+            tables[sensor] = Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below")
     return tables
+
+
+def _head(c: Estimate) -> Cell:
+    """Symbol, name and units of a coefficient."""
+    return Cell(c.symbol, remark=f"{c.title} [{c.usual_unit}]", si_remark=f"{c.title} [{c.si_unit}]")
 
 
 def _shown(label: str, found: Sequence[Mapping[str, Estimate]]) -> bool:
@@ -154,11 +277,12 @@ def _shown(label: str, found: Sequence[Mapping[str, Estimate]]) -> bool:
 
 
 def _cell(c: Estimate | None) -> Cell:
-    """A coefficient and its interval, in usual units and in SI."""
+    """A coefficient and its interval, in usual units and in SI, without the units."""
     if c is None:
         return Cell("–")
     (*_, text, below), (*_, si, si_below) = detail(c), detail(c, c.si_unit)
-    return Cell(text or "–", si or "–", below, si_below)
+    bare, bare_si = text.removesuffix(f" {c.usual_unit}"), si.removesuffix(f" {c.si_unit}")
+    return Cell(bare or "–", bare_si or "–", below, si_below)
 
 
 def details(fit: Fit, check: Check | None) -> Iterator[Block]:
@@ -166,7 +290,7 @@ def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     for r in fit.results:
         if not r.converged:
             continue
-        further = [[Cell(c.title), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
+        further = [[_head(c), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
         table = [Table([Cell("further term"), Cell("value")], further)] if further else []
         yield Fold(r.axis.name, [Text(r.story), *table])
     if check is not None:

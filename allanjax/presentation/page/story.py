@@ -3,39 +3,75 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import isfinite
 
 from allanjax.allan.deviation import rate_unit
-from allanjax.critic.finding import UNEXPLAINED, Finding
+from allanjax.base.wording import duration, plain
+from allanjax.critic.finding import UNEXPLAINED, Finding, cause_title
 from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
+from allanjax.estimate.result import Fit
+from allanjax.inspection.facts import listed
 from allanjax.presentation import critique_story as story
-from allanjax.presentation.page.blocks import Block, Chart, Fold, Table, Text, Trace, View
-from allanjax.presentation.page.charts import thinned
-from allanjax.record.units import SI, rate_unit_of
+from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
+from allanjax.presentation.page.charts import above, thinned
+from allanjax.record.units import SI, rate_unit_of, unit_scale
 from allanjax.spectrum.psd import density_unit
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
+# Causes that disturb a record; others, such as filters, are properties of the sensor.
+_DISTURBANCES = (
+    *("sinusoid", "bias_step", "outliers", "event", "disturbance", "saturation", "variance_change"),
+    *("slow_change", "warm_up", "temperature", "telegraph", "common_mode"),
+)
 
 
-def headline(critique: Critique) -> Text:
-    """How many findings there are, and what they gain."""
-    return Text(f"Critic: {story.headline(critique)}.", "note")
+def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
+    """Disturbances that were found, and properties of the sensor, such as filters, in words."""
+    disturbed, also = list[str](), list[str]()
+    for finding in (f for f in critique.findings if f.cause != UNEXPLAINED):
+        of = disturbed if finding.cause in _DISTURBANCES else also
+        of.append(_in_words(finding, fit))
+    return disturbed, also
+
+
+def _in_words(finding: Finding, fit: Fit) -> str:
+    """A finding as a customer reads it, e.g. "a spectral line at 17.3 Hz on gyro_y, 1.7 times its noise power"."""
+    name, place, size = finding.named(finding.cause), story.place(finding), story.size(finding)
+    article = "" if name.endswith(("s", "noise")) else "an " if name[0] in "aeio" else "a "
+    where = f" at {place}" if place.endswith("Hz") else f" ({place})"
+    text = f"{article}{name}{where} on {listed(finding.axes)}"
+    amplitude, own = finding.amplitudes.get(finding.shown), fit[finding.shown]
+    if finding.cause == "sinusoid" and amplitude is not None and own.converged:
+        return text + above(amplitude.value * unit_scale(amplitude.unit, own.axis.sensor), own)
+    return text if size == story.NONE else f"{text}, {size}"
 
 
 def findings_in_full(critique: Critique) -> Iterator[Block]:
     """The table of findings, each finding with its evidence, and what is left in each axis."""
     if causes := story.causes_of(critique.findings):
-        yield Table.of(story.findings_columns(critique, causes), "Findings, those that change most first")
+        columns = [c for c in story.findings_columns(critique, causes) if c.head != "nats"]
+        yield Table.of(columns, "Findings, those that change most first")
     for k, finding in enumerate(critique.findings):
         name = "unexplained" if finding.cause == UNEXPLAINED else finding.named(finding.cause)
         title = f"{k + 1}. {name}: {', '.join(finding.axes)}"
-        texts = [Text(story.sentence(finding))]
-        if changes := "; ".join(story.changes(finding, critique[finding.shown].axis)):
-            texts.append(Text(f"Changes: {changes}."))
-        yield Fold(title, [*texts, *_evidence(critique, finding)], is_open=k < _OPEN)
+        rows = [[*map(Cell, row)] for row in _changed(finding)]
+        tables = [Table([*map(Cell, ("", "before", "after"))], rows)] if rows else []
+        blocks = [Text(story.sentence(finding)), *tables, *_evidence(critique, finding)]
+        yield Fold(title, blocks, is_open=k < _OPEN)
     yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
+
+
+def _changed(finding: Finding) -> Iterator[tuple[str, str, str]]:
+    """Coefficients and the drift of simulations before and after a finding, if these differ."""
+    changes = [(cause_title(c.label, finding.shown.partition("_")[0]), c) for c in finding.coefficients]
+    if (drift := finding.drift) is not None:
+        changes.append((f"simulated drift over {duration(drift.horizon)}", drift))
+    for title, c in changes:
+        if story.notable(c.before, c.after):
+            yield title, *(f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in (c.before, c.after))
 
 
 def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
@@ -75,7 +111,8 @@ def _compared(
     traces = []
     for group, c in enumerate(found):
         traces.append(Trace(group, "simulated", c.place, c.median, c.low, c.high, look="line"))
-        traces.append(Trace(group, "measured", c.place, c.measured))
+        look = "rings" if group < len(found) - 1 else "dots"
+        traces.append(Trace(group, "measured", c.place, c.measured, look=look))
     return View(*labels, units=units, groups=groups, traces=traces, interval="95 % of simulations")
 
 
