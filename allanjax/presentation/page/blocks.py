@@ -63,6 +63,14 @@ class Units:
 
 
 @dataclasses.dataclass(frozen=True)
+class Method:
+    """The paragraph on the method: a fit's objective, and the terms that were given, if any."""
+
+    objective: str
+    terms: str
+
+
+@dataclasses.dataclass(frozen=True)
 class Exports:
     """Texts to copy, by the names under which they are chosen."""
 
@@ -178,7 +186,7 @@ class Chart:
     slider: str = ""
 
 
-Block: TypeAlias = Text | Table | Units | Exports | Fold | Row | Chart
+Block: TypeAlias = Text | Table | Units | Method | Exports | Fold | Row | Chart
 
 
 @dataclasses.dataclass(frozen=True)

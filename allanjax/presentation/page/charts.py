@@ -79,7 +79,10 @@ def curves(fit: Fit) -> list[Chart]:
 def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) -> list[Chart]:
     """Power spectral densities of each sensor."""
     return [
-        Chart(f"{SENSORS[sensor].capitalize()}: power spectral density", [_density(fit, spectrum, own, findings)])
+        Chart(
+            f"{SENSORS[sensor].capitalize()}: power spectral density",
+            [_density(fit, spectrum, own, findings)],
+        )
         for sensor, own in by_sensor([r.axis for r in fit.results])
     ]
 
@@ -97,7 +100,9 @@ def _allan(fit: Fit, own: Sequence[Own]) -> View:
         traces += _curve(group, result, curve.rate, points, time, _variance, np.sqrt, stated)
         marks += _marks(fit, k, group)
     units = (rate_unit(axis), (SI[axis.sensor]["rate"], 1.0))
-    return _view(own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks, single=True)
+    return _view(
+        own, ("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), units, traces, marks=marks, single=True
+    )
 
 
 def _variance(term: Process, time: _Places, rate: float) -> Any:
@@ -198,13 +203,14 @@ def _span(finding: Finding, names: Sequence[str]) -> Span:
     return Span(finding.named(finding.cause), start, stop, own[0] if len(own) == 1 < len(names) else None)
 
 
-def above(amplitude: float, r: AxisFit) -> str:
-    """Power of a line of this amplitude [SI] over that of the rest of an axis, in words."""
-    line = 0.5 * amplitude**2
-    ratio = line / (r.rms**2 - line)
+def line(frequency: float, axes: str, amplitude: float, strongest: AxisFit) -> str:
+    """A spectral line in words, with its power over that of the rest of the axis on which it is strongest."""
+    power = 0.5 * amplitude**2
+    ratio = power / (strongest.rms**2 - power)
+    text = f"a spectral line at {plain(frequency, 4)} Hz on {axes}"
     if not ratio > 0.0:
-        return ""
-    return f", {f'{plain(ratio, 2)} times' if ratio > 1.0 else percent(ratio)} its noise power"
+        return text
+    return f"{text}, {f'{plain(ratio, 2)} times' if ratio > 1.0 else percent(ratio)} its noise power"
 
 
 def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:

@@ -113,7 +113,7 @@ def page_about(parts: Sequence[Reported], title: str | None = None, first: Seque
 
 
 def _complete(one: Reported) -> Reported:
-    """With the conditions that the record states, and with the samples and the spectrum if there are samples."""
+    """With what the record states, and with the samples and the spectrum if there are samples."""
     recording, spectrum, known = one.recording, one.spectrum, dict(one.conditions)
     if recording is not None:
         known |= _stated(recording)

@@ -12,7 +12,7 @@ import numpy as np
 
 from allanjax.allan.deviation import dynamic_allan, rate_unit
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import percent, plain, record_size
+from allanjax.base.wording import duration, percent, record_size
 from allanjax.comparison.compare import Comparison, axes_of
 from allanjax.comparison.specification import MET, MISSED, LimitCheck, SpecCheck
 from allanjax.critic.result import Critique
@@ -36,6 +36,7 @@ from allanjax.presentation.page.blocks import (
     Exports,
     Fold,
     Mark,
+    Method,
     Row,
     Section,
     Table,
@@ -45,7 +46,7 @@ from allanjax.presentation.page.blocks import (
     View,
 )
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.units import SI, Sensor, unit_scale
+from allanjax.record.units import SI, unit_scale
 from allanjax.spectrum.psd import PowerSpectrum
 
 if TYPE_CHECKING:
@@ -55,28 +56,8 @@ if TYPE_CHECKING:
 _LONG = 10_000
 # Cluster times at which models without a record are drawn [s].
 _TIMES = np.geomspace(0.01, 1e4, 150)
-# What the fit compares with the model, and definitions by Hou (2004), chapter 4.
-_COMPARED = {
-    "allan": "overlapping Allan variances",
-    "wavelet": "Haar wavelet variances",
-    "whittle": "power spectrum, by Whittle's likelihood",
-    "exact": "samples, by their exact likelihood",
-}
-_DEFINITIONS = {
-    "quantization": "Q, quantization, is read at σ(τ) = √3 Q/τ.",
-    "angle_random_walk": "N, angle (velocity) random walk, is white noise of the two-sided density N²: "
-    "σ(τ) = N/√τ, so N is read at 1 s. The spectra here and most data sheets are one-sided: √2 N.",
-    "bias_instability": "B, bias instability, is flicker noise, whose σ is flat at √(2 ln 2/π) B = 0.664 B.",
-    "rate_random_walk": "K, rate (acceleration) random walk, is read at σ(τ) = K √(τ/3), so at 3 s.",
-    "ramp": "R, drift ramp, is read at σ(τ) = R τ/√2.",
-}
-_REFERENCES = (
-    "References: IEEE Std 952 (gyros) and IEEE Std 1293 (accelerometers), Allan variance; W. J. Riley, NIST "
-    "Special Publication 1065, 2008 (estimators and intervals); H. Hou, UCGE Report 20201, 2004 (terms)."
-)
-
-
-_STYLES = {"pass": "good", "fail": "bad", "undecided": "care"}
+# Classes of the style sheet for verdicts.
+_STYLES = {"pass": "verdict good", "fail": "verdict bad", "undecided": "verdict care"}
 
 
 class Reported(NamedTuple):
@@ -107,10 +88,10 @@ def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
     fit, critique, recording, spectrum = one[:4]
     findings = () if critique is None else critique.findings
-    result = [*verdict(one), Row([*coefficients(fit).values()]), Row(charts.curves(fit))]
-    yield Section("Result", [*result, *warnings(fit, critique)])
+    pictures = [Row(coefficients(fit)), Row(charts.curves(fit))]
+    yield Section("Result", [*verdict(one), *pictures, *warnings(fit, critique)])
     if one.limits is not None:
-        yield Section("Limits", [*limits(one.limits)])
+        yield Section("Limits", [limits(one.limits)])
     if spectrum is not None:
         yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
     if recording is not None:
@@ -129,8 +110,8 @@ def of_record(one: Reported) -> Iterator[Section]:
         yield Section("Predicted drift", [Row(charts.drifts(fit))], printed=False)
     yield Section("Exports", [*exports(fit)], printed=False)
     yield Section("Details", [*details(fit, one.check)], printed=False)
-    yield Section("Method", [Text(method(fit)), Text(_REFERENCES, "note")])
-    yield Section("How this page was made", [made(fit, one.origin)])
+    yield Section("Method", [Method(fit.objective, "" if fit.chosen else str(fit.template))])
+    yield Section("How this page was made", [made(one.origin)])
 
 
 # --- Verdict and coefficients -------------------------------------------------------------------------------
@@ -138,48 +119,41 @@ def of_record(one: Reported) -> Iterator[Section]:
 
 def verdict(one: Reported) -> Iterator[Text]:
     """Whether limits are met, what was found, whether the model fits, and the conditions of the record."""
-    fit, failed = one.fit, [*one.fit.not_measured, *one.fit.without_result]
-    off, good = ([r.axis.name for r in fit.results if r.measured and r.fits is fits] for fits in (False, True))
-    disturbed, also = _lines(fit), list[str]()
-    if one.critique is not None:
-        from allanjax.presentation.page.story import in_words
-
-        disturbed, also = in_words(one.critique, fit)
+    fit, of = one.fit, [(r.axis.name, r.fits) for r in one.fit.results if r.measured]
+    failed, good = [*fit.not_measured, *fit.without_result], [name for name, fits in of if fits]
+    off = [name for name, fits in of if not fits]
     if one.limits is not None:
         yield _against(one.limits)
-    styles, words = list[str](), list[str]()
     if failed:
-        styles.append("bad")
-        where = listed(failed, 6) if good or off else "any axis"
-        words.append(f"Not a measurement of the sensor on {where}.")
+        where = listed(failed, 6) if of else "any axis"
+        yield Text(f"Not a measurement of the sensor on {where}.", "verdict bad")
+    disturbed, also = _found(one)
     if disturbed:
-        styles.append("care")
         count = "One disturbance" if len(disturbed) == 1 else f"{len(disturbed)} disturbances"
-        words.append(f"{count}: {listed(disturbed, 3)}.")
+        yield Text(f"{count}: {listed(disturbed, 3)}.", "verdict care")
     if off:
-        styles.append("care")
         where = listed(off, 6) if good or failed else "any axis"
-        words.append(f"The noise model does not fit {where}; the intervals are wider for it.")
+        text = f"The noise model does not fit {where}; the intervals are wider for it."
+        yield Text(text, "verdict care")
     if good:
-        of_all = "all axes" if len(good) > 1 else "the axis"
-        none = "No disturbance was found. " if one.critique is not None and not disturbed else ""
-        words.append(f"{none}The noise model fits {listed(good, 6) if off or failed else of_all}.")
-    style = next((style for style in ("bad", "care") if style in styles), "good")
-    yield Text(" ".join(words), f"verdict {style}")
+        where = listed(good, 6) if off or failed else "all axes" if len(good) > 1 else "the axis"
+        alone = not (off or failed or disturbed or one.limits)
+        yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
         yield Text(f"Also found: {listed(also, 6)}.")
     size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
-    known = (f"{name}: {text}" for name, text in one.conditions.items())
-    yield Text(" · ".join([size, *known]), "note")
+    yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
 
 
-def _lines(fit: Fit) -> list[str]:
-    """Spectral lines that the models of a fit have, in words."""
-    lines = [(r, t) for r in fit.results if r.converged for t in r.model.terms if isinstance(t, Sinusoid)]
-    return [
-        f"a spectral line at {plain(line.frequency, 4)} Hz on {r.axis.name}{charts.above(line.amplitude, r)}"
-        for r, line in lines
-    ]
+def _found(one: Reported) -> tuple[list[str], list[str]]:
+    """Disturbances and properties of the sensor in words: by the critic, or lines of the models."""
+    if one.critique is not None:
+        from allanjax.presentation.page.story import in_words
+
+        return in_words(one.critique, one.fit)
+    known = [r for r in one.fit.results if r.converged]
+    lines = [(r, term) for r in known for term in r.model.terms if isinstance(term, Sinusoid)]
+    return [charts.line(term.frequency, r.axis.name, term.amplitude, r) for r, term in lines], []
 
 
 def _against(judged: SpecCheck) -> Text:
@@ -190,55 +164,32 @@ def _against(judged: SpecCheck) -> Text:
             axes.setdefault(r.limit.title, []).append(r.axis)
     which = listed([f"{title} of {listed(names)}" for title, names in axes.items()])
     text = "all limits are met" if word == "pass" else f"{word}, {which}"
-    return Text(f"{judged.sheet}: {text}.", f"verdict {_STYLES[word]}")
+    return Text(f"{judged.sheet}: {text}.", _STYLES[word])
 
 
-def limits(judged: SpecCheck) -> Iterator[Block]:
+def limits(judged: SpecCheck) -> Table:
     """Each limit with the estimate, the margin below the limit, and what would decide."""
     heads = "axis", "figure", "limit", "estimate ± 1σ", "margin (95 %)", "probability", "verdict"
     rows = []
     for r in judged.results:
         axis, figure, estimate, limit, unit, chance, word = r.row()
-        cells = axis, figure, f"{limit} {unit}", estimate, _margin(r), chance
-        rows.append([*map(Cell, cells), Cell(word, remark=_decided(r))])
-    yield Table([*map(Cell, heads)], rows)
-    yield Text(
-        "Margin: how far the value is below its limit. Probability: that the true value of this unit is below "
-        f"the limit; it passes from {percent(MET)} on, and fails up to {percent(MISSED)}. A typical value is "
-        "no limit for one unit.",
-        "note",
-    )
+        why = r.reason
+        if r.seconds is not None and np.isfinite(r.seconds):
+            why = f"a record of {duration(r.seconds)} would decide if the value stayed the same"
+        cells = axis, figure, f"{limit} {unit}", f"{estimate} {unit}" if estimate else "–", _margin(r), chance
+        rows.append([*map(Cell, cells), Cell(word, remark=why)])
+    about = "Margin: how far the value is below the limit. Probability: that the true value is below it; "
+    caption = f"{about}pass from {percent(MET)} on, fail up to {percent(MISSED)}."
+    return Table([*map(Cell, heads)], rows, caption)
 
 
 def _margin(r: LimitCheck) -> str:
     """Margin below a limit with its interval, or the least that it may be."""
-    if (c := r.estimate) is None or c.held:
+    c = r.estimate
+    if c is None or c.held or (most := c.upper_limit if not c.detected else c.value) is None:
         return "–"
-    value, low, high = (100.0 * (1.0 - x / r.limit.value) for x in (c.value, *c.interval[::-1]))
-    if not c.detected:
-        most = c.upper_limit
-        return "–" if most is None else f"at least {100.0 * (1.0 - most / r.limit.value):.2g} %"
-    return f"{value:.2g} % ({low:.2g} … {high:.2g})"
-
-
-def _decided(r: LimitCheck) -> str:
-    """Why a limit is undecided, and how long a record would decide."""
-    if r.seconds is not None and np.isfinite(r.seconds):
-        return f"a record of {plain(r.seconds / 60.0, 2)} min would decide if the value stayed the same"
-    return r.reason
-
-
-def method(fit: Fit) -> str:
-    """How the values were found, and what they and their intervals mean."""
-    terms = "Its terms are chosen by their evidence" if fit.chosen else f"Its terms are given, {fit.template}"
-    labels = {label for r in fit.results if r.converged for label in r.coefficients}
-    known = [text for label, text in _DEFINITIONS.items() if label in labels]
-    return (
-        f"A noise model is fitted to the {_COMPARED[fit.objective]} of each axis at rest. {terms}. A value is "
-        "given ± one standard deviation; the interval below it contains the true value with a probability of "
-        "95 %, and allows for the choice of terms. “<” is an upper limit (95 %) of what is not detected. "
-        + " ".join(known)
-    )
+    value, low, high = (percent(1.0 - x / r.limit.value) for x in (most, *c.interval[::-1]))
+    return f"{value} ({low.removesuffix(' %')} … {high})" if c.detected else f"at least {value}"
 
 
 def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
@@ -249,9 +200,9 @@ def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     yield from (Text(text, "warning") for text in (*known, *left))
 
 
-def coefficients(fit: Fit) -> dict[Sensor, Table]:
+def coefficients(fit: Fit) -> list[Table]:
     """A table of each sensor's coefficients with 95 % intervals or limits, in usual units and in SI."""
-    tables = dict[Sensor, Table]()
+    tables = list[Table]()
     for sensor, own in charts.by_sensor([r.axis for r in fit.results]):
         results = [r for k, *_ in own if (r := fit.results[k]).converged]
         found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
@@ -262,7 +213,7 @@ def coefficients(fit: Fit) -> dict[Sensor, Table]:
         if rows:
             heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
             rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
-            tables[sensor] = Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below")
+            tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
     return tables
 
 
@@ -318,12 +269,10 @@ def exports(fit: Fit) -> Iterator[Block]:
     yield Exports(texts)
 
 
-def made(fit: Fit, origin: Mapping[str, str]) -> Table:
+def made(origin: Mapping[str, str]) -> Table:
     """What is needed to make the page again."""
     known = {
         **origin,
-        "model": str(fit.template) if not fit.chosen else "chosen by evidence",
-        "objective": fit.objective,
         "made": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         "allanjax": version("allanjax"),
         "with": ", ".join(f"{name} {version(name)}" for name in ("jax", "numpy", "scipy", "optimistix")),

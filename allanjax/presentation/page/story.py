@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import isfinite
+from typing import Any
 
 from allanjax.allan.deviation import rate_unit
 from allanjax.base.wording import duration, plain
-from allanjax.critic.finding import UNEXPLAINED, Finding, cause_title
+from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit
 from allanjax.inspection.facts import listed
+from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
 from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
-from allanjax.presentation.page.charts import above, thinned
-from allanjax.record.units import SI, rate_unit_of, unit_scale
+from allanjax.presentation.page.charts import line, thinned
+from allanjax.record.units import SI, Sensor, rate_unit_of, unit_scale
 from allanjax.spectrum.psd import density_unit
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
@@ -38,15 +40,15 @@ def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
 
 
 def _in_words(finding: Finding, fit: Fit) -> str:
-    """A finding as a customer reads it, e.g. "a spectral line at 17.3 Hz on gyro_y, 1.7 times its noise power"."""
-    name, place, size = finding.named(finding.cause), story.place(finding), story.size(finding)
+    """A finding as a customer reads it, e.g. "a bias step (600 s) on gyro_y, 0.012 deg/s"."""
+    own, size = finding.amplitudes.get(finding.shown), story.size(finding)
+    axes, frequency = listed(finding.axes), finding.parameters.get("frequency")
+    if finding.cause == "sinusoid" and own and frequency and fit[finding.shown].converged:
+        amplitude = own.value * unit_scale(own.unit, own.axis.sensor)
+        return line(frequency.value, axes, amplitude, fit[finding.shown])
+    name = finding.named(finding.cause)
     article = "" if name.endswith(("s", "noise")) else "an " if name[0] in "aeio" else "a "
-    where = f" at {place}" if place.endswith("Hz") else f" ({place})"
-    text = f"{article}{name}{where} on {listed(finding.axes)}"
-    amplitude, own = finding.amplitudes.get(finding.shown), fit[finding.shown]
-    if finding.cause == "sinusoid" and amplitude is not None and own.converged:
-        return text + above(amplitude.value * unit_scale(amplitude.unit, own.axis.sensor), own)
-    return text if size == story.NONE else f"{text}, {size}"
+    return f"{article}{name} ({story.place(finding)}) on {axes}{'' if size == story.NONE else f', {size}'}"
 
 
 def findings_in_full(critique: Critique) -> Iterator[Block]:
@@ -57,21 +59,22 @@ def findings_in_full(critique: Critique) -> Iterator[Block]:
     for k, finding in enumerate(critique.findings):
         name = "unexplained" if finding.cause == UNEXPLAINED else finding.named(finding.cause)
         title = f"{k + 1}. {name}: {', '.join(finding.axes)}"
-        rows = [[*map(Cell, row)] for row in _changed(finding)]
+        rows = [*_changed(finding, critique[finding.shown].axis.sensor)]
         tables = [Table([*map(Cell, ("", "before", "after"))], rows)] if rows else []
-        blocks = [Text(story.sentence(finding)), *tables, *_evidence(critique, finding)]
+        blocks: list[Block] = [Text(story.sentence(finding)), *tables, *_evidence(critique, finding)]
         yield Fold(title, blocks, is_open=k < _OPEN)
     yield from (Text(line, "note") for line in story.axis_lines(critique, brief=False))
 
 
-def _changed(finding: Finding) -> Iterator[tuple[str, str, str]]:
+def _changed(finding: Finding, sensor: Sensor) -> Iterator[list[Cell]]:
     """Coefficients and the drift of simulations before and after a finding, if these differ."""
-    changes = [(cause_title(c.label, finding.shown.partition("_")[0]), c) for c in finding.coefficients]
+    changes: dict[str, Any] = {title_of(c.label, sensor): c for c in finding.coefficients}
     if (drift := finding.drift) is not None:
-        changes.append((f"simulated drift over {duration(drift.horizon)}", drift))
-    for title, c in changes:
+        changes[f"simulated drift over {duration(drift.horizon)}"] = drift
+    for title, c in changes.items():
         if story.notable(c.before, c.after):
-            yield title, *(f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in (c.before, c.after))
+            texts = [f"{plain(x, 3)} {c.unit}" if isfinite(x) else "none" for x in (c.before, c.after)]
+            yield [*map(Cell, (title, *texts))]
 
 
 def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:

@@ -275,7 +275,7 @@ def assemble(table: Table, name: str, options: ReadOptions) -> Recording:
 
 
 class _Segment(NamedTuple):
-    """Samples of a segment in the file's units, auxiliary channels, times [s], and the UNIX time of zero [s]."""
+    """Samples in the file's units, auxiliary channels, times [s], and the UNIX time of zero [s]."""
 
     values: Float[np.ndarray, "samples axes"]
     auxiliary: Mapping[str, Float[np.ndarray, " samples"]]

@@ -76,6 +76,8 @@
       this.controls = make("div", {className: "controls", role: "group", "aria-label": `What ${data.title} shows`});
       this.readout = make("div", {className: "readout", "aria-live": "polite"});
       figure.insertBefore(this.controls, this.plot);
+      this.whole = make("button", {type: "button", className: "tools", textContent: "Whole range", onclick: () => { this.zoom = null; this.draw(); }});
+      figure.querySelector("figcaption").append(this.whole, make("button", {type: "button", className: "copy", textContent: "Copy CSV", onclick: event => copy(event.target, this.csv())}));
       figure.append(this.readout);
       if (data.slider) this.addSlider();
       this.plot.addEventListener("keydown", event => this.key(event));
@@ -105,8 +107,6 @@
         if (single && layer === "marks" && this.shown.size) Object.assign(b, {title: `of ${groups[this.chosen]}`}).style.color = colour(this.chosen);
         this.controls.append(b);
       }
-      this.controls.append(make("button", {type: "button", className: "reset", textContent: "Whole range", hidden: !this.zoom, onclick: () => { this.zoom = null; this.update(); }}));
-      this.controls.append(make("button", {type: "button", className: "copy", textContent: "Copy CSV", onclick: event => copy(event.target, this.csv())}));
     }
 
     toggle(set, item) {
@@ -136,6 +136,7 @@
       const safe = v => v == null || (logs.y && v <= 0) ? null : v / size;
       const tables = [], series = [{}], bands = [];
       this.drawn = this.traces();
+      this.whole.hidden = !this.zoom;
       for (const trace of this.drawn) {
         const c = colour(trace.group), rings = trace.look === "rings", dots = rings || trace.look === "dots";
         const table = [trace.x, trace.y.map(safe)];
@@ -172,11 +173,13 @@
 
     selected(u) {
       const {left, top, width, height} = u.select;
-      if (width > 2 && height > 2) this.zoom = {x: [u.posToVal(left, "x"), u.posToVal(left + width, "x")], y: [u.posToVal(top + height, "y"), u.posToVal(top, "y")], unit: this.unit()[1]};
-      this.fillControls();
+      if (width < 3 || height < 3) return;
+      this.whole.hidden = false;
+      this.zoom = {x: [u.posToVal(left, "x"), u.posToVal(left + width, "x")], y: [u.posToVal(top + height, "y"), u.posToVal(top, "y")], unit: this.unit()[1]};
     }
 
     apply(zoom) {
+      this.whole.hidden = false;
       const scale = zoom.unit / this.unit()[1];
       this.chart.setScale("x", {min: zoom.x[0], max: zoom.x[1]});
       if (zoom.y) this.chart.setScale("y", {min: zoom.y[0] * scale, max: zoom.y[1] * scale});
@@ -241,10 +244,9 @@
         const half = (max - min) / 2 * (event.key === "+" ? 0.6 : 1 / 0.6);
         this.zoom = {x: [from(middle - half), from(middle + half)], unit: this.unit()[1]};
         this.apply(this.zoom);
-        this.fillControls();
       } else if (event.key === "0" || event.key === "Escape") {
         this.zoom = null;
-        this.update();
+        this.draw();
       } else return;
       event.preventDefault();
     }
@@ -321,7 +323,7 @@
           if (taken.some(([a, b, c, d]) => start < b && start + w > a && row - h < d && row > c)) continue;
           taken.push([start, start + w, row - h, row]);
           // Readable on a curve, too.
-          Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 2 * ratio, lineJoin: "round"});
+          Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 4 * ratio, lineJoin: "round"});
           context.strokeText(text, start, row);
           context.fillText(text, start, row);
           return;
