@@ -176,13 +176,11 @@ class Chart:
     Attributes:
         title: its title.
         views: what it switches between.
-        summary: what it shows, for those who do not see it.
         slider: what a slider below it chooses on the x axis, e.g. "horizon"; "" for none.
     """
 
     title: str
     views: Sequence[View]
-    summary: str = ""
     slider: str = ""
 
 

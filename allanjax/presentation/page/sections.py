@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from allanjax.allan.deviation import dynamic_allan, rate_unit
+from allanjax.allan.deviation import dynamic_allan
 from allanjax.base.errors import AllanjaxError
-from allanjax.base.wording import duration, percent, record_size
+from allanjax.base.wording import record_size
 from allanjax.comparison.compare import Comparison, axes_of
-from allanjax.comparison.specification import MET, MISSED, LimitCheck, SpecCheck
+from allanjax.comparison.specification import SpecCheck
 from allanjax.critic.result import Critique
 from allanjax.estimate.check import Check
 from allanjax.estimate.result import MAIN, Fit, detail
@@ -91,7 +91,8 @@ def of_record(one: Reported) -> Iterator[Section]:
     pictures = [Row(coefficients(fit)), Row(charts.curves(fit))]
     yield Section("Result", [*verdict(one), *pictures, *warnings(fit, critique)])
     if one.limits is not None:
-        yield Section("Limits", [limits(one.limits)])
+        told = [Text(line, "note") for line in one.limits._notes()]
+        yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
     if spectrum is not None:
         yield Section("Spectrum", [Row(charts.densities(fit, spectrum, findings))])
     if recording is not None:
@@ -167,31 +168,6 @@ def _against(judged: SpecCheck) -> Text:
     return Text(f"{judged.sheet}: {text}.", _STYLES[word])
 
 
-def limits(judged: SpecCheck) -> Table:
-    """Each limit with the estimate, the margin below the limit, and what would decide."""
-    heads = "axis", "figure", "limit", "estimate ± 1σ", "margin (95 %)", "probability", "verdict"
-    rows = []
-    for r in judged.results:
-        axis, figure, estimate, limit, unit, chance, word = r.row()
-        why = r.reason
-        if r.seconds is not None and np.isfinite(r.seconds):
-            why = f"a record of {duration(r.seconds)} would decide if the value stayed the same"
-        cells = axis, figure, f"{limit} {unit}", f"{estimate} {unit}" if estimate else "–", _margin(r), chance
-        rows.append([*map(Cell, cells), Cell(word, remark=why)])
-    about = "Margin: how far the value is below the limit. Probability: that the true value is below it; "
-    caption = f"{about}pass from {percent(MET)} on, fail up to {percent(MISSED)}."
-    return Table([*map(Cell, heads)], rows, caption)
-
-
-def _margin(r: LimitCheck) -> str:
-    """Margin below a limit with its interval, or the least that it may be."""
-    c = r.estimate
-    if c is None or c.held or (most := c.upper_limit if not c.detected else c.value) is None:
-        return "–"
-    value, low, high = (percent(1.0 - x / r.limit.value) for x in (most, *c.interval[::-1]))
-    return f"{value} ({low.removesuffix(' %')} … {high})" if c.detected else f"at least {value}"
-
-
 def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     """Warnings about the recording, and why an axis has no result."""
     known = dict.fromkeys((*fit.warnings, *(() if critique is None else critique.warnings)))
@@ -203,17 +179,16 @@ def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
 def coefficients(fit: Fit) -> list[Table]:
     """A table of each sensor's coefficients with 95 % intervals or limits, in usual units and in SI."""
     tables = list[Table]()
-    for sensor, own in charts.by_sensor([r.axis for r in fit.results]):
-        results = [r for k, *_ in own if (r := fit.results[k]).converged]
+    for sensor, own in charts.by_sensor([r.axis for r in fit.results if r.converged]).items():
+        results = [fit[axis.name] for axis in own]
         found = [{c.label: c for c in r.coefficients.values() if c.term not in r.further} for r in results]
         every = {label: c for of in found for label, c in of.items()}
-        known = [label for label in dict.fromkeys((*SYMBOLS, *every)) if label in every]
-        labels = [label for label in known if label in MAIN or _shown(label, found)]
+        known = [x for x in dict.fromkeys((*SYMBOLS, *every)) if x in every]
+        labels = [x for x in known if x in MAIN or _shown(of[x] for of in found if x in of)]
         rows = [[_head(every[label]), *(_cell(of.get(label)) for of in found)] for label in labels]
-        if rows:
-            heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
-            rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
-            tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
+        heads = [SENSORS[sensor].capitalize(), *(r.axis.name for r in results)]
+        rows.append([Cell("fit"), *(Cell(r.word) for r in results)])
+        tables.append(Table([*map(Cell, heads)], rows, "± 1σ, with 95 % intervals below"))
     return tables
 
 
@@ -222,9 +197,9 @@ def _head(c: Estimate) -> Cell:
     return Cell(c.symbol, remark=f"{c.title} [{c.usual_unit}]", si_remark=f"{c.title} [{c.si_unit}]")
 
 
-def _shown(label: str, found: Sequence[Mapping[str, Estimate]]) -> bool:
+def _shown(every: Iterable[Estimate]) -> bool:
     """Whether a coefficient is detected on any axis."""
-    return any(of[label].held or (of[label].detected and of[label].measured) for of in found if label in of)
+    return any(c.held or (c.detected and c.measured) for c in every)
 
 
 def _cell(c: Estimate | None) -> Cell:
@@ -238,17 +213,16 @@ def _cell(c: Estimate | None) -> Cell:
 
 def details(fit: Fit, check: Check | None) -> Iterator[Block]:
     """Verdict of each axis, filters and lines that were fitted, how long to record, and notes."""
-    for r in fit.results:
-        if not r.converged:
-            continue
-        further = [[_head(c), _cell(c)] for c in r.coefficients.values() if c.term in r.further]
-        table = [Table([Cell("further term"), Cell("value")], further)] if further else []
-        yield Fold(r.axis.name, [Text(r.story), *table])
+    for r in (r for r in fit.results if r.converged):
+        yield Text(f"{r.axis.name}: {r.story}")
+        if r.further:
+            own = (c for c in r.coefficients.values() if c.term in r.further)
+            yield Table([Cell("further term"), Cell("value")], [[_head(c), _cell(c)] for c in own])
     if check is not None:
         yield Text(f"Check: {check.summary()}.")
         lengths = [(n.coefficient.axis.name, n.coefficient.symbol, n.describe()) for n in check.lengths]
-        rows = [[Cell(text) for text in row] for row in lengths]
-        yield Fold("How long to record", [Table([Cell("axis"), Cell("coefficient"), Cell("length")], rows)])
+        rows = [[*map(Cell, row)] for row in lengths]
+        yield Fold("How long to record", [Table([*map(Cell, ("axis", "coefficient", "length"))], rows)])
     yield from (Text(f"Note: {note}", "note") for note in fit.notes)
 
 
@@ -315,8 +289,7 @@ def _view(comparison: Comparison, name: str, sensor: Any) -> View:
             traces.append(Trace(group, "measured", time, one.curve.deviation[:, k], low, high))
         if one.model(name) is not None:
             traces.append(Trace(group, "model", time, one.deviation(name, time), look="line"))
-    units = (rate_unit(axis), (SI[sensor]["rate"], 1.0))
-    return View(name, "cluster time τ", "s", "σ", units=units, groups=comparison.labels, traces=traces)
+    return View(groups=comparison.labels, traces=traces, **charts.allan(axis, name))
 
 
 def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
@@ -363,27 +336,27 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
             marks=marks,
             log="y",
         )
-        yield Chart(title.capitalize(), [view], f"Distribution over {len(of['recording'].unique())} units.")
+        yield Chart(title.capitalize(), [view])
 
 
 def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     """One row per unit: its coefficients, which are limits where it has a "<", and its remarks."""
     shown = table[table["measured"]]
     known = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
-    columns = list(dict.fromkeys(zip(known["coefficient"], known["axis"], known["unit"], strict=True)))
-    cells: dict[str, dict[tuple[str, str], Any]] = {}
-    fields = ("recording", "coefficient", "axis", "value", "detected", "upper_limit_95")
-    for name, coefficient, axis, value, detected, limit in zip(*(shown[f] for f in fields), strict=True):
-        below = None if limit is None or np.isnan(limit) else f"< {limit:.3g}"
-        cells.setdefault(name, {})[coefficient, axis] = float(f"{value:.4g}") if detected else below
-    rows, marked = list[list[Any]](), list[int]()
-    outlying = set(table.loc[table["outlying"], "recording"])
-    for name, texts in table.groupby("recording", sort=False)[["remarks", "warnings"]]:
-        own, unit = cells.get(str(name), {}), str(name)
+    keys = ["coefficient", "axis", "unit"]
+    columns = list(known[keys].drop_duplicates().itertuples(index=False))
+    cells = dict[Any, Any]()
+    every: Any = known.itertuples()
+    for c in every:
+        limit = None if np.isnan(c.upper_limit_95 or np.nan) else f"< {c.upper_limit_95:.3g}"
+        cells[c.recording, c.coefficient, c.axis] = float(f"{c.value:.4g}") if c.detected else limit
+    rows, marked, outlying = list[list[Any]](), list[int](), set(table.loc[table["outlying"], "recording"])
+    parts: Any = table.groupby("recording", sort=False)[["remarks", "warnings"]]
+    for unit, texts in parts:
         remarks = dict.fromkeys(text for text in texts.to_numpy().ravel() if text)
         marked += [len(rows)] if unit in outlying else []
         first = [unit, pages[unit]] if unit in pages else unit
-        rows.append([first, *(own.get((c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
+        rows.append([first, *(cells.get((unit, c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
     symbols = [SYMBOLS.get(label, label.replace("_", " ")) for label, *_ in columns]
     names = [f"{axis} {symbol} [{unit}]" for symbol, (_, axis, unit) in zip(symbols, columns, strict=True)]
     return Units(["unit", *names, "remarks"], rows, marked)

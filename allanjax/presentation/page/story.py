@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
-from allanjax.allan.deviation import rate_unit
 from allanjax.base.wording import duration, plain
 from allanjax.critic.finding import UNEXPLAINED, Finding
 from allanjax.critic.profiles import Curve, summaries
@@ -17,9 +16,8 @@ from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
 from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
-from allanjax.presentation.page.charts import line, thinned
-from allanjax.record.units import SI, Sensor, rate_unit_of, unit_scale
-from allanjax.spectrum.psd import density_unit
+from allanjax.presentation.page.charts import allan, line, over, psd, thinned
+from allanjax.record.units import Sensor, unit_scale
 
 # Blocks of the record in the evidence of a finding, and most findings that are open at first.
 _BLOCKS, _OPEN = 300, 1
@@ -89,14 +87,8 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     found = [summaries(stage) for _, stage in pairs]
     for _, stage in pairs:
         stage.forget()
-    unit = SI[axis.axis.sensor]["rate"]
-    kinds = (
-        (("Allan deviation σ(τ)", "cluster time τ", "s", "σ"), (rate_unit(axis.axis), (unit, 1.0))),
-        (("PSD S(f)", "frequency f", "Hz", "S"), (density_unit(axis.axis), (f"({unit})²/Hz", 1.0))),
-    )
-    views = [
-        _compared(labels, units, groups, [of[k] for of in found]) for k, (labels, units) in enumerate(kinds)
-    ]
+    kinds = enumerate((allan(axis.axis), psd(axis.axis)))
+    views = [_compared(groups, [of[k] for of in found], labels) for k, labels in kinds]
     if finding.domain == "frequency":
         views.reverse()
     elif before is not after:
@@ -104,19 +96,14 @@ def _evidence(critique: Critique, finding: Finding) -> Iterator[Chart]:
     yield Chart(f"{axis.axis.name}: record and 95 % of simulations", views)
 
 
-def _compared(
-    labels: tuple[str, str, str, str],
-    units: Sequence[tuple[str, float]],
-    groups: Sequence[str],
-    found: Sequence[Curve],
-) -> View:
+def _compared(groups: Sequence[str], found: Sequence[Curve], labels: Mapping[str, Any]) -> View:
     """Measured curves over the bands of their simulations."""
     traces = []
     for group, c in enumerate(found):
         traces.append(Trace(group, "simulated", c.place, c.median, c.low, c.high, look="line"))
         look = "rings" if group < len(found) - 1 else "dots"
         traces.append(Trace(group, "measured", c.place, c.measured, look=look))
-    return View(*labels, units=units, groups=groups, traces=traces, interval="95 % of simulations")
+    return View(groups=groups, traces=traces, interval="95 % of simulations", **labels)
 
 
 def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
@@ -126,8 +113,5 @@ def _effect(axis: AxisCritique, before: Stage, after: Stage) -> View:
         s = thinned(x, before.rate, _BLOCKS)
         low, high = (s.low, s.high) if group == 0 else (None, None)
         traces.append(Trace(group, "mean of blocks", s.time, s.mean, low, high, look="line"))
-    units = (rate_unit_of(axis.axis.unit, axis.axis.sensor), (SI[axis.axis.sensor]["rate"], 1.0))
-    labels = ("Over time", "time", "s", "samples − mean")
-    return View(
-        *labels, units=units, groups=["record", "effect"], traces=traces, log="", interval="least … largest"
-    )
+    more = over(axis.axis, "Over time") | {"log": "", "interval": "least … largest"}
+    return View(groups=["record", "effect"], traces=traces, **more)
