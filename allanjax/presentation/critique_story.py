@@ -200,7 +200,7 @@ def factor_off(size: float) -> str:
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
 # An empty cell of the table, and the place of what has no other.
-NONE, _EVERYWHERE = "–", "whole record"
+NONE, EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
     **dict.fromkeys(("frequency", "bandwidth", "time"), "{}"),
@@ -237,7 +237,7 @@ def _row(finding: Finding, critique: Critique, brief: bool) -> tuple[str, ...]:
     like = _likeness(finding)
     return (
         f"unexplained ({like[0]}?)" if like else finding.named(finding.cause),
-        "all" if len(finding.axes) == len(critique) > 2 else _names(finding.axes),
+        "all" if len(finding.axes) == len(critique) > 2 else names_of(finding.axes),
         place(finding),
         size(finding),
         changed(finding, brief) or NONE,
@@ -253,7 +253,7 @@ def place(finding: Finding) -> str:
         return channel
     e = next((finding.parameters[label] for label in _WHERE if label in finding.parameters), None)
     if e is None:
-        return _EVERYWHERE
+        return EVERYWHERE
     text = _with(e.unit, plain(e.value, 6 if e.label == "count" else 4))
     places = [_LIMIT[side_of_limit(e)] + _WHERE[e.label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
@@ -302,7 +302,7 @@ def _before_and_after(c: CoefficientChange | DriftChange) -> str:
     return f"{before} {c.unit} → none" if after == "none" else f"{before} → {after} {c.unit}"
 
 
-def _names(axes: Iterable[str]) -> str:
+def names_of(axes: Iterable[str]) -> str:
     """Names of axes, those of one sensor together, e.g. "accel_xyz"."""
     words: list[str] = []
     for sensor, group in itertools.groupby(axes, lambda axis: axis.rpartition("_")[0]):
@@ -509,7 +509,7 @@ def _without_a_cause(finding: Finding) -> str:
 
 def _where(finding: Finding, more: str = "") -> str:
     """Where something unexplained shows, e.g. "in the spectrum (11 … 14 Hz)"."""
-    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or _EVERYWHERE}{more})"
+    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or EVERYWHERE}{more})"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:

@@ -315,9 +315,8 @@ def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart
         for m in some:
             traces = list[Trace]()
             for group, axis in enumerate(own):
-                y, y_low, y_high = (
-                    of[:, m, dynamic.axes.index(axis)] for of in (dynamic.deviation, low, high)
-                )
+                k = dynamic.axes.index(axis)
+                y, y_low, y_high = (of[:, m, k] for of in (dynamic.deviation, low, high))
                 traces.append(Trace(group, "measured", dynamic.time, y, y_low, y_high))
             labels = allan(own[0], f"τ = {plain(dynamic.cluster_time[m], 3)} s")
             yield _view(own, traces, **{**labels, "x": "time since the start"}, spans=spans, log="y")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -131,7 +131,7 @@ def verdict(one: Reported) -> Iterator[Text]:
     disturbed, also = _found(one)
     if disturbed:
         count = "One disturbance" if len(disturbed) == 1 else f"{len(disturbed)} disturbances"
-        yield Text(f"{count}: {listed(disturbed, 3)}.", "verdict care")
+        yield Text(f"{count}: {_first(disturbed)}.", "verdict care")
     if off:
         where = listed(off, 6) if good or failed else "any axis"
         text = f"The noise model does not fit {where}; the intervals are wider for it."
@@ -141,9 +141,15 @@ def verdict(one: Reported) -> Iterator[Text]:
         alone = not (off or failed or disturbed or one.limits)
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
-        yield Text(f"Also found: {listed(also, 6)}.")
+        yield Text(f"Also found: {_first(also)}.")
     size = record_size(fit.curve.n, fit.curve.rate) + fit.curve.describe_others()
     yield Text(" · ".join([size, *map(": ".join, one.conditions.items())]), "note")
+
+
+def _first(texts: Sequence[str]) -> str:
+    """The first three texts, and how many there are more."""
+    more = [f"and {len(texts) - 3} more"] if len(texts) > 3 else []
+    return "; ".join([*texts[:3], *more])
 
 
 def _found(one: Reported) -> tuple[list[str], list[str]]:

@@ -12,7 +12,6 @@ from allanjax.critic.profiles import Curve, summaries
 from allanjax.critic.result import AxisCritique, Critique
 from allanjax.critic.stage import Stage
 from allanjax.estimate.result import Fit
-from allanjax.inspection.facts import listed
 from allanjax.noise.estimate import title_of
 from allanjax.presentation import critique_story as story
 from allanjax.presentation.page.blocks import Block, Cell, Chart, Fold, Table, Text, Trace, View
@@ -30,23 +29,28 @@ _DISTURBANCES = (
 
 def in_words(critique: Critique, fit: Fit) -> tuple[list[str], list[str]]:
     """Disturbances that were found, and properties of the sensor, such as filters, in words."""
-    disturbed, also = list[str](), list[str]()
-    for finding in (f for f in critique.findings if f.cause != UNEXPLAINED):
-        of = disturbed if finding.cause in _DISTURBANCES else also
-        of.append(_in_words(finding, fit))
+    told = [
+        (f.cause in _DISTURBANCES, _told(f, critique, fit))
+        for f in critique.findings
+        if f.cause != UNEXPLAINED
+    ]
+    disturbed, also = ([text for is_one, text in told if is_one is wanted] for wanted in (True, False))
     return disturbed, also
 
 
-def _in_words(finding: Finding, fit: Fit) -> str:
-    """A finding as a customer reads it, e.g. "a bias step (600 s) on gyro_y, 0.012 deg/s"."""
-    own, size = finding.amplitudes.get(finding.shown), story.size(finding)
-    axes, frequency = listed(finding.axes), finding.parameters.get("frequency")
+def _told(finding: Finding, critique: Critique, fit: Fit) -> str:
+    """A finding as a customer reads it, e.g. "a bias step of 2.04 mg at 600 s on accel_y"."""
+    own, frequency = finding.amplitudes.get(finding.shown), finding.parameters.get("frequency")
+    axes = "all axes" if len(finding.axes) == len(critique) > 2 else story.names_of(finding.axes)
     if finding.cause == "sinusoid" and own and frequency and fit[finding.shown].converged:
         amplitude = own.value * unit_scale(own.unit, own.axis.sensor)
         return line(frequency.value, axes, amplitude, fit[finding.shown])
-    name = finding.named(finding.cause)
+    name, size = finding.named(finding.cause), story.size(finding)
+    place = story.place(finding).partition(", ")[0]
     article = "" if name.endswith(("s", "noise")) else "an " if name[0] in "aeio" else "a "
-    return f"{article}{name} ({story.place(finding)}) on {axes}{'' if size == story.NONE else f', {size}'}"
+    of = "" if size == story.NONE else f" of {size}"
+    at = "" if place == story.EVERYWHERE else f" at {place}" if place[0].isdigit() else f" ({place})"
+    return f"{article}{name}{of}{at} on {axes}"
 
 
 def findings_in_full(critique: Critique) -> Iterator[Block]:

@@ -60,6 +60,12 @@
 
   const css = name => getComputedStyle(root).getPropertyValue(name).trim();
   const colour = k => css(`--c${k % 6}`);
+  // Text that is readable on a curve, too.
+  const halo = (context, text, x, y) => {
+    Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 4 * uPlot.pxRatio, lineJoin: "round"});
+    context.strokeText(text, x, y);
+    context.fillText(text, x, y);
+  };
   const faint = (c, alpha) => `color-mix(in srgb, ${c} ${100 * alpha}%, transparent)`;
 
   // --- One chart -------------------------------------------------------------------------------------------
@@ -297,7 +303,7 @@
         const y = top + height - (5 + 15 * row) * ratio;
         if (y < top + 0.4 * height) continue;
         context.fillRect(a, y, Math.max(b - a, 2 * ratio), 2.5 * ratio);
-        context.fillText(span.text, x, y - 3 * ratio);
+        halo(context, span.text, x, y - 3 * ratio);
         taken.push([x, x + w, y - 16 * ratio, y]);
       }
       return taken;
@@ -322,10 +328,7 @@
           if (row < top + h || row > top + height - 3 * ratio) continue;
           if (taken.some(([a, b, c, d]) => start < b && start + w > a && row - h < d && row > c)) continue;
           taken.push([start, start + w, row - h, row]);
-          // Readable on a curve, too.
-          Object.assign(context, {strokeStyle: css("--paper"), lineWidth: 4 * ratio, lineJoin: "round"});
-          context.strokeText(text, start, row);
-          context.fillText(text, start, row);
+          halo(context, text, start, row);
           return;
         }
       };
