@@ -200,7 +200,7 @@ def factor_off(size: float) -> str:
 MOST = 10
 _HEADINGS = ("#", "what", "axes", "where", "size", "changes", "nats")
 # An empty cell of the table, and the place of what has no other.
-NONE, EVERYWHERE = "–", "whole record"
+NONE, _EVERYWHERE = "–", "whole record"
 # Parameters that are the place of an effect, the first that a finding has, and what stands around each.
 _WHERE = {
     **dict.fromkeys(("frequency", "bandwidth", "time"), "{}"),
@@ -253,7 +253,7 @@ def place(finding: Finding) -> str:
         return channel
     e = next((finding.parameters[label] for label in _WHERE if label in finding.parameters), None)
     if e is None:
-        return EVERYWHERE
+        return _EVERYWHERE
     text = _with(e.unit, plain(e.value, 6 if e.label == "count" else 4))
     places = [_LIMIT[side_of_limit(e)] + _WHERE[e.label].format(text)]
     for name, sign in (("harmonics", "× "), ("further_frequencies", "")):
@@ -509,7 +509,7 @@ def _without_a_cause(finding: Finding) -> str:
 
 def _where(finding: Finding, more: str = "") -> str:
     """Where something unexplained shows, e.g. "in the spectrum (11 … 14 Hz)"."""
-    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or EVERYWHERE}{more})"
+    return f"{_DOMAINS[str(finding.details['domain'])][0]} ({_ends(finding) or _EVERYWHERE}{more})"
 
 
 def headline_discrepancy(finding: Finding) -> tuple[Discrepancy, Discrepancy] | None:

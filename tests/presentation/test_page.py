@@ -440,6 +440,18 @@ def test_the_command_writes_one_page_for_several_files_with_their_hashes(tmp_pat
     assert (tmp_path / "r" / "a.html").read_text(encoding="utf-8").count("<h2>") >= 6
     assert run("report", "r/a.json", "--out", "saved.html").exit_code == 0
     assert run("report", "a.csv", "--out", "page.pdf").exit_code == 2
+    said = ["--title", "Unit 7", "--note", "serial number=0007", "--note", "operator=A. Smith"]
+    # White noise of 0.1 deg/√h: one limit is met, the other is not.
+    for limit, code in (("1 deg/√h", 0), ("0.01 deg/√h", 1)):
+        (tmp_path / "limits.yaml").write_text(f"gyro: {{meaning: maximum, N: {limit}}}", encoding="utf-8")
+        done = run("report", "r/a.json", "--spec", "limits.yaml", *said, "--out", "told.html")
+        assert done.exit_code == code, done.stderr
+        told = (tmp_path / "told.html").read_text(encoding="utf-8")
+        assert "<h1>Unit 7</h1>" in told
+        assert "serial number: 0007 · operator: A. Smith" in told
+        assert ("all limits are met" in told) == (code == 0)
+    assert run("report", "r/a.json", "--note", "serial number").exit_code == 2
+    assert run("report", "r/a.json", "--spec", "none.yaml").exit_code == 1
     missing = run("report", "none.csv", "--out", "n.html")
     assert missing.exit_code == 1
     assert "none.csv" in missing.stderr

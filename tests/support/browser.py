@@ -31,8 +31,11 @@ _NOTE = """(() => {
   };
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
     const m = this.measureText(text), t = this.getTransform();
-    const ends = [[-m.actualBoundingBoxLeft, -m.actualBoundingBoxAscent], [m.actualBoundingBoxRight, m.actualBoundingBoxDescent]];
-    (this.canvas.written ||= []).push([text, ends.map(([a, b]) => t.transformPoint(new DOMPoint(x + a, y + b)))]);
+    const ends = [
+      [x - m.actualBoundingBoxLeft, y - m.actualBoundingBoxAscent],
+      [x + m.actualBoundingBoxRight, y + m.actualBoundingBoxDescent],
+    ].map(end => t.transformPoint(new DOMPoint(...end)));
+    (this.canvas.written ||= []).push([text, ends]);
     fillText.call(this, text, x, y);
   };
 })()"""
@@ -44,7 +47,8 @@ _MEASURE = """() => {
     if (!node.textContent.trim() || !e.checkVisibility() || e.closest("script, style, select, pre")) continue;
     range.selectNodeContents(node);
     // A line is higher than its letters.
-    for (const r of range.getClientRects()) texts.push([node.textContent.trim(), r.left, r.right, r.top + 0.2 * r.height, r.bottom - 0.2 * r.height]);
+    for (const {left, right, top, bottom, height} of range.getClientRects())
+      texts.push([node.textContent.trim(), left, right, top + 0.2 * height, bottom - 0.2 * height]);
   }
   for (const canvas of document.querySelectorAll("canvas")) {
     const box = canvas.getBoundingClientRect(), k = box.width / canvas.width;
@@ -58,10 +62,12 @@ _MEASURE = """() => {
   const over = texts.flatMap((a, k) => texts.slice(k + 1)
     .filter(b => a[1] < b[2] - 0.5 && b[1] < a[2] - 0.5 && a[3] < b[4] - 0.5 && b[3] < a[4] - 0.5)
     .map(b => `${a[0]} | ${b[0]}`));
-  for (const e of document.querySelectorAll("td, th, p, button, h1, h2, summary, figcaption, caption, table")) {
+  const boxes = "td, th, p, button, h1, h2, summary, figcaption, caption, table";
+  for (const e of document.querySelectorAll(boxes)) {
     if (!e.checkVisibility() || e.closest(".units")) continue;
     const box = e.getBoundingClientRect(), about = e.closest("section, header, body").getBoundingClientRect();
-    if (e.scrollWidth > e.clientWidth + 1 || box.right > about.right + 1 || box.left < about.left - 1) cut.push(e.textContent.trim());
+    const beyond = box.right > about.right + 1 || box.left < about.left - 1;
+    if (e.scrollWidth > e.clientWidth + 1 || beyond) cut.push(e.textContent.trim());
   }
   return {count: texts.length, over, cut, beyond: document.documentElement.scrollWidth - innerWidth};
 }"""

@@ -44,7 +44,7 @@ def by_sensor(axes: Sequence[Axis]) -> dict[Sensor, list[Axis]]:
     return {sensor: own for sensor, own in every.items() if own}
 
 
-def _each(
+def each(
     axes: Sequence[Axis], title: str, views: Callable[[list[Axis]], Iterable[View]], slider: str = ""
 ) -> list[Chart]:
     """A chart of each sensor, with the views of its axes."""
@@ -90,7 +90,7 @@ def curves(fit: Fit) -> list[Chart]:
             marks += _marks(fit, k, group)
         yield _view(own, traces, **allan(own[0]), marks=marks, single=True)
 
-    return _each(_axes(fit), "{}", views)
+    return each(_axes(fit), "{}", views)
 
 
 def _axes(fit: Fit) -> list[Axis]:
@@ -187,7 +187,7 @@ def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) ->
         spans = [*_places(findings, own, "frequency", 0.5 * spectrum.rate)]
         yield _view(own, traces, **psd(own[0]), spans=spans)
 
-    return _each(_axes(fit), "{}: power spectral density", views)
+    return each(_axes(fit), "{}: power spectral density", views)
 
 
 def _places(findings: Sequence[Finding], axes: Sequence[Axis], domain: str, total: float) -> Iterator[Span]:
@@ -224,7 +224,7 @@ def residuals(fit: Fit, spectrum: PowerSpectrum | None) -> list[Chart]:
             yield _residual(own, of, ("PSD", "frequency f", "Hz"))
 
     known = [axis for axis in _axes(fit) if fit[axis.name].converged]
-    return _each(known, "{}: measured over model", views)
+    return each(known, "{}: measured over model", views)
 
 
 def _residual(own: Sequence[Axis], residuals: Sequence[Residual], labels: Sequence[str]) -> View:
@@ -276,7 +276,7 @@ def over_time(recording: Recording, fit: Fit, critique: Critique | None) -> list
         more = {"marks": marks, "spans": spans, "log": "", "interval": "least … largest"}
         yield _view(own, traces, **over(own[0]), **more)
 
-    return _each(recording.axes, "{} over time", views)
+    return each(recording.axes, "{} over time", views)
 
 
 def _parts(recording: Recording, fit: Fit, own: Sequence[Axis]) -> Iterator[Span]:
@@ -321,7 +321,7 @@ def through_time(dynamic: DynamicAllan, critique: Critique | None) -> list[Chart
             labels = allan(own[0], f"τ = {plain(dynamic.cluster_time[m], 3)} s")
             yield _view(own, traces, **{**labels, "x": "time since the start"}, spans=spans, log="y")
 
-    return _each(dynamic.axes, f"{{}} in windows of {duration(dynamic.window)}", views)
+    return each(dynamic.axes, f"{{}} in windows of {duration(dynamic.window)}", views)
 
 
 def drifts(fit: Fit) -> list[Chart]:
@@ -340,4 +340,4 @@ def drifts(fit: Fit) -> list[Chart]:
         beyond = Span("beyond half the record: extrapolated", length / 2.0, float(time[-1]))
         yield _view(own, traces, **labels, spans=[beyond] if beyond.start < beyond.stop else [])
 
-    return _each([of.axis for of in noise.axes.values()], "{}: predicted drift", views, "Horizon")
+    return each([of.axis for of in noise.axes.values()], "{}: predicted drift", views, "Horizon")

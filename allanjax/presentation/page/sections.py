@@ -88,8 +88,8 @@ def of_record(one: Reported) -> Iterator[Section]:
     """Sections about one recording; what is not given is left out."""
     fit, critique, recording, spectrum = one[:4]
     findings = () if critique is None else critique.findings
-    pictures = [Row(coefficients(fit)), Row(charts.curves(fit))]
-    yield Section("Result", [*verdict(one), *pictures, *warnings(fit, critique)])
+    shown = Row([*coefficients(fit), *charts.curves(fit)])
+    yield Section("Result", [*verdict(one), shown, *warnings(fit, critique)])
     if one.limits is not None:
         told = [Text(line, "note") for line in one.limits._notes()]
         yield Section("Limits", [*map(Table.of, one.limits._tables()), *told])
@@ -120,24 +120,22 @@ def of_record(one: Reported) -> Iterator[Section]:
 
 def verdict(one: Reported) -> Iterator[Text]:
     """Whether limits are met, what was found, whether the model fits, and the conditions of the record."""
-    fit, of = one.fit, [(r.axis.name, r.fits) for r in one.fit.results if r.measured]
-    failed, good = [*fit.not_measured, *fit.without_result], [name for name, fits in of if fits]
-    off = [name for name, fits in of if not fits]
+    fit, (disturbed, also) = one.fit, _found(one)
+    good, off = ([r.axis.name for r in fit.results if r.measured and r.fits == fits] for fits in (1, 0))
+    failed = [*fit.not_measured, *fit.without_result]
     if one.limits is not None:
         yield _against(one.limits)
     if failed:
-        where = listed(failed, 6) if of else "any axis"
+        where = listed(failed, 6) if good or off else "any axis"
         yield Text(f"Not a measurement of the sensor on {where}.", "verdict bad")
-    disturbed, also = _found(one)
     if disturbed:
         count = "One disturbance" if len(disturbed) == 1 else f"{len(disturbed)} disturbances"
         yield Text(f"{count}: {_first(disturbed)}.", "verdict care")
     if off:
         where = listed(off, 6) if good or failed else "any axis"
-        text = f"The noise model does not fit {where}; the intervals are wider for it."
-        yield Text(text, "verdict care")
+        yield Text(f"The noise model does not fit {where}; the intervals are wider for it.", "verdict care")
     if good:
-        where = listed(good, 6) if off or failed else "all axes" if len(good) > 1 else "the axis"
+        where = "all axes" if len(good) > 1 and not (off or failed) else listed(good, 6)
         alone = not (off or failed or disturbed or one.limits)
         yield Text(f"The noise model fits {where}.", "verdict good" if alone else "")
     if also:
@@ -176,7 +174,7 @@ def _against(judged: SpecCheck) -> Text:
 
 def warnings(fit: Fit, critique: Critique | None) -> Iterator[Text]:
     """Warnings about the recording, and why an axis has no result."""
-    known = dict.fromkeys((*fit.warnings, *(() if critique is None else critique.warnings)))
+    known = dict.fromkeys((*fit.warnings, *(critique.warnings if critique is not None else ())))
     reasons = {**fit.not_measured, **fit.without_result}
     left = [f"{axis}: {why}" for axis, why in reasons.items() if not any(why in text for text in known)]
     yield from (Text(text, "warning") for text in (*known, *left))
@@ -272,21 +270,20 @@ def of_comparison(comparison: Comparison) -> Iterator[Section]:
     different = sum(bool(d.differs) for d in tested)
     reference = comparison.labels[comparison.reference]
     verdict = f"{different} of {len(tested)} coefficients differ from those of {reference}."
+    if not tested:
+        verdict = "Whether coefficients differ cannot be tested without their errors."
     coefficients, terms, graded, *growths = (Table.of(columns) for columns in comparison._tables())
     names = axes_of(comparison.sensors)
-    charts = [
-        Chart(SENSORS[sensor].capitalize(), views)
-        for sensor in SENSORS
-        if (views := [_view(comparison, name, sensor) for name in names if name.startswith(sensor)])
-    ]
-    yield Section("Comparison", [Text(verdict, "verdict"), Row(charts), coefficients, terms, graded])
-    yield Section("Drift and growth of errors", growths)
+    axes = [Axis(x, of, SI[of]["rate"]) for x in names for of in SENSORS if x.startswith(of)]
+    over = charts.each(axes, "{}", lambda own: [_view(comparison, axis) for axis in own])
+    yield Section("Comparison", [Text(verdict, "verdict"), Row(over), Row([coefficients, terms, graded])])
+    yield Section("Drift and growth of errors", [Row(growths)])
     yield Section("Sensors", [Text(line, "note") for line in comparison._notes()])
 
 
-def _view(comparison: Comparison, name: str, sensor: Any) -> View:
+def _view(comparison: Comparison, axis: Axis) -> View:
     """Measured deviations with intervals, and models, of all sensors on an axis."""
-    traces, axis = list[Trace](), Axis(name, sensor, SI[sensor]["rate"])
+    traces, name = list[Trace](), axis.name
     for group, one in enumerate(comparison.sensors):
         time = _TIMES
         if one.curve is not None and name in one.curve.names:
@@ -322,47 +319,38 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
     found = table[table["detected"] & table["measured"]]
     parts: Mapping[Any, Any] = dict(iter(found.groupby(["sensor", "coefficient"], sort=False)))
     for (sensor, coefficient), of in parts.items():
-        traces, marks, axes = list[Trace](), list[Mark](), list(of["axis"].unique())
-        unit, si = of["unit"].iloc[0], unit_scale(of["unit"].iloc[0], sensor)
+        traces, marks = list[Trace](), list[Mark]()
+        unit, axes = of["unit"].iloc[0], list(of["axis"].unique())
+        si, name = unit_scale(unit, sensor), title_of(coefficient, sensor)
         for group, axis in enumerate(axes):
             own = of[of["axis"] == axis].sort_values("value")
-            share = 100.0 * (np.arange(len(own)) + 0.5) / len(own)
-            value, low, high = (own[name].to_numpy() * si for name in ("value", "lower_95", "upper_95"))
-            names, numbers = own["recording"].tolist(), range(len(own))
-            traces.append(Trace(group, "units", share, value, low, high, labels=numbers, names=names))
-            places = np.flatnonzero(own["outlying"].to_numpy()).tolist()
-            words = [f"{name} {times(ratio)}" for name, ratio in zip(names, own["ratio"], strict=True)]
-            marks += [Mark(words[k], float(share[k]), float(value[k]), group) for k in places]
-        title = f"{title_of(coefficient, sensor)}, {SENSORS[sensor]}"
-        view = View(
-            *(coefficient, "units up to this value", "%", title_of(coefficient, sensor)),
-            units=[(unit, si)],
-            groups=axes,
-            traces=traces,
-            marks=marks,
-            log="y",
-        )
-        yield Chart(title.capitalize(), [view])
+            share, names = 100.0 * (np.arange(len(own)) + 0.5) / len(own), own["recording"].tolist()
+            value, low, high = (si * own[key].to_numpy() for key in ("value", "lower_95", "upper_95"))
+            traces.append(Trace(group, "units", share, value, low, high, labels=range(len(own)), names=names))
+            for k in np.flatnonzero(own["outlying"]).tolist():
+                text = f"{names[k]} {times(own['ratio'].iloc[k])}"
+                marks.append(Mark(text, float(share[k]), float(value[k]), group))
+        labels = coefficient, "units up to this value", "%", name
+        view = View(*labels, units=[(unit, si)], groups=axes, traces=traces, marks=marks, log="y")
+        yield Chart(f"{name}, {SENSORS[sensor]}".capitalize(), [view])
 
 
 def _units(table: pd.DataFrame, pages: Mapping[str, str]) -> Units:
     """One row per unit: its coefficients, which are limits where it has a "<", and its remarks."""
     shown = table[table["measured"]]
-    known = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
-    keys = ["coefficient", "axis", "unit"]
-    columns = list(known[keys].drop_duplicates().itertuples(index=False))
-    cells = dict[Any, Any]()
-    every: Any = known.itertuples()
-    for c in every:
+    known: Any = shown[shown["coefficient"].isin(shown.loc[shown["detected"], "coefficient"])]
+    columns = list(known[["coefficient", "axis", "unit"]].drop_duplicates().itertuples(index=False))
+    cells, parts = dict[Any, Any](), dict[str, dict[str, None]]()
+    for c in known.itertuples():
         limit = None if np.isnan(c.upper_limit_95 or np.nan) else f"< {c.upper_limit_95:.3g}"
         cells[c.recording, c.coefficient, c.axis] = float(f"{c.value:.4g}") if c.detected else limit
-    rows, marked, outlying = list[list[Any]](), list[int](), set(table.loc[table["outlying"], "recording"])
-    parts: Any = table.groupby("recording", sort=False)[["remarks", "warnings"]]
-    for unit, texts in parts:
-        remarks = dict.fromkeys(text for text in texts.to_numpy().ravel() if text)
-        marked += [len(rows)] if unit in outlying else []
+    for unit, *texts in zip(*(table[key] for key in ("recording", "remarks", "warnings")), strict=True):
+        parts.setdefault(unit, {}).update(dict.fromkeys(filter(None, texts)))
+    rows = []
+    for unit, remarks in parts.items():
         first = [unit, pages[unit]] if unit in pages else unit
-        rows.append([first, *(cells.get((unit, c, axis)) for c, axis, _ in columns), "; ".join(remarks)])
-    symbols = [SYMBOLS.get(label, label.replace("_", " ")) for label, *_ in columns]
-    names = [f"{axis} {symbol} [{unit}]" for symbol, (_, axis, unit) in zip(symbols, columns, strict=True)]
-    return Units(["unit", *names, "remarks"], rows, marked)
+        rows.append([first, *(cells.get((unit, *column[:2])) for column in columns), "; ".join(remarks)])
+    heads = [f"{axis} {SYMBOLS.get(of, of.replace('_', ' '))} [{unit}]" for of, axis, unit in columns]
+    outlying = set(table.loc[table["outlying"], "recording"])
+    marked = [k for k, unit in enumerate(parts) if unit in outlying]
+    return Units(["unit", *heads, "remarks"], rows, marked)

@@ -47,9 +47,11 @@ def _told(finding: Finding, critique: Critique, fit: Fit) -> str:
         return line(frequency.value, axes, amplitude, fit[finding.shown])
     name, size = finding.named(finding.cause), story.size(finding)
     place = story.place(finding).partition(", ")[0]
-    article = "" if name.endswith(("s", "noise")) else "an " if name[0] in "aeio" else "a "
+    article = "an " if name[0] in "aeiou" else "a "
+    if name.endswith(("s", "noise")):
+        article = ""
     of = "" if size == story.NONE else f" of {size}"
-    at = "" if place == story.EVERYWHERE else f" at {place}" if place[0].isdigit() else f" ({place})"
+    at = f" at {place}" if place[0].isdigit() else f" ({place})"
     return f"{article}{name}{of}{at} on {axes}"
 
 
