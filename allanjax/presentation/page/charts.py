@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -17,7 +18,6 @@ from allanjax.estimate.result import AxisFit, Fit
 from allanjax.navigation.likely import sensors_of
 from allanjax.noise.datasheet import MINIMUM
 from allanjax.noise.estimate import title_of
-from allanjax.noise.process import Process
 from allanjax.presentation import allan_figure, draw, spectrum_figure
 from allanjax.presentation.draw import SENSORS, Residual
 from allanjax.presentation.page.blocks import Chart, Mark, Span, Trace, View
@@ -84,9 +84,9 @@ def curves(fit: Fit) -> list[Chart]:
         traces, marks = list[Trace](), list[Mark]()
         for group, axis in enumerate(own):
             k, result = curve.names.index(axis.name), fit[axis.name]
-            points = (curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k])
+            points = curve.cluster_time, curve.deviation[:, k], low[:, k], high[:, k]
             stated = list(fit.model_curve(axis.name, time)) if result.converged else []
-            traces += _curve(group, result, curve.rate, points, time, _variance, np.sqrt, stated)
+            traces += _curve(Trace(group, "measured", *points), result, curve.rate, time, stated)
             marks += _marks(fit, k, group)
         yield _view(own, traces, **allan(own[0]), marks=marks, single=True)
 
@@ -104,54 +104,43 @@ def _view(own: Sequence[Axis], traces: Sequence[Trace], **more: Any) -> View:
     return View(groups=[axis.name for axis in own], traces=traces, **{"hidden": hidden, **more})
 
 
-def _variance(term: Process, time: _Places, rate: float) -> Any:
-    """Allan variance of a term; None of one that has none."""
-    return None if isinstance(term, allan_figure.Transient) else term.allan_variance(time)
-
-
-def _psd(term: Process, frequency: _Places, rate: float) -> Any:
-    """One-sided density of a term; None of one that has none."""
-    return None if term.deterministic else 2.0 * np.asarray(term.sampled_psd(frequency, rate))
-
-
 def _curve(
-    group: int,
-    result: AxisFit,
-    rate: float,
-    points: tuple[_Places, _Places, _Places, _Places],
-    x: _Places,
-    of_term: Callable[[Process, _Places, float], Any],
-    shown: np.ufunc,
-    stated: Sequence[_Places],
+    measured: Trace, result: AxisFit, rate: float, x: _Places, stated: Sequence[_Places]
 ) -> Iterator[Trace]:
     """The model at x, its terms, and the measured points, with the largest term at each of them.
 
-    The model is what the fit states, perhaps with the ends of its interval. What is `shown` of a term is a
-    function of what `of_term` gives.
+    The model is what the fit states: Allan deviations with the ends of their interval, or densities.
     """
     if not result.converged:
-        yield Trace(group, "measured", *points)
+        yield measured
         return
-    processes = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
-    there = {label: term for label, term in processes.items() if of_term(term, x[:1], rate) is not None}
-    at, drawn = (
-        np.reshape([np.asarray(of_term(term, to, rate)) for term in there.values()], (-1, len(to)))
-        for to in (points[0], x)
-    )
-    total = drawn.sum(axis=0)
-    line, *ends = stated
+    group, (line, *ends) = measured.group, stated
     low, high = ends or (None, None)
+    at, drawn = (_powers(result, rate, to, bool(ends)) for to in (measured.x, x))
     yield Trace(group, "model", x, line, low, high, "line")
-    for power in drawn:
+    total = sum(drawn.values())
+    for power in drawn.values():
         # Where a term is next to nothing, it would only stretch the scale.
         some = np.flatnonzero(power > _LITTLE * total)[::_EVERY]
-        yield Trace(group, "terms", x[some], shown(power[some]), look="dashes")
-    largest = np.argmax(at, axis=0) if len(at) else []
-    share = np.max(at, axis=0, initial=0.0) / np.maximum(at.sum(axis=0), 1e-300)
-    titles = [title_of(label, result.axis.sensor) for label in there]
-    words = [f"mostly {titles[k]} ({percent(float(s))})" for k, s in zip(largest, share, strict=False)]
+        y = power[some]
+        yield Trace(group, "terms", x[some], np.sqrt(y) if ends else y, look="dashes")
+    every, titles = np.array([*at.values()]), [title_of(label, result.axis.sensor) for label in at]
+    words = [
+        f"mostly {titles[k]} ({percent(float(y[k] / max(y.sum(), 1e-300)))})"
+        for y, k in zip(every.T, np.argmax(every, axis=0) if at else (), strict=True)
+    ]
     names = list(dict.fromkeys(words))
-    yield Trace(group, "measured", *points, labels=[names.index(word) for word in words], names=names)
+    yield dataclasses.replace(measured, labels=[names.index(word) for word in words], names=names)
+
+
+def _powers(result: AxisFit, rate: float, x: _Places, is_allan: bool) -> dict[str, _Places]:
+    """Allan variances at times, or one-sided densities, of the terms that have one, by labels."""
+    terms = dict(zip(result.term_labels, result.model.sampled(rate).processes, strict=True))
+    if is_allan:
+        known = {label: term for label, term in terms.items() if not isinstance(term, allan_figure.Transient)}
+        return {label: np.asarray(term.allan_variance(x)) for label, term in known.items()}
+    known = {label: term for label, term in terms.items() if not term.deterministic}
+    return {label: 2.0 * np.asarray(term.sampled_psd(x, rate)) for label, term in known.items()}
 
 
 def _marks(fit: Fit, k: int, group: int) -> Iterator[Mark]:
@@ -183,7 +172,7 @@ def densities(fit: Fit, spectrum: PowerSpectrum, findings: Sequence[Finding]) ->
             if result.converged:
                 x = spectrum_figure.frequencies(spectrum, result.model)
                 stated = [fit.model_density(axis.name, x)]
-            traces += _curve(group, result, spectrum.rate, points, x, _psd, np.positive, stated)
+            traces += _curve(Trace(group, "measured", *points), result, spectrum.rate, x, stated)
         spans = [*_places(findings, own, "frequency", 0.5 * spectrum.rate)]
         yield _view(own, traces, **psd(own[0]), spans=spans)
 

@@ -302,7 +302,8 @@ def of_fleet(fleet: FleetResult, pages: Mapping[str, str]) -> Iterator[Section]:
     style = "care" if outlying or fleet.errors else "good"
     verdict = f"{len(outlying) or 'No'} outlying unit{'' if len(outlying) == 1 else 's'}"
     blocks: list[Block] = [Text(f"{verdict}; {fleet.summary}.", f"verdict {style}")]
-    blocks += [Table.of(columns) for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1]
+    tables = (columns for columns in fleet_tables(table) if sum(any(c.cells) for c in columns) > 1)
+    blocks.append(Row([*map(Table.of, tables)]))
     blocks += [Text(line, "note") for line in lines_of(table)]
     blocks += [Text(note, "warning") for note in fleet.notes]
     if fleet.errors:
@@ -330,7 +331,7 @@ def _distributions(table: pd.DataFrame) -> Iterator[Chart]:
             for k in np.flatnonzero(own["outlying"]).tolist():
                 text = f"{names[k]} {times(own['ratio'].iloc[k])}"
                 marks.append(Mark(text, float(share[k]), float(value[k]), group))
-        labels = coefficient, "units up to this value", "%", name
+        labels = coefficient, "units up to this value", "%", SYMBOLS.get(coefficient, "value")
         view = View(*labels, units=[(unit, si)], groups=axes, traces=traces, marks=marks, log="y")
         yield Chart(f"{name}, {SENSORS[sensor]}".capitalize(), [view])
 
