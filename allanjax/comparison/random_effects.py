@@ -15,8 +15,9 @@ the normal interval where the values lie closer than these. An upper limit of τ
 lower Q is 5 % of that without scatter, F(Q(τ)) = 0.05·F(Q(0)) (Read 2002, J. Phys. G 28:2693): it is not
 below what the errors allow.
 
-Squares of amplitudes that few clusters determine have skewed errors. Q and the errors of the mean are then
-those of simulated values, with gamma errors of this skewness and normal scatter.
+Squares of amplitudes that few clusters determine have skewed errors, which are in proportion to an unknown
+power. The laws of Q and of t are then those of simulated values, with gamma errors of this skewness and normal
+scatter; t counts the error of μ by τ and s_r, which makes intervals of two or three values too long.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.chi_squared import quantile, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import format_p_value, significant
 
@@ -43,7 +45,6 @@ _STEPS, _LEAST_Q = 40, 0.01
 _CERTAIN = 0.05
 _Values = Float[np.ndarray, " k"]
 _Sets = Float[np.ndarray, "*sets k"]
-_Draws = Float[np.ndarray, " draws"]
 # Probabilities at equal distances in ln(p/(1 − p)), and their weights: the rule of trapezoids.
 _NODES = 1.0 / (1.0 + np.exp(-np.linspace(-30.0, 30.0, 240)))
 _WEIGHTS = _NODES * (1.0 - _NODES) / np.sum(_NODES * (1.0 - _NODES))
@@ -86,6 +87,13 @@ class RandomEffects(ByValue, Tabled):
         return float(np.std(self.values, ddof=1))
 
     @property
+    def difference(self) -> tuple[float, tuple[float, float]]:
+        """Of two values, the second less the first, and its 95 % interval by their errors."""
+        size = float(self.values[1] - self.values[0])
+        reach = TWO_SIDED_95 * float(np.hypot(*self.stds))
+        return size, (size - reach, size + reach)
+
+    @property
     def odd_one(self) -> str:
         """The value that differs from the others for certain (p < 0.05); "" if none does.
 
@@ -110,6 +118,8 @@ class RandomEffects(ByValue, Tabled):
 
     def _tables(self) -> list[list[Column]]:
         pairs = {"common": (self.common, self.interval), "scatter": (self.scatter, self.scatter_interval)}
+        if len(self.values) == 2 and self.stds.all():
+            pairs["difference"] = self.difference
         rows = [
             (name, significant(x, 4), " … ".join(map(significant, ends))) for name, (x, ends) in pairs.items()
         ]
@@ -158,7 +168,8 @@ class Laws:
 
     def scatter(self, q: Any = None) -> Any:
         """Variance of the scatter at which Q is q, by default its mean k − 1; zero if Q is below it at zero."""
-        return self._solved(lambda _: np.asarray(self.dof if q is None else q, float), 0.0)
+        target = np.asarray(self.dof if q is None else q, float)
+        return self._solved(lambda _: target, np.zeros_like(target))
 
     def _solved(self, law: Callable[[Any], Any], variance: Any) -> Any:
         """The same, for a q that may depend on the variance.
@@ -179,25 +190,17 @@ class Laws:
 
         return float(gammainc(0.5 * self.dof, 0.5 * q))
 
-    @functools.cached_property
-    def _at_own(self) -> tuple[_Draws, _Draws]:
-        """Variances of the scatter and errors of the mean that simulated values have at the own Q."""
-        variance = self._solved(lambda v: self.fitted(v, self.simulated(v))[2], np.zeros(_DRAWS))
-        error, _, q, _ = self.fitted(variance, self.simulated(variance))
-        none = np.flatnonzero(variance == 0.0)
-        # Skewed errors of a mean depend on Q: those with nearly the own one count.
-        near = none[np.argsort(q[none])][: 1 + len(none) // 10]
-        error[none] = np.resize(error[near], len(none))
-        return variance, error
-
     def mean_quantiles(self, p: Sequence[float]) -> list[float]:
         """Quantiles of the common value."""
         from scipy.optimize import brentq
         from scipy.special import ndtr
 
         if not self.normal:
-            variance, error = self._at_own
-            return np.quantile(self.fitted(variance)[0] - error, p).tolist()
+            variance = self.scatter()
+            drawn, std, q, _ = self.fitted(variance, self.simulated(variance))
+            t = np.quantile(drawn / np.sqrt(q / self.dof), 1.0 - np.array(p)) / std
+            mean, std, *_ = self.fitted(variance)
+            return (mean - std * t).tolist()
         below = self._below(self.fitted(0.0)[2])
         weights = np.append(below * _WEIGHTS, 1.0 - below)
         variance = np.append(self.scatter(quantile(below * _NODES, self.dof)), 0.0)
@@ -217,12 +220,15 @@ class Laws:
         # As Q tends to zero, the probability of a lower one is a power of it.
         at = max(own, _LEAST_Q * self.dof)
         allowed = quantile(p * self._below(at), self.dof) * own / at
-        low, high = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
+        ends = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
         if not self.normal:
-            drawn, _ = self._at_own
-            low, likely = np.quantile(drawn, [p, 1.0 - p * np.mean(drawn > 0.0)])
-            high = max(high, likely)
-        return float(np.sqrt(low)), float(np.sqrt(high))
+            at_p = [
+                self._solved(lambda v, of=q: np.quantile(self.fitted(v, self.simulated(v))[2], of), 0.0)
+                for q in (1.0 - p, p)
+            ]
+            ends = at_p[0], max(at_p[1], ends[1])
+        low, high = np.sqrt(ends)
+        return float(low), float(high)
 
     def odd_one(self, variance: float) -> tuple[int, float]:
         """Index of the value that differs most from the others, and the probability that one of them does."""
