@@ -240,7 +240,7 @@ class _Records:
                 if known.sum() > 1:
                     laws = Laws(v, s)
                     scatter = float(laws.scatter())
-                    mean = max(float(laws.fitted(scatter)[0]), 0.0)
+                    mean = max(float(laws.fitted(scatter).mean), 0.0)
                     v = (v * scatter + mean * s**2) / (scatter + s**2)
                 power[known, k] = np.maximum(v, 0.0)
         return forms, power

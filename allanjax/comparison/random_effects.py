@@ -10,14 +10,14 @@ Values that happen to lie close tell nothing of errors smaller than the known on
 τ and s_r, as if the factor of Hartung and Knapp were never below one (Röver, Knapp & Friede 2015, BMC Med.
 Res. Methodol. 15:99). Its interval is the generalized one of Iyer, Wang & Mathew (2004, J. Am. Stat. Assoc.
 99:1060): μ = μ(τ) + z/√W(τ), with a normal z, the sum W of the weights, and a τ whose Q is a χ² variate, or
-zero if Q is below that without scatter. It is Student's t where the scatter is far larger than the errors, and
-the normal interval where the values lie closer than these. An upper limit of τ is where the probability F of a
-lower Q is 5 % of that without scatter, F(Q(τ)) = 0.05·F(Q(0)) (Read 2002, J. Phys. G 28:2693): it is not
-below what the errors allow.
+zero if Q is below that without scatter. It is Student's t where the scatter is far larger than the errors,
+and the normal interval where the values lie closer than these. An upper limit of τ is where the probability F
+of a lower Q is 5 % of that without scatter, F(Q(τ)) = 0.05·F(Q(0)) (Read 2002, J. Phys. G 28:2693): it is
+not below what the errors allow.
 
-Squares of amplitudes that few clusters determine have skewed errors, which are in proportion to an unknown
-power. The laws of Q and of t are then those of simulated values, with gamma errors of this skewness and normal
-scatter; t counts the error of μ by τ and s_r, which makes intervals of two or three values too long.
+Squares of amplitudes that few clusters determine have skewed errors, in proportion to an unknown power. The
+laws of Q and of t are then those of simulated values, with gamma errors of this skewness and normal scatter;
+t counts the error of μ by τ and s_r, which makes intervals of two or three values too long.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -126,6 +126,15 @@ class RandomEffects(ByValue, Tabled):
         return [columns_from(("", "value", "95 % interval"), rows)]
 
 
+class Weighted(NamedTuple):
+    """Weighted means of sets of values, their standard errors, Q, and −dQ/dτ²."""
+
+    mean: Any
+    std: Any
+    q: Any
+    slope: Any
+
+
 class Laws:
     """Values x with errors s of some skewness, and the laws of Q and of the mean that follow."""
 
@@ -145,14 +154,15 @@ class Laws:
         shape = 4.0 / np.maximum(self.skewness, _SKEWED) ** 2
         return (rng.standard_gamma(shape, size) - shape) / np.sqrt(shape), rng.standard_normal(size)
 
-    def fitted(self, variance: Any, x: _Sets | None = None) -> tuple[Any, Any, Any, Any]:
-        """Weighted means of values, their standard errors, Q, and −dQ/dτ², at a scatter of these variances."""
+    def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
+        """The values, or others with the same errors, at a scatter of these variances."""
         w = 1.0 / (self.s**2 + np.asarray(variance)[..., None])
         x = self.x if x is None else x
         total = w.sum(axis=-1)
         mean = (w * x).sum(axis=-1) / total
         weighed = w * (x - mean[..., None])
-        return mean, total**-0.5, np.maximum((weighed**2 / w).sum(axis=-1), 1e-300), (weighed**2).sum(axis=-1)
+        q = np.maximum((weighed**2 / w).sum(axis=-1), 1e-300)
+        return Weighted(mean, total**-0.5, q, (weighed**2).sum(axis=-1))
 
     def simulated(self, variance: Any) -> Float[np.ndarray, "draws k"]:
         """Values about zero with these errors and a scatter of this variance."""
@@ -161,13 +171,13 @@ class Laws:
 
     def p_value(self) -> float:
         """Probability of a Q as large as that of the values without scatter."""
-        q = self.fitted(0.0)[2]
+        q = self.fitted(0.0).q
         if self.normal:
             return float(upper_tail(q, self.dof))
-        return float((1 + np.sum(self.fitted(0.0, self.simulated(0.0))[2] >= q)) / (1 + _DRAWS))
+        return float((1 + np.sum(self.fitted(0.0, self.simulated(0.0)).q >= q)) / (1 + _DRAWS))
 
     def scatter(self, q: Any = None) -> Any:
-        """Variance of the scatter at which Q is q, by default its mean k − 1; zero if Q is below it at zero."""
+        """Variance of the scatter at which Q is q, by default its mean k − 1; zero if it is less at zero."""
         target = np.asarray(self.dof if q is None else q, float)
         return self._solved(lambda _: target, np.zeros_like(target))
 
@@ -177,8 +187,8 @@ class Laws:
         Newton's steps from zero do not go beyond the solution, as 1/Q is concave in the variance.
         """
         for _ in range(_STEPS):
-            _, _, q, slope = self.fitted(variance)
-            step = q * (q / law(variance) - 1.0) / np.maximum(slope, 1e-300)
+            at = self.fitted(variance)
+            step = at.q * (at.q / law(variance) - 1.0) / np.maximum(at.slope, 1e-300)
             variance, before = np.maximum(variance + step, 0.0), variance
             if np.allclose(variance, before, 1e-13, 0.0):
                 break
@@ -190,6 +200,10 @@ class Laws:
 
         return float(gammainc(0.5 * self.dof, 0.5 * q))
 
+    def _simulated_q(self, p: float, variance: float) -> float:
+        """Quantile of Q at a scatter, for simulated errors."""
+        return float(np.quantile(self.fitted(variance, self.simulated(variance)).q, p))
+
     def mean_quantiles(self, p: Sequence[float]) -> list[float]:
         """Quantiles of the common value."""
         from scipy.optimize import brentq
@@ -197,36 +211,34 @@ class Laws:
 
         if not self.normal:
             variance = self.scatter()
-            drawn, std, q, _ = self.fitted(variance, self.simulated(variance))
-            t = np.quantile(drawn / np.sqrt(q / self.dof), 1.0 - np.array(p)) / std
-            mean, std, *_ = self.fitted(variance)
-            return (mean - std * t).tolist()
-        below = self._below(self.fitted(0.0)[2])
+            at, drawn = self.fitted(variance), self.fitted(variance, self.simulated(variance))
+            distance = drawn.mean / np.sqrt(drawn.q / self.dof)
+            return (at.mean - np.quantile(distance, 1.0 - np.array(p))).tolist()
+        below = self._below(self.fitted(0.0).q)
         weights = np.append(below * _WEIGHTS, 1.0 - below)
         variance = np.append(self.scatter(quantile(below * _NODES, self.dof)), 0.0)
-        mean, std, *_ = self.fitted(variance)
+        each = self.fitted(variance)
         # Of two values, the ends are at most 13 times their distance apart.
         reach = 50.0 * float(np.ptp(self.x) + self.s.max())
 
         def beyond(at: float, probability: float) -> float:
-            return float(weights @ ndtr((at - mean) / std)) - probability
+            return float(weights @ ndtr((at - each.mean) / each.std)) - probability
 
         ends = self.x.min() - reach, self.x.max() + reach
-        return [brentq(beyond, *ends, (each,), xtol=1e-14 * reach) for each in p]
+        return [brentq(beyond, *ends, (q,), xtol=1e-14 * reach) for q in p]
 
     def scatter_ends(self, p: float) -> tuple[float, float]:
         """Lower and upper limit of the scatter, each with a probability p beyond it."""
-        own = self.fitted(0.0)[2]
+        own = self.fitted(0.0).q
         # As Q tends to zero, the probability of a lower one is a power of it.
         at = max(own, _LEAST_Q * self.dof)
         allowed = quantile(p * self._below(at), self.dof) * own / at
         ends = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
         if not self.normal:
-            at_p = [
-                self._solved(lambda v, of=q: np.quantile(self.fitted(v, self.simulated(v))[2], of), 0.0)
-                for q in (1.0 - p, p)
-            ]
-            ends = at_p[0], max(at_p[1], ends[1])
+            low, high = (
+                self._solved(functools.partial(self._simulated_q, each), 0.0) for each in (1.0 - p, p)
+            )
+            ends = low, max(high, ends[1])
         low, high = np.sqrt(ends)
         return float(low), float(high)
 
@@ -235,8 +247,8 @@ class Laws:
         if not self.normal:
             # The largest distance from the mean, as in Grubbs' test.
             def distance(x: _Sets) -> Any:
-                mean, _, q, _ = self.fitted(variance, x)
-                return (x - mean[..., None]) ** 2 / (self.s**2 + variance) / q[..., None]
+                at = self.fitted(variance, x)
+                return (x - at.mean[..., None]) ** 2 / (self.s**2 + variance) / at.q[..., None]
 
             own, drawn = distance(self.x), distance(self.simulated(variance)).max(axis=-1)
             return int(np.argmax(own)), float((1 + np.sum(drawn >= own.max())) / (1 + _DRAWS))
@@ -245,10 +257,11 @@ class Laws:
         chances = []
         for k, (x, s) in enumerate(zip(self.x, self.s, strict=True)):
             others = Laws(np.delete(self.x, k), np.delete(self.s, k))
-            mean, std, *_ = others.fitted(variance := others.scatter())
+            variance = others.scatter()
+            at = others.fitted(variance)
             # The others' own scatter is the scale, as for the error of their mean.
-            scale = np.sqrt(std**2 + s**2 + variance)
-            chances.append(2.0 * float(stdtr(others.dof, -abs(x - mean) / scale)))
+            scale = np.sqrt(at.std**2 + s**2 + variance)
+            chances.append(2.0 * float(stdtr(others.dof, -abs(x - at.mean) / scale)))
         return int(np.argmin(chances)), min(len(chances) * min(chances), 1.0)
 
 
@@ -286,15 +299,15 @@ def random_effects(
         raise AllanjaxError("standard errors must be positive and finite; leave stds out if they are unknown")
     laws = Laws(x, np.resize(s, len(x)), np.resize(g, len(x)))
     variance = laws.scatter()
-    mean, std, *_ = laws.fitted(variance)
+    at = laws.fitted(variance)
     low, high, low_68, high_68, limit = laws.mean_quantiles([0.025, 0.975, 0.16, 0.84, 0.95])
     odd, chance = laws.odd_one(variance) if len(x) > 2 else (-1, float("nan"))
     return RandomEffects(
         names=called,
         values=x,
         stds=np.resize(s, len(x)),
-        common=float(mean),
-        std=float(std),
+        common=float(at.mean),
+        std=float(at.std),
         interval=(low, high),
         interval_68=(low_68, high_68),
         limit=limit,
