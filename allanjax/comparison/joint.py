@@ -239,8 +239,9 @@ class _Records:
                 v, s = forms[0, known, k], np.sqrt(forms[1, known, k])
                 if known.sum() > 1:
                     laws = Laws(v, s)
-                    mean = float(laws.fitted(v, tau := laws.scatter())[0])
-                    v = (v * tau**2 + max(mean, 0.0) * s**2) / (tau**2 + s**2)
+                    scatter = float(laws.scatter())
+                    mean = max(float(laws.fitted(scatter).mean), 0.0)
+                    v = (v * scatter + mean * s**2) / (scatter + s**2)
                 power[known, k] = np.maximum(v, 0.0)
         return forms, power
 

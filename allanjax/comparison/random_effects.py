@@ -3,20 +3,29 @@
 The model is x_r = μ + b_r + e_r, with scatter b_r of variance τ² and errors e_r of known s_r. All follows
 from Q(τ) = Σ (x_r − μ(τ))²/(τ² + s_r²) with the weighted mean μ(τ), which has a χ² law of k − 1 degrees of
 freedom at the true τ: Q(0) tests whether the values agree (Cochran 1954), Q(τ) = k − 1 gives τ (Paule &
-Mandel 1982, J. Res. NBS 87:377), Q at the quantiles of χ² its interval (Viechtbauer 2007, Stat. Med. 26:37),
-and Q(τ)/(k − 1) corrects the error of μ, whose interval is that of Student's t (Hartung & Knapp 2001, Stat.
-Med. 20:3875). These hold for three values as well as for thirty, exactly where all errors are equal.
+Mandel 1982, J. Res. NBS 87:377), and Q at the quantiles of χ² its interval (Viechtbauer 2007, Stat. Med.
+26:37).
 
-Squares of amplitudes that few clusters determine have skewed errors. The laws of Q and of t are then those of
-simulated values, with gamma errors of this skewness and normal scatter.
+Values that happen to lie close tell nothing of errors smaller than the known ones. The error of μ is that by
+τ and s_r, as if the factor of Hartung and Knapp were never below one (Röver, Knapp & Friede 2015, BMC Med.
+Res. Methodol. 15:99). Its interval is the generalized one of Iyer, Wang & Mathew (2004, J. Am. Stat. Assoc.
+99:1060): μ = μ(τ) + z/√W(τ), with a normal z, the sum W of the weights, and a τ whose Q is a χ² variate, or
+zero if Q is below that without scatter. It is Student's t where the scatter is far larger than the errors,
+and the normal interval where the values lie closer than these. An upper limit of τ is where the probability F
+of a lower Q is 5 % of that without scatter, F(Q(τ)) = 0.05·F(Q(0)) (Read 2002, J. Phys. G 28:2693): it is
+not below what the errors allow.
+
+Squares of amplitudes that few clusters determine have skewed errors, in proportion to an unknown power. The
+laws of Q and of t are then those of simulated values, with gamma errors of this skewness and normal scatter;
+t counts the error of μ by τ and s_r, which makes intervals of two or three values too long.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from functools import cached_property
-from typing import Any
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike, Float
@@ -24,15 +33,21 @@ from jaxtyping import ArrayLike, Float
 from allanjax.base.chi_squared import quantile, upper_tail
 from allanjax.base.equality import ByValue
 from allanjax.base.errors import AllanjaxError
+from allanjax.base.normal import TWO_SIDED_95
 from allanjax.base.tables import Column, Tabled, columns_from
 from allanjax.base.wording import format_p_value, significant
 
 # Simulated sets of values, and skewness below which errors count as normal.
 _DRAWS, _SKEWED = 4000, 0.05
+# Newton's steps to a scatter; Q per degree of freedom below which values are as close as may be.
+_STEPS, _LEAST_Q = 40, 0.01
 # p-value below which values differ, or one of them from the others.
 _CERTAIN = 0.05
 _Values = Float[np.ndarray, " k"]
 _Sets = Float[np.ndarray, "*sets k"]
+# Probabilities at equal distances in ln(p/(1 − p)), and their weights: the rule of trapezoids.
+_NODES = 1.0 / (1.0 + np.exp(-np.linspace(-30.0, 30.0, 240)))
+_WEIGHTS = _NODES * (1.0 - _NODES) / np.sum(_NODES * (1.0 - _NODES))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -72,6 +87,13 @@ class RandomEffects(ByValue, Tabled):
         return float(np.std(self.values, ddof=1))
 
     @property
+    def difference(self) -> tuple[float, tuple[float, float]]:
+        """Of two values, the second less the first, and its 95 % interval by their errors."""
+        size = float(self.values[1] - self.values[0])
+        reach = TWO_SIDED_95 * float(np.hypot(*self.stds))
+        return size, (size - reach, size + reach)
+
+    @property
     def odd_one(self) -> str:
         """The value that differs from the others for certain (p < 0.05); "" if none does.
 
@@ -96,101 +118,150 @@ class RandomEffects(ByValue, Tabled):
 
     def _tables(self) -> list[list[Column]]:
         pairs = {"common": (self.common, self.interval), "scatter": (self.scatter, self.scatter_interval)}
+        if len(self.values) == 2 and self.stds.all():
+            pairs["difference"] = self.difference
         rows = [
             (name, significant(x, 4), " … ".join(map(significant, ends))) for name, (x, ends) in pairs.items()
         ]
         return [columns_from(("", "value", "95 % interval"), rows)]
 
 
+class Weighted(NamedTuple):
+    """Weighted means of sets of values, their standard errors, Q, and −dQ/dτ²."""
+
+    mean: Any
+    std: Any
+    q: Any
+    slope: Any
+
+
 class Laws:
-    """Values x with errors s of some skewness, and the laws of Q and of t that follow."""
+    """Values x with errors s of some skewness, and the laws of Q and of the mean that follow."""
 
     def __init__(self, x: _Values, s: _Values, skewness: _Values | None = None) -> None:
-        self.x, self.s, self.dof = x, s, len(x) - 1
-        # Without errors Q is infinite at zero.
-        self.least = 0.0 if s.all() else 1e-9 * float(np.ptp(x) or abs(x).max() or 1.0)
+        self.x, self.dof = x, len(x) - 1
+        # Without errors Q is infinite at zero, and of equal values it is zero at any scatter.
+        self.s = s if s.all() else np.full(len(x), 1e-9 * float(np.ptp(x) or abs(x).max() or 1.0))
+        if not np.ptp(x):
+            self.x = x + 1e-6 * self.s * (-1.0) ** np.arange(len(x))
         self.skewness = np.zeros(len(x)) if skewness is None else skewness
         self.normal = not np.any(abs(self.skewness) > _SKEWED)
 
-    @cached_property
+    @functools.cached_property
     def _drawn(self) -> tuple[Float[np.ndarray, "draws k"], Float[np.ndarray, "draws k"]]:
         """Errors of this skewness and normal scatter, both of unit variance."""
         rng, size = np.random.default_rng(0), (_DRAWS, len(self.x))
         shape = 4.0 / np.maximum(self.skewness, _SKEWED) ** 2
         return (rng.standard_gamma(shape, size) - shape) / np.sqrt(shape), rng.standard_normal(size)
 
-    def fitted(self, x: _Sets, tau: float) -> tuple[Any, Any, Any]:
-        """Weighted mean of each set of values, its standard error, and Q, at a scatter τ."""
-        w = 1.0 / (self.s**2 + max(tau, self.least) ** 2)
-        mean = x @ w / w.sum()
-        q = np.maximum((x - mean[..., None]) ** 2 @ w, 1e-300)
-        return mean, np.sqrt(q / self.dof / w.sum()), q
+    def fitted(self, variance: Any, x: _Sets | None = None) -> Weighted:
+        """The values, or others with the same errors, at a scatter of these variances."""
+        w = 1.0 / (self.s**2 + np.asarray(variance)[..., None])
+        x = self.x if x is None else x
+        total = w.sum(axis=-1)
+        mean = (w * x).sum(axis=-1) / total
+        weighed = w * (x - mean[..., None])
+        q = np.maximum((weighed**2 / w).sum(axis=-1), 1e-300)
+        return Weighted(mean, total**-0.5, q, (weighed**2).sum(axis=-1))
 
-    def simulated(self, tau: float) -> Float[np.ndarray, "draws k"]:
-        """Values about zero with these errors and this scatter."""
+    def simulated(self, variance: Any) -> Float[np.ndarray, "draws k"]:
+        """Values about zero with these errors and a scatter of this variance."""
         errors, scatter = self._drawn
-        return errors * self.s + scatter * tau
+        return errors * self.s + scatter * np.sqrt(np.asarray(variance)[..., None])
 
     def p_value(self) -> float:
         """Probability of a Q as large as that of the values without scatter."""
-        q = self.fitted(self.x, 0.0)[2]
-        if self.least:
-            return float("nan")
+        q = self.fitted(0.0).q
         if self.normal:
             return float(upper_tail(q, self.dof))
-        return float((1 + np.sum(self.fitted(self.simulated(0.0), 0.0)[2] >= q)) / (1 + _DRAWS))
+        return float((1 + np.sum(self.fitted(0.0, self.simulated(0.0)).q >= q)) / (1 + _DRAWS))
 
-    def t_quantiles(self, p: Sequence[float], tau: float) -> Float[np.ndarray, " p"]:
-        """Quantiles of the mean's distance from the common value, in its standard errors."""
-        if self.normal:
-            from scipy.special import stdtrit
+    def scatter(self, q: Any = None) -> Any:
+        """Variance of the scatter at which Q is q, by default its mean k − 1; zero if it is less at zero."""
+        target = np.asarray(self.dof if q is None else q, float)
+        return self._solved(lambda _: target, np.zeros_like(target))
 
-            return np.asarray(stdtrit(self.dof, p))
-        mean, std, _ = self.fitted(self.simulated(tau), tau)
-        return np.quantile(mean / std, p)
+    def _solved(self, law: Callable[[Any], Any], variance: Any) -> Any:
+        """The same, for a q that may depend on the variance.
 
-    def scatter(self, p: float | None = None) -> float:
-        """The τ at which Q is at its quantile, or at its mean k − 1; zero if Q is below it at zero."""
+        Newton's steps from zero do not go beyond the solution, as 1/Q is concave in the variance.
+        """
+        for _ in range(_STEPS):
+            at = self.fitted(variance)
+            step = at.q * (at.q / law(variance) - 1.0) / np.maximum(at.slope, 1e-300)
+            variance, before = np.maximum(variance + step, 0.0), variance
+            if np.allclose(variance, before, 1e-13, 0.0):
+                break
+        return variance
+
+    def _below(self, q: float) -> float:
+        """Probability of a Q below q without scatter, for normal errors."""
+        from scipy.special import gammainc
+
+        return float(gammainc(0.5 * self.dof, 0.5 * q))
+
+    def _simulated_q(self, p: float, variance: float) -> float:
+        """Quantile of Q at a scatter, for simulated errors."""
+        return float(np.quantile(self.fitted(variance, self.simulated(variance)).q, p))
+
+    def mean_quantiles(self, p: Sequence[float]) -> list[float]:
+        """Quantiles of the common value."""
         from scipy.optimize import brentq
+        from scipy.special import ndtr
 
-        def excess(tau: float) -> float:
-            usual: Any = self.dof
-            if p is not None and self.normal:
-                usual = quantile(p, self.dof)
-            elif p is not None:
-                usual = np.quantile(self.fitted(self.simulated(tau), tau)[2], p)
-            return float(np.log(self.fitted(self.x, tau)[2] / usual))
+        if not self.normal:
+            variance = self.scatter()
+            at, drawn = self.fitted(variance), self.fitted(variance, self.simulated(variance))
+            distance = drawn.mean / np.sqrt(drawn.q / self.dof)
+            return (at.mean - np.quantile(distance, 1.0 - np.array(p))).tolist()
+        below = self._below(self.fitted(0.0).q)
+        weights = np.append(below * _WEIGHTS, 1.0 - below)
+        variance = np.append(self.scatter(quantile(below * _NODES, self.dof)), 0.0)
+        each = self.fitted(variance)
+        # Of two values, the ends are at most 13 times their distance apart.
+        reach = 50.0 * float(np.ptp(self.x) + self.s.max())
 
-        high = float(np.ptp(self.x))
-        if not excess(0.0) > 0.0:
-            return 0.0
-        while excess(high) > 0.0:
-            high *= 2.0
-        return float(brentq(excess, 0.0, high, xtol=1e-12 * high))
+        def beyond(at: float, probability: float) -> float:
+            return float(weights @ ndtr((at - each.mean) / each.std)) - probability
 
-    def scatter_limit(self, p: float) -> float:
-        """The τ at which Q is at a low quantile; if it is lower at zero, the τ of values without errors."""
-        return self.scatter(p) or float(np.sqrt(self.dof * np.var(self.x, ddof=1) / quantile(p, self.dof)))
+        ends = self.x.min() - reach, self.x.max() + reach
+        return [brentq(beyond, *ends, (q,), xtol=1e-14 * reach) for q in p]
 
-    def odd_one(self, tau: float) -> tuple[int, float]:
+    def scatter_ends(self, p: float) -> tuple[float, float]:
+        """Lower and upper limit of the scatter, each with a probability p beyond it."""
+        own = self.fitted(0.0).q
+        # As Q tends to zero, the probability of a lower one is a power of it.
+        at = max(own, _LEAST_Q * self.dof)
+        allowed = quantile(p * self._below(at), self.dof) * own / at
+        ends = self.scatter(np.array([quantile(1.0 - p, self.dof), allowed]))
+        if not self.normal:
+            low, high = (
+                self._solved(functools.partial(self._simulated_q, each), 0.0) for each in (1.0 - p, p)
+            )
+            ends = low, max(high, ends[1])
+        low, high = np.sqrt(ends)
+        return float(low), float(high)
+
+    def odd_one(self, variance: float) -> tuple[int, float]:
         """Index of the value that differs most from the others, and the probability that one of them does."""
         if not self.normal:
             # The largest distance from the mean, as in Grubbs' test.
             def distance(x: _Sets) -> Any:
-                mean, _, q = self.fitted(x, tau)
-                return (x - mean[..., None]) ** 2 / (self.s**2 + tau**2) / q[..., None]
+                at = self.fitted(variance, x)
+                return (x - at.mean[..., None]) ** 2 / (self.s**2 + variance) / at.q[..., None]
 
-            own, drawn = distance(self.x), distance(self.simulated(tau)).max(axis=-1)
+            own, drawn = distance(self.x), distance(self.simulated(variance)).max(axis=-1)
             return int(np.argmax(own)), float((1 + np.sum(drawn >= own.max())) / (1 + _DRAWS))
         from scipy.special import stdtr
 
         chances = []
         for k, (x, s) in enumerate(zip(self.x, self.s, strict=True)):
             others = Laws(np.delete(self.x, k), np.delete(self.s, k))
-            mean, std, q = others.fitted(others.x, tau := others.scatter())
+            variance = others.scatter()
+            at = others.fitted(variance)
             # The others' own scatter is the scale, as for the error of their mean.
-            scale = np.sqrt(std**2 + (s**2 + max(tau, others.least) ** 2) * q / others.dof)
-            chances.append(2.0 * float(stdtr(others.dof, -abs(x - mean) / scale)))
+            scale = np.sqrt(at.std**2 + s**2 + variance)
+            chances.append(2.0 * float(stdtr(others.dof, -abs(x - at.mean) / scale)))
         return int(np.argmin(chances)), min(len(chances) * min(chances), 1.0)
 
 
@@ -227,23 +298,23 @@ def random_effects(
     if stds is not None and not (np.isfinite(s) & (s > 0.0)).all():
         raise AllanjaxError("standard errors must be positive and finite; leave stds out if they are unknown")
     laws = Laws(x, np.resize(s, len(x)), np.resize(g, len(x)))
-    tau = laws.scatter()
-    mean, std, _ = (float(y) for y in laws.fitted(x, tau))
-    ends = (mean - std * laws.t_quantiles([0.975, 0.025, 0.84, 0.16, 0.05], tau)).tolist()
-    odd, chance = laws.odd_one(tau) if len(x) > 2 else (-1, float("nan"))
+    variance = laws.scatter()
+    at = laws.fitted(variance)
+    low, high, low_68, high_68, limit = laws.mean_quantiles([0.025, 0.975, 0.16, 0.84, 0.95])
+    odd, chance = laws.odd_one(variance) if len(x) > 2 else (-1, float("nan"))
     return RandomEffects(
         names=called,
         values=x,
-        stds=laws.s,
-        common=mean,
-        std=std,
-        interval=(ends[0], ends[1]),
-        interval_68=(ends[2], ends[3]),
-        limit=ends[4],
-        scatter=tau,
-        scatter_interval=(laws.scatter(0.975), laws.scatter_limit(0.025)),
-        scatter_limit=laws.scatter_limit(0.05),
-        p_value=laws.p_value(),
+        stds=np.resize(s, len(x)),
+        common=float(at.mean),
+        std=float(at.std),
+        interval=(low, high),
+        interval_68=(low_68, high_68),
+        limit=limit,
+        scatter=float(np.sqrt(variance)),
+        scatter_interval=laws.scatter_ends(0.025),
+        scatter_limit=laws.scatter_ends(0.05)[1],
+        p_value=laws.p_value() if s.all() else float("nan"),
         odd=called[odd] if odd >= 0 else "",
         odd_p_value=chance,
     )

@@ -29,7 +29,7 @@ SCHEMA_VERSION = 1
 # ln of the largest Bayes factor that is printed as a number.
 _PLENTY = 13.8
 # Rows of the printed table below the recordings.
-_SUMMARY = ("common", "95 % from", "to", "scatter", "relative", "STD", "all alike", "odd one")
+_SUMMARY = ("common", "95 % from", "to", "scatter", "relative", "STD", "all alike")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -63,6 +63,31 @@ class JointCoefficient(ByValue):
         values = [c.value if c.detected else np.nan for c in self.records.values()]
         return float(np.std(values, ddof=1))
 
+    @property
+    def difference(self) -> tuple[float, float, float]:
+        """Of two recordings, the second value less the first [SI], and its 95 % interval from their own.
+
+        See Zou & Donner (2008, Stat. Med. 27:1693). NaN for more recordings, or without an interval.
+        """
+        if len(self.records) != 2:
+            return (float("nan"),) * 3
+        ends = (
+            (c.interval[0], c.interval[1] if c.detected else c.upper_limit) for c in self.records.values()
+        )
+        (low, high), (low_2, high_2) = np.nan_to_num(np.array([*ends], float), nan=0.0)
+        first, second = (c.value for c in self.records.values())
+        size = second - first
+        below, above = np.hypot(second - low_2, high - first), np.hypot(high_2 - second, first - low)
+        return size, float(size - below), float(size + above)
+
+    def _last(self, scale: float) -> str:
+        """Last cell of the printed table: the difference of two recordings, or the odd one of more."""
+        size, *ends = (significant(x * scale, 2) for x in self.difference)
+        if len(self.records) == 2:
+            return f"{size} ({' … '.join(ends)})"
+        e = self.effects
+        return f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "none"
+
     def column(self, names: Sequence[str]) -> Column:
         """Column of the printed table: the recordings of these names, and the statistics below them."""
         common, scatter, e = self.common.in_unit(), self.scatter.in_unit(), self.effects
@@ -77,7 +102,7 @@ class JointCoefficient(ByValue):
             spread if np.isfinite(self.relative_scatter) else "",
             Number(convert(self.sample_std, self.common.unit, common.unit)),
             format_p_value(e.p_value),
-            f"{e.odd_one}, {format_p_value(e.odd_p_value)}" if e.odd_one else "none",
+            self._last(convert(1.0, self.common.unit, common.unit)),
         ]
         return column(common.symbol or common.title, common.unit, cells)
 
@@ -138,7 +163,8 @@ class AxisJoint(ByValue):
             "rivals": self.rivals,
             "selection": () if self.selection is None else self.selection.ranking,
             "coefficients": {
-                label: {**vars(c), "sample_std_si": c.sample_std, "effects": vars(c.effects)}
+                label: vars(c)
+                | {"sample_std_si": c.sample_std, "difference_si": c.difference, "effects": vars(c.effects)}
                 for label, c in self.coefficients.items()
             },
         }
@@ -183,7 +209,7 @@ class JointFit(ByValue, PerAxis[AxisJoint]):
     def _tables(self) -> list[list[Column]]:
         return [
             [
-                Column(a.axis.name, [*a.names, *_SUMMARY]),
+                Column(a.axis.name, [*a.names, *_SUMMARY, "odd one" if len(a.names) > 2 else "difference"]),
                 *(c.column(a.names) for c in a.coefficients.values()),
             ]
             for a in self.results
