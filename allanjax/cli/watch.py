@@ -23,7 +23,6 @@ from allanjax.cli.common import (
 )
 from allanjax.cli.interrupt import ENDINGS
 from allanjax.cli.options import Figures, Fitting
-from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import Fit
@@ -90,7 +89,7 @@ def watch(
     pipe = file == "-" or Path(file).is_fifo()
     with nullcontext(sys.stdin.buffer) if file == "-" else open(file, "rb", buffering=0) as stream:
         lines: Iterator[bytes] = lines_of(stream, not pipe, every, ended.is_set)
-        seen = Watch(lines, options, Source(name), lambda text: print(f"warning: {text}", file=sys.stderr))
+        seen = Watch(lines, options, name, lambda text: print(f"warning: {text}", file=sys.stderr))
         fit, reached = None, False
         for fit in seen.fits():
             seconds = [aim.seconds(fit) for aim in aims]

@@ -9,6 +9,7 @@ import select
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
@@ -18,15 +19,18 @@ from allanjax.base.errors import AllanjaxError, FitError, RecordingError
 from allanjax.base.wording import percent
 from allanjax.estimate.check import in_words, length_for, random_terms, trial_lengths
 from allanjax.fleet.stream import AllanAccumulator
+from allanjax.inspection.facts import warnings_of
 from allanjax.noise.estimate import SYMBOLS
 from allanjax.record.io.assembly import chunks_of
+from allanjax.record.io.formats import name_of
 from allanjax.record.io.text import growing_text
+from allanjax.record.validation import Source
 
 if TYPE_CHECKING:
     from allanjax.estimate.result import AxisFit, Fit
     from allanjax.fleet.options import FitOptions
+    from allanjax.inspection import Inspection
     from allanjax.record.io.assembly import ChunkedRecording
-    from allanjax.record.validation import Source
 
 # Lines from which columns, units and rate are recognised; pause [s] between two looks for more lines; and
 # size [bytes] of what is read at a time.
@@ -92,9 +96,7 @@ def _unknown_last(length: float) -> tuple[bool, float]:
     return math.isnan(length), length
 
 
-def lines_of(
-    stream: IO[bytes], growing: bool, every: float, stopped: Callable[[], bool]
-) -> Iterator[bytes]:
+def lines_of(stream: IO[bytes], growing: bool, every: float, stopped: Callable[[], bool]) -> Iterator[bytes]:
     """Yield whole lines of a stream as they come, those of at least `every` [s] at a time.
 
     Args:
@@ -142,11 +144,11 @@ class Watch:
     """
 
     def __init__(
-        self, batches: Iterator[bytes], options: FitOptions, source: Source, warn: Callable[[str], None]
+        self, batches: Iterator[bytes], options: FitOptions, label: str, warn: Callable[[str], None]
     ) -> None:
-        """Watch lines that come in batches; `warn` is told why a piece ends."""
+        """Watch lines that come in batches; messages name the file `label`, `warn` is told why a piece ends."""
         self.longest: Fit | None = None
-        self._batches, self._options, self._source, self._warn = batches, options, source, warn
+        self._batches, self._options, self._source, self._warn = batches, options, Source(label), warn
 
     def fits(self) -> Iterator[Fit]:
         """Yield the fit of the present piece from time to time, and when it ends.
@@ -158,7 +160,8 @@ class Watch:
         for table in growing_text(self._batches, self._source):
             first = next(table.rows(_PIECE))
             try:
-                recording = chunks_of(table, self._source.label, self._options.reading, len(first[0]))
+                name = name_of(Path(self._source.label))
+                recording = chunks_of(table, name, self._options.reading, len(first[0]))
                 known = True
                 yield from self._fits_of(recording)
             except (RecordingError, FitError) as error:
@@ -179,26 +182,39 @@ class Watch:
 
     def _fits_of(self, recording: ChunkedRecording) -> Iterator[Fit]:
         """Yield the fit of a piece from time to time, and when it ends."""
-        accumulator = AllanAccumulator(recording.rate, recording.axes, name=recording.name)
+        so_far = AllanAccumulator(recording.rate, recording.axes, name=recording.name)
         fitted, due = 0, 0.0
         for samples in self._samples(recording):
-            accumulator.update(samples)
-            begin = time.monotonic()
+            more = AllanAccumulator(recording.rate, recording.axes, start=so_far.n)
+            more.update(samples)
+            joined = so_far.merge(more)
+            if self._is_disturbed(joined):
+                break
+            so_far, begin = joined, time.monotonic()
             if begin >= due:
-                yield self._fit(accumulator)
+                yield self._fit(so_far)
                 # The first fit also compiles.
                 took = time.monotonic() - begin if fitted else 0.0
-                fitted, due = accumulator.n, time.monotonic() + took / _SHARE
-        if accumulator.n > fitted:
-            yield self._fit(accumulator)
+                fitted, due = so_far.n, time.monotonic() + took / _SHARE
+        if so_far.n > fitted:
+            yield self._fit(so_far)
 
-    def _fit(self, accumulator: AllanAccumulator) -> Fit:
-        """Fit of a piece; FitError if it was disturbed."""
-        options = self._options
-        seen = accumulator.inspect(as_is=options.as_is, vibrating=options.vibrating)
-        if seen.refusal or seen.longest_part is not None:
-            raise FitError(f"{accumulator.name}: {', '.join(fact.text for fact in seen.facts)}")
-        fit = accumulator.fit_inspected(seen, options.model, options.objective)
+    def _is_disturbed(self, piece: AllanAccumulator) -> bool:
+        """Whether a piece was disturbed, so that it ends before its last samples, which is reported."""
+        seen = self._inspected(piece)
+        disturbed = bool(seen.refusal) or seen.longest_part is not None
+        if disturbed:
+            why = next(iter(warnings_of(seen.facts)), seen.refusal)
+            self._end_piece(FitError(f"{self._source.label}: {why}"))
+        return disturbed
+
+    def _inspected(self, piece: AllanAccumulator) -> Inspection:
+        return piece.inspect(as_is=self._options.as_is, vibrating=self._options.vibrating)
+
+    def _fit(self, piece: AllanAccumulator) -> Fit:
+        """Fit of a piece."""
+        seen = self._inspected(piece)
+        fit = piece.fit_inspected(seen, self._options.model, self._options.objective)
         if self.longest is None or fit.curve.n >= self.longest.curve.n:
             self.longest = fit
         return fit
