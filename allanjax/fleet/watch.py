@@ -32,9 +32,10 @@ if TYPE_CHECKING:
     from allanjax.inspection import Inspection
     from allanjax.record.io.assembly import ChunkedRecording
 
-# Lines from which columns, units and rate are recognised; pause [s] between two looks for more lines; and
-# size [bytes] of what is read at a time.
-_FIRST, _PAUSE, _PIECE = 200, 0.1, 1 << 16
+# Lines from which columns, units and rate are recognised; and pause [s] between two looks for more lines.
+_FIRST, _PAUSE = 200, 0.1
+# Size [bytes] of what is read at a time, and of the lines that do not wait for more: a gap ends them.
+_PIECE, _BATCH = 1 << 16, 1 << 18
 # Time [s] after which a file that does not grow has ended.
 _LAST = 60.0
 # Share of the time that fits may take, which leaves the machine to the logger.
@@ -97,12 +98,12 @@ def _unknown_last(length: float) -> tuple[bool, float]:
 
 
 def lines_of(stream: IO[bytes], growing: bool, every: float, stopped: Callable[[], bool]) -> Iterator[bytes]:
-    """Yield whole lines of a stream as they come, those of at least `every` [s] at a time.
+    """Yield whole lines of a stream as they come, those of at least `every` [s] or 256 kB at a time.
 
     Args:
         stream: a pipe, or a file.
         growing: whether more may follow at the end of the stream, as in a file that is being written.
-        every: least time [s] between batches.
+        every: least time [s] between small batches.
         stopped: whether to end before the stream does.
 
     Raises:
@@ -125,7 +126,8 @@ def lines_of(stream: IO[bytes], growing: bool, every: float, stopped: Callable[[
             ended = time.monotonic() - grown > _LAST
             time.sleep(_PAUSE)
         rest += piece
-        if time.monotonic() - begin >= every and rest.count(b"\n") >= least:
+        is_due = len(rest) >= _BATCH or time.monotonic() - begin >= every
+        if is_due and rest.count(b"\n") >= least:
             whole, _, rest = rest.rpartition(b"\n")
             least, begin = 1, time.monotonic()
             yield whole + b"\n"
@@ -146,7 +148,7 @@ class Watch:
     def __init__(
         self, batches: Iterator[bytes], options: FitOptions, label: str, warn: Callable[[str], None]
     ) -> None:
-        """Watch lines that come in batches; messages name the file `label`, `warn` is told why a piece ends."""
+        """Watch batches of lines; messages name the file `label`, and `warn` is told why a piece ends."""
         self.longest: Fit | None = None
         self._batches, self._options, self._source, self._warn = batches, options, Source(label), warn
 
