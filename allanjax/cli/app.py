@@ -99,7 +99,7 @@ app = App(
     config=_check,
     help_format="plaintext",
     help_epilogue="Exit codes: 0 success; 1 bad input or an axis without a result; "
-    f"2 invalid command line; {INTERRUPTED} interrupted.",
+    f"2 invalid command line; 3 undecided: a limit (--spec), or an aim (--until); {INTERRUPTED} interrupted.",
     group_arguments=Group("Arguments", help_formatter=_show),
     group_parameters=_OPTIONS,
 )

@@ -66,26 +66,31 @@ class Aim:
         """
         n, rate = fit.curve.n, fit.curve.rate
         terms, trials = random_terms(), list(trial_lengths(random_terms(), rate, n))
-        k = [SYMBOLS[term.name()] for term in terms].index(self.symbol)
+        symbols = [SYMBOLS[term.name()] for term in terms]
+        gradient = np.array([float(symbol == self.symbol) for symbol in symbols])
 
         def needed(result: AxisFit) -> float | None:
-            found = [result[term.name()] for term in terms]
-            c = found[k]
-            if not (result.measured and c.detected and c.std > 0.0):
+            if not result.converged:
+                return None
+            found = {c.symbol: c for c in result.coefficients.values() if c.detected and c.measured}
+            c = found.get(self.symbol)
+            if c is None or c.std == 0.0:
                 return None
             if c.std <= self.relative_std * c.value:
                 return n / rate
-            power = np.array([x.value**2 if x.detected else 0.0 for x in found])
+            power = np.array([found[x].value ** 2 if x in found else 0.0 for x in symbols])
             size = 2.0 * c.value
-            aim = size * self.relative_std * c.value
-            return length_for(aim, size * c.std, np.eye(len(terms))[k], power, trials)
+            return length_for(size * self.relative_std * c.value, size * c.std, gradient, power, trials)
 
-        lengths = [needed(result) if result.converged else None for result in fit.results]
+        lengths = [needed(result) for result in fit.results]
         return max((math.nan if length is None else length for length in lengths), key=_unknown_last)
 
     def words(self, fit: Fit, seconds: float) -> str:
         """How far a fit is from the aim, which needs so many `seconds`: "B to 10 % in about 40 min more"."""
         aim, now = percent(self.relative_std), fit.curve.n / fit.curve.rate
+        fitted = [c for result in fit.results if result.converged for c in result.coefficients.values()]
+        if not any(c.symbol == self.symbol for c in fitted):
+            return f"{self.symbol} is not among the terms"
         if math.isnan(seconds):
             return f"{self.symbol} to {aim} cannot be predicted before it is known on every axis"
         if seconds <= now:
