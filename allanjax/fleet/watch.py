@@ -15,7 +15,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from allanjax.base.errors import AllanjaxError, FitError, RecordingError
+from allanjax.base.errors import AllanjaxError, FitError, RecordingError, UnitError
 from allanjax.base.wording import percent
 from allanjax.estimate.check import in_words, length_for, random_terms, trial_lengths
 from allanjax.fleet.stream import AllanAccumulator
@@ -163,7 +163,8 @@ class Watch:
         Raises:
             RecordingError: the first lines are not those of a recording.
         """
-        known = False
+        # A logger that starts may leave a gap.
+        known = starts = False
         for table in growing_text(self._batches, self._source):
             first = next(table.rows(_PIECE))
             try:
@@ -172,8 +173,9 @@ class Watch:
                 known = True
                 yield from self._fits_of(recording)
             except (RecordingError, FitError) as error:
-                if not known:
+                if not known and (starts or isinstance(error, UnitError)):
                     raise
+                starts = True
                 self._end_piece(error)
 
     def _end_piece(self, why: AllanjaxError) -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -16,8 +17,6 @@ import pytest
 from commands import run
 
 import allanjax as aj
-from allanjax.fleet.options import FitOptions
-from allanjax.fleet.watch import Aim, Watch, lines_of
 
 RATE = 100.0
 HEADER = "time [s],gyro_x [deg/s],accel_x [g]\n"
@@ -39,149 +38,135 @@ def noise(n, seed=0):
     return x
 
 
-def in_batches(lines, size=1500):
-    for first in range(0, len(lines), size):
-        yield "".join(lines[first : first + size]).encode()
+@pytest.fixture
+def pipe(tmp_path):
+    """Begins to write lines into a named pipe, in pieces that do not end with lines; returns its path."""
+
+    def filled(lines):
+        path = tmp_path / "pipe"
+        os.mkfifo(path)
+        sent = "".join([HEADER, *lines]).encode() + b"half a line"
+
+        def write():
+            # The command may end before its input does.
+            with suppress(BrokenPipeError), path.open("wb", buffering=0) as stream:
+                for first in range(0, len(sent), 9_973):
+                    stream.write(sent[first : first + 9_973])
+
+        threading.Thread(target=write, daemon=True).start()
+        return path
+
+    return filled
 
 
-def watched(lines, model=None, size=1500):
-    said = []
-    watch = Watch(in_batches([HEADER, *lines], size), FitOptions(model=model), "log.csv", said.append)
-    return list(watch.fits()), watch.longest, said
+def result(done):
+    (document,) = json.loads(done.stdout)["fits"]
+    return document
 
 
-def test_the_numbers_are_those_of_a_record_that_has_ended(tmp_path):
+def by_label(axis):
+    return {c["label"]: c for c in axis["coefficients"]}
+
+
+@posix
+def test_the_numbers_are_those_of_a_record_that_has_ended(pipe, tmp_path):
     lines = rows(noise(20_000))
-    path = tmp_path / "log.csv"
-    path.write_text(HEADER + "".join(lines))
-    fits, longest, said = watched(lines)
-    whole = aj.fit(path)
-    assert said == []
-    assert longest is fits[-1]
-    assert longest.curve.n == whole.curve.n == 20_000
-    for axis in whole:
-        ours, theirs = longest[axis].coefficients, whole[axis].coefficients
+    (tmp_path / "log.csv").write_text(HEADER + "".join(lines))
+    done = run("watch", pipe(lines), "--json")
+    assert (done.exit_code, "warning: pipe" in done.stderr) == (0, False)
+    whole = aj.fit(tmp_path / "log.csv")
+    document = result(done)
+    assert document["recording"]["n"] == whole.curve.n == 20_000
+    for axis in document["axes"]:
+        ours, theirs = by_label(axis), whole[axis["name"]].coefficients
         assert list(ours) == list(theirs)
-        for name, c in theirs.items():
+        for label, c in theirs.items():
+            assert ours[label]["detected"] == c.detected
             if c.detected:
                 # The spectrum of a stream is averaged over segments: 0.2 of the standard deviation is asked.
-                assert abs(ours[name].value - c.value) < 0.2 * c.std
-                assert ours[name].std == pytest.approx(c.std, rel=0.2)
+                assert abs(ours[label]["si"]["value"] - c.value) < 0.2 * c.std
+                assert ours[label]["si"]["std"] == pytest.approx(c.std, rel=0.2)
 
 
-def test_gaps_and_disturbances_begin_a_new_piece_and_the_longest_counts():
-    n = 24_000
+@posix
+def test_gaps_and_disturbances_begin_a_new_piece_and_the_longest_counts(pipe):
+    n = 70_000
     samples, times = noise(n), np.arange(n) / RATE
-    # Two seconds are missing at 40 s; at 200 s someone knocks for 0.5 s.
+    # Two seconds are missing at 40 s, while the logger starts; at 600 s someone knocks for 0.5 s.
     times[4_000:] += 2.0
-    samples[20_000:20_050] += np.random.default_rng(1).standard_normal((50, 2)) * [5.0, 0.3]
-    fits, longest, said = watched(rows(samples, times), "N")
+    samples[60_000:60_050] += np.random.default_rng(1).standard_normal((50, 2)) * [5.0, 0.3]
+    # A batch has at most 256 kB, some 8,000 lines.
+    done = run("watch", pipe(rows(samples, times)), "--terms", "N + K", "--json")
+    assert done.exit_code == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if "a new piece of the record begins here" in line]
     assert len(said) == 2
     assert "gap of 2.01 s" in said[0]
-    assert all(text.endswith("a new piece of the record begins here") for text in said)
-    # A piece ends with the last batch of 1,500 lines before the gap or the knock, and begins after it.
-    assert fits[0].curve.n < 4_000
-    assert 20_000 - 4_000 - 4 * 1_500 < longest.curve.n < 20_000 - 4_000
+    # A piece ends with the last batch before the gap or the knock, and begins after it.
+    document = result(done)
+    assert 56_000 - 3 * 9_000 < document["recording"]["n"] < 56_000
     # White noise of 0.02 deg/s at 100 Hz, to four standard deviations of its N.
-    c = longest["gyro_x"]["N"]
-    assert abs(c.in_unit("deg/√s").value - 0.02 / RATE**0.5) < 4 * c.in_unit("deg/√s").std
+    c = by_label(document["axes"][0])["angle_random_walk"]["si"]
+    assert abs(c["value"] - np.deg2rad(0.02) / RATE**0.5) < 4 * c["std"]
 
 
-def test_lines_before_the_samples_are_refused():
-    with pytest.raises(aj.RecordingError, match=r"log\.csv"):
-        watched(["1,2,3\n"] * 10 + ["nothing\n"] * 300)
+@posix
+def test_lines_that_are_no_samples_are_refused(pipe):
+    done = run("watch", pipe(["nothing\n"] * 300), "--json")
+    assert done.exit_code == 1
+    assert "no row of numbers" in done.stderr
 
 
-def test_whole_lines_come_from_a_pipe():
-    sent = "".join(f"{k} {'x' * (k % 50)}\n" for k in range(5_000)).encode()
-    receiver, sender = os.pipe()
+def test_a_file_is_watched_while_it_grows(tmp_path):
+    path, lines, ended = tmp_path / "log.csv", rows(noise(40_000)), threading.Event()
+    path.write_text(HEADER + "".join(lines[:1_000]) + lines[1_000][:7])
 
-    def send():
-        with os.fdopen(sender, "wb", buffering=0) as pipe:
-            for first in range(0, len(sent), 997):
-                pipe.write(sent[first : first + 997])
-            pipe.write(b"half a line")
+    def grow():
+        text = lines[1_000][7:] + "".join(lines[1_001:])
+        with path.open("a") as stream:
+            for first in range(0, len(text), 20_011):
+                stream.write(text[first : first + 20_011])
+                stream.flush()
+                if ended.wait(0.1):
+                    break
 
-    threading.Thread(target=send).start()
-    with os.fdopen(receiver, "rb", buffering=0) as pipe:
-        batches = list(lines_of(pipe, False, 0.01, lambda: False))
-    assert b"".join(batches) == sent
-    assert all(batch.endswith(b"\n") for batch in batches)
-    assert batches[0].count(b"\n") >= 200
-
-
-def test_lines_come_while_a_file_grows_and_end_on_request(tmp_path):
-    path, stop = tmp_path / "log.csv", threading.Event()
-    path.write_bytes(b"a\n" * 300 + b"b")
-    batches = []
-    with path.open("rb", buffering=0) as stream:
-        for batch in lines_of(stream, True, 0.05, stop.is_set):
-            batches.append(batch)
-            if len(batches) == 1:
-                with path.open("ab") as more:
-                    more.write(b"c\nd")
-            else:
-                stop.set()
-    assert batches == [b"a\n" * 300, b"bc\n"]
-
-
-def test_a_file_that_becomes_shorter_is_an_error(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_bytes(b"a\n" * 300)
-    with path.open("rb", buffering=0) as stream:
-        lines = lines_of(stream, True, 0.05, lambda: False)
-        next(lines)
-        path.write_bytes(b"a\n")
-        with pytest.raises(aj.RecordingError, match="shorter"):
-            next(lines)
+    logger = threading.Thread(target=grow)
+    logger.start()
+    # 1,000 samples tell N to some 3 %, 40,000 to 0.4 %: white noise has a relative error of (2n)**-0.5.
+    done = run("watch", path, "--until", "N 1 %", "--terms", "N + K", "--json", "--every", "0.1")
+    ended.set()
+    logger.join()
+    assert done.exit_code == 0, done.stderr
+    assert 5_000 < result(done)["recording"]["n"] < 40_000
+    assert "a new piece" not in done.stderr
 
 
 @pytest.mark.parametrize("text", ["B", "B ten %", "Q 10 %", "B 0 %", "10 %"])
-def test_other_words_are_no_aim(text):
-    with pytest.raises(aj.AllanjaxError, match="B 10 %"):
-        Aim.parse(text)
+def test_other_words_are_no_aim(text, elsewhere):
+    done = run("watch", "log.csv", "--until", text)
+    assert done.exit_code == 1
+    assert "'B 10 %'" in done.stderr
 
 
-def test_the_forecast_comes_true():
+@posix
+def test_the_forecast_comes_true(pipe, elsewhere):
     """The predicted length gives the standard deviation that was asked for."""
-    aim, x = Aim.parse("N 1%"), noise(40_000, 3)[:, :1]
-
-    def fitted(n):
-        return aj.fit(aj.Recording.from_array(x[:n], RATE, gyro_unit="deg/s", names=["gyro_x"]), "N + B")
-
-    short = fitted(2_000)
-    seconds = aim.seconds(short)
-    assert seconds > 20.0
-    assert aim.words(short, seconds).startswith("N to 1 % in about ")
-    n = round(seconds * RATE)
-    c = fitted(n)["gyro_x"]["N"]
+    x = noise(40_000, 3)
+    done = run("watch", pipe(rows(x[:2_000])), "--terms", "N + B + K", "--columns", "time,gyro_x")
+    (more,) = re.findall(r"N to 1 % in about ([\d.]+) s more", done.stdout)
+    n = 2_000 + round(float(more) * RATE)
+    recording = aj.Recording.from_array(x[:n, :1], RATE, gyro_unit="deg/s", names=["gyro_x"])
+    c = aj.fit(recording, "N + B + K")["gyro_x"]["N"]
     # The forecast is made from one draw of 2,000 samples, for lengths in steps.
     assert c.std / c.value == pytest.approx(0.01, rel=0.3)
-    long = fitted(40_000)
-    assert aim.seconds(long) == 400.0
-    assert aim.words(long, 400.0) == "N known to 1 %"
-    # White noise alone shows no B.
-    assert np.isnan(Aim.parse("B 10 %").seconds(long))
-
-
-@pytest.fixture
-def pipe(tmp_path):
-    """A named pipe into which a thread writes a recording."""
-    path = tmp_path / "pipe"
-    os.mkfifo(path)
-    text = HEADER + "".join(rows(noise(20_000)))
-    writer = threading.Thread(target=partial(path.write_text, text), daemon=True)
-    writer.start()
-    return path
 
 
 @posix
 def test_the_command_ends_when_the_aim_is_reached(pipe, tmp_path):
-    done = run("watch", pipe, "--until", "N 2 %", "--terms", "N + K", "--out", tmp_path / "out", "--json")
+    words = ("--until", "N 2 %", "--terms", "N + K", "--out", tmp_path / "out", "--json")
+    done = run("watch", pipe(rows(noise(20_000))), *words)
     assert done.exit_code == 0, done.stderr
-    (document,) = json.loads(done.stdout)["fits"]
-    for axis in document["axes"]:
-        c = axis["coefficients"][0]
+    for axis in result(done)["axes"]:
+        c = by_label(axis)["angle_random_walk"]["si"]
         assert c["std"] <= 0.02 * c["value"]
     assert "N known to 2 %" in done.stderr
     assert {"pipe.json", "pipe_allan.png"} <= {path.name for path in (tmp_path / "out").iterdir()}
@@ -189,15 +174,13 @@ def test_the_command_ends_when_the_aim_is_reached(pipe, tmp_path):
 
 @posix
 def test_a_record_that_ends_too_early_has_an_exit_code(pipe, elsewhere):
-    done = run("watch", pipe, "--until", "B 1 %", "--terms", "N + K")
+    done = run("watch", pipe(rows(noise(20_000))), "--until", "B 1 %", "--terms", "N + K")
     assert done.exit_code == 3
     assert "before B 1 % was reached" in done.stderr
     assert "B is not among the terms" in done.stdout
 
 
-@posix
-def test_the_record_is_not_there_or_has_no_samples(tmp_path, elsewhere):
-    (tmp_path / "empty.csv").write_text(HEADER)
+def test_a_file_that_is_not_there_is_an_error(tmp_path, elsewhere):
     done = run("watch", tmp_path / "none.csv")
     assert done.exit_code == 1
     assert "none.csv" in done.stderr
