@@ -30,13 +30,14 @@ from allanjax.cli.interrupt import INTERRUPTED, end_on_interrupt
 from allanjax.cli.recordings import characterize, check, critique, report
 from allanjax.cli.results import export, horizon, kalman, navigate, schema, spec, statespace
 from allanjax.cli.simulate import convert, demo, simulate
+from allanjax.cli.watch import watch
 
 if TYPE_CHECKING:
     from cyclopts.help import HelpPanel
 
 # In the order of `allanjax --help`.
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    *(check, characterize, critique, report, compare, spec, fleet, repeat, export, horizon),
+    *(check, characterize, watch, critique, report, compare, spec, fleet, repeat, export, horizon),
     *(navigate, statespace, kalman, calibrate, simulate, convert, schema, demo),
 )
 # Without a handler Python prints what libraries log.
@@ -98,7 +99,7 @@ app = App(
     config=_check,
     help_format="plaintext",
     help_epilogue="Exit codes: 0 success; 1 bad input or an axis without a result; "
-    f"2 invalid command line; {INTERRUPTED} interrupted.",
+    f"2 invalid command line; 3 undecided: a limit (--spec), or an aim (--until); {INTERRUPTED} interrupted.",
     group_arguments=Group("Arguments", help_formatter=_show),
     group_parameters=_OPTIONS,
 )

@@ -6,11 +6,14 @@ import signal
 import socket
 import sys
 import threading
+from collections.abc import Callable
 
 INTERRUPTED = 130
 """Exit code of an interrupted command, by the convention of shells: 128 and the number of the signal."""
 TEMPORARY: list[str] = []
 """Folders to remove before that."""
+ENDINGS: list[Callable[[], object]] = []
+"""What the first interrupts do instead of ending the process."""
 
 
 def end_on_interrupt() -> None:
@@ -30,8 +33,11 @@ def end_on_interrupt() -> None:
 
 def _wait(receiver: socket.socket, _: socket.socket) -> None:
     """Wait for the signal's number and end the process; keeps both sockets open."""
-    while signal.SIGINT not in receiver.recv(1):
-        pass
+    while True:
+        if signal.SIGINT in receiver.recv(1):
+            if not ENDINGS:
+                break
+            ENDINGS.pop()()
     # On a terminal the line of a spinner is cleared, and the cursor shown again.
     clear = b"\r\x1b[K\x1b[?25h" if sys.stderr.isatty() else b""
     os.write(2, clear + b"interrupted\n")

@@ -93,7 +93,7 @@ class NeededLength(ByValue):
 
     def describe(self) -> str:
         """Return what is known and how long to record, in words, without the name of the axis."""
-        needed = f"{_in_words(self.seconds)} would give {_TARGET_WORDS}"
+        needed = f"{in_words(self.seconds)} would give {_TARGET_WORDS}"
         if not math.isnan(self.relative_std):
             known = f"known to ±{plain(100.0 * self.relative_std, 2)} %"
             return known if self.known else f"{known}, {self.reason or needed}"
@@ -384,8 +384,8 @@ def _in_short(lengths: Sequence[NeededLength]) -> str:
     longest = max(left, key=lambda x: x.seconds or math.inf)
     at_limit = "at the limit, " * (states.keys() == {"not detected"})
     where = f" ({longest.coefficient.axis.name})" * (len(left) > 1)
-    return f"{head}; {at_limit}{_in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
+    return f"{head}; {at_limit}{in_words(longest.seconds)} would give {_TARGET_WORDS}{where}"
 
 
-def _in_words(seconds: float | None) -> str:
+def in_words(seconds: float | None) -> str:
     return duration(seconds) if seconds else "more than a month"

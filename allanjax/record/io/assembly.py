@@ -554,13 +554,6 @@ def open_chunks(
     """Open a recording with these options, as `read_chunks` does; messages name the file `label`."""
     path = Path(path)
     source = Source(label or str(path))
-    if chunk < 1:
-        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
-    if options.allows_gaps:
-        raise source.error(
-            "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
-            "without gaps with start= and stop= (--start, --stop)"
-        )
     kind = format_of(path, source)
     if not kind.in_chunks:
         raise source.error(
@@ -568,7 +561,19 @@ def open_chunks(
             "(without --stream), or save it as .npy, Parquet, HDF5 or CSV, e.g. with "
             "write(read(path), 'imu.parquet')"
         )
-    table = kind.table(path, source, options)
+    return chunks_of(kind.table(path, source, options), name_of(path), options, chunk)
+
+
+def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> ChunkedRecording:
+    """The recording in a table, to read it in chunks with these options, as `read_chunks` does."""
+    source = table.source
+    if chunk < 1:
+        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
+    if options.allows_gaps:
+        raise source.error(
+            "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
+            "without gaps with start= and stop= (--start, --stop)"
+        )
     first = next(table.rows(chunk), None)
     if first is None:
         raise table.no_rows()
@@ -610,7 +615,7 @@ def open_chunks(
         check_length(n, source)
     if layout.auxiliary:
         notes.append(f"not read: {', '.join(column.name for column in layout.auxiliary)}")
-    return ChunkedRecording(rate, axes, name_of(path), (*notes, *axis_notes), n, part)
+    return ChunkedRecording(rate, axes, name, (*notes, *axis_notes), n, part)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Readers for text files: columns with or without a header, and lines of VectorNav sensors."""
 
 import csv
+import functools
 import gzip
 import io
 import itertools
@@ -10,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO, TYPE_CHECKING
 
 import numpy as np
@@ -63,6 +65,16 @@ _FIELDS = {
     b"$VNACC": _ACCEL,
 }
 _VECTORNAV_LINE = re.compile(rb"(?:^|\n)\$VN[A-Z]{3},")
+# Fields of sensor_msgs/Imu as `ros2 topic echo --csv` prints them, without names.
+_ROS_IMU = (
+    *("header.stamp.sec", "header.stamp.nanosec", "header.frame_id"),
+    *(f"orientation.{part}" for part in "xyzw"),
+    *(f"orientation_covariance_{k}" for k in range(9)),
+    *(f"angular_velocity.{axis} [rad/s]" for axis in "xyz"),
+    *(f"angular_velocity_covariance_{k}" for k in range(9)),
+    *(f"linear_acceleration.{axis} [m/s²]" for axis in "xyz"),
+    *(f"linear_acceleration_covariance_{k}" for k in range(9)),
+)
 # Exclusive or of the bytes after the $, in two hexadecimal digits at the end of a line.
 _ENDED = re.compile(rb"\*([0-9A-Fa-f]{2})\s*$")
 
@@ -130,6 +142,34 @@ def open_text(path: Path, source: Source) -> Table:
                 raise source.error(_ragged_row(path, layout) or f"cannot be read: {error}") from error
 
     return Table(rows, layout.labels, source, rate=layout.rate, notes=notes)
+
+
+def growing_text(batches: Iterator[bytes], source: Source) -> Iterator[Table]:
+    """Yield tables of text that comes in batches of whole lines, the first of which have the header.
+
+    The rows of a table come as long as batches do. Where reading ended at an error, the next table begins
+    with the next batch.
+    """
+    head = b""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "lines.txt"
+
+        def table_of(lines: bytes) -> Table:
+            path.write_bytes(head + lines)
+            return open_text(path, source)
+
+        def rows(first: Columns, _: int) -> Iterator[Columns]:
+            yield first
+            for batch in batches:
+                yield table_of(batch).columns()
+
+        for batch in batches:
+            table = table_of(batch)
+            if not head:
+                head = b"".join(batch.splitlines(keepends=True)[: _layout(path, source).start])
+            # A line is counted from the start of its batch, which nobody can look up.
+            place = Source(source.label, missing="nan or an empty cell")
+            yield replace(table, rows=functools.partial(rows, table.columns()), source=place)
 
 
 def _cut_line(path: Path, layout: _Layout) -> str:
@@ -239,7 +279,11 @@ def _with_header(bare: _Layout, before: list[tuple[int, str]], fields: list[str]
         labels = _labels(re.sub(r"^\s*(?:[#/]+|%+\s)\s*", "", line), bare.delimiter, fields)
         if _fits(fields, len(labels)) and any(recognise(label).role != "auxiliary" for label in labels):
             return replace(bare, labels=tuple(labels), fields=len(labels))
-    return replace(bare, notes=_skipped([line for _, line in plain]))
+    notes = _skipped([line for _, line in plain])
+    if len(_trim(fields)) == len(_ROS_IMU) and not _is_number(fields[2]):
+        notes += ("columns of ROS 2's sensor_msgs/Imu, as `ros2 topic echo --csv` prints it",)
+        return replace(bare, labels=_ROS_IMU, notes=notes)
+    return replace(bare, notes=notes)
 
 
 def _units(lines: list[list[str]]) -> list[str]:
