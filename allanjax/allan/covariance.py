@@ -157,11 +157,13 @@ class AllanCovariance(eqx.Module):
         """Quadrature for estimates at these cluster sizes [samples] of n rate samples at `rate` [Hz].
 
         The order is the number of nodes between two neighbouring kinks. Strides are samples from one start of
-        a cluster to the next, each a divisor of its cluster size and of the strides after it, and at least an
-        eighth of the size where these are larger; by default 1, for overlapping estimates.
+        a cluster to the next, each a divisor of its cluster size and of the strides after it; by default 1,
+        for overlapping estimates.
         """
         sizes = np.asarray(sizes, np.int64)
         strides = np.ones_like(sizes) if strides is None else np.asarray(strides, np.int64)
+        # Counts of pairs have steps, which only a node for each lag within a cluster sums exactly.
+        order = max(order, int(np.max(sizes // strides, initial=0, where=strides > 1)))
         i, j = np.triu_indices(len(sizes))
         mi, mj, si, sj = sizes[i], sizes[j], strides[i], strides[j]
         Mi, Mj = (n - 2 * mi) // si + 1, (n - 2 * mj) // sj + 1

@@ -60,7 +60,7 @@ class AllanDeviation(ByValue, OfAxes):
         edf: [m, axes] equivalent degrees of freedom of the variance.
         kind: "allan", "modified" or "hadamard".
         overlapping: whether the clusters overlap.
-        estimator: "exact" if every start of a cluster counts, "pyramid" if every m/8-th does; see `Pyramid`.
+        estimator: "exact" if every start of a cluster counts, "pyramid" if some do; see `Pyramid`.
         n, rate: rate samples per axis, in the longest segment, and sample rate [Hz].
         axes: the recording's axes, or None for an array.
         others: rate samples of each other segment whose differences are averaged, too.
@@ -91,8 +91,8 @@ class AllanDeviation(ByValue, OfAxes):
         cls, pyramid: Pyramid, rate: float, axes: tuple[Axis, ...] | None = None
     ) -> AllanDeviation:
         """Allan deviations from the sums of a pyramid over samples at `rate` [Hz]."""
-        sizes = estimators.cluster_sizes(pyramid.n, rate)[: len(pyramid.count)]
-        of = np.sqrt(pyramid.variance()), sizes, pyramid.n, rate
+        estimators.check_enough(pyramid.n, "allan")
+        of = np.sqrt(pyramid.variance()), pyramid.cluster_size, pyramid.n, rate
         return replace(cls.under_white_noise(*of, axes=axes, estimator="pyramid"), count=pyramid.count)
 
     @classmethod
@@ -233,7 +233,8 @@ def allan_deviation(
         overlapping: average over every start of a cluster, or only over every m-th.
         cluster_times: spacing of the cluster times, or these times [s]; see `cluster_sizes`.
         estimator: "exact", or "pyramid" for long records: several times faster, and except for strong
-            quantization less than 1 % less precise. Overlapping Allan variances of rates at octaves only.
+            quantization less than 1 % less precise. Overlapping Allan variances of rates only, at
+            about four cluster times an octave.
         gyro_unit, accel_unit, names: units and names of an array, as for `Recording.from_array`; without a
             unit the deviations are in the array's own unit.
 
@@ -262,8 +263,8 @@ def allan_deviation(
         plain = (kind, data_type, overlapping) == ("allan", "rate", True)
         if not (plain and isinstance(cluster_times, str) and cluster_times == "octave"):
             raise AllanjaxError(
-                "the pyramid supports only overlapping Allan variances of rates at octaves: leave out kind, "
-                'data_type, overlapping and cluster_times, or use estimator="exact"'
+                "the pyramid supports only overlapping Allan variances of rates at its own sizes: leave out "
+                'kind, data_type, overlapping and cluster_times, or use estimator="exact"'
             )
         return _of_recording(AllanDeviation.of_pyramid(Pyramid.of(values), rate, axes), data)
     n = values.shape[0] - (data_type == "phase")

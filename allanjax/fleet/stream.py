@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 # Samples that are gathered before they are processed: a call of a compiled program costs as much as many.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
-_FORMAT = 3
+_FORMAT = 4
 
 _FROM_RECORD = (
     "cannot be estimated from the averaged spectrum of a stream; leave it out, or read a part that fits into "
@@ -188,7 +188,7 @@ class AllanAccumulator:
         return living
 
     def result(self) -> AllanDeviation:
-        """Allan deviations of all samples so far at octaves, as with `estimator="pyramid"`.
+        """Allan deviations of all samples so far, as with `estimator="pyramid"`.
 
         Raises:
             AllanjaxError: fewer than two samples, or only dead axes.

@@ -256,12 +256,16 @@ def noise(n: int, axes: int = 2) -> np.ndarray:
 
 
 def by_definition(x: np.ndarray, start: int = 0) -> tuple[list[int], list[int], np.ndarray]:
-    """Sizes, counts and variances: clusters begin at every multiple of m/8 of the stream's sample numbers."""
+    """Sizes, counts and variances: those of 2ᵏ to 2ᵏ⁺¹ samples begin at every multiple of 2ᵏ⁻³ of the stream.
+
+    They are at quarters of octaves.
+    """
     # From running sums of 64 binary digits.
     sums = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x.astype(np.longdouble), axis=0)])
     sizes, counts, variances = [], [], []
-    for m in 2 ** np.arange(len(x).bit_length() - 1):
-        stride = max(1, m // 8)
+    quarters = np.outer(2.0 ** np.arange(len(x).bit_length()), [1.0, 1.25, 1.5, 1.75]).ravel()
+    for m in (int(m) for m in quarters if m % 1.0 == 0.0 and 2 * m <= len(x)):
+        stride = max(1, 2 ** (m.bit_length() - 4))
         d = (sums[2 * m :] - 2 * sums[m:-m] + sums[: -2 * m])[-start % stride :: stride] / m
         if len(d):
             sizes, counts = [*sizes, m], [*counts, len(d)]
@@ -273,7 +277,7 @@ def check_pyramid(found: aj.AllanDeviation, x: np.ndarray, start: int = 0) -> No
     sizes, counts, variances = by_definition(x, start)
     assert (found.cluster_size.tolist(), found.count.tolist()) == (sizes, counts)
     assert_array_equal(found.cluster_time, np.array(sizes) / SLOW)
-    assert_array_equal(found.strides, np.maximum(1, found.cluster_size // 8))
+    assert_array_equal(found.strides, [max(1, 2 ** int(np.log2(m) - 3)) for m in sizes])
     # Rounding of means, and of walks that reach some hundreds.
     assert_allclose(found.variance, variances, rtol=1e-11)
     assert (found.estimator, found.n, found.kind, found.overlapping) == ("pyramid", len(x), "allan", True)

@@ -150,3 +150,34 @@ def test_a_file_is_accumulated_chunk_by_chunk(x, tmp_path):
     words = ["--rate", RATE, "--gyro-unit", "rad/s", "--columns", "gyro_x,gyro_y"]
     refusal = run("characterize", path, "--stream", *words, "--regressors", "temperature")
     assert (refusal.exit_code, "regressors" in refusal.stderr) == (1, True)
+
+
+def test_the_same_samples_give_the_same_result_whichever_way_they_come(cluster, tmp_path):
+    """As a whole, as a stream, in pieces that are merged, and in a fleet, divided or not."""
+    kinds = ("N=0.2 deg/√h + B=4 deg/h", "N=0.2 deg/√h + K=20 deg/h/√h", "Q=0.5 arcsec + N=0.05 deg/√h")
+    models = dict(zip(["gyro_x", "gyro_y", "gyro_z"], kinds, strict=True))
+    recording = aj.simulate_recording(models, 120_000, 100.0, 7)
+    path = tmp_path / "unit.parquet"
+    aj.write(recording, path)
+    whole = aj.fit(recording)
+
+    def streamed(values, start):
+        found = aj.AllanAccumulator(recording.rate, recording.axes, start=start)
+        found.update(values)
+        return found
+
+    left, right = streamed(recording.values[:50_001], 0), streamed(recording.values[50_001:], 50_001)
+    tables = [streamed(recording.values, 0).fit().to_dataframe(), left.merge(right).fit().to_dataframe()]
+    for piece in (100_000, 20_000_000):
+        fleet = aj.characterize_fleet(path, tmp_path / str(piece), scheduler=cluster, piece=piece)
+        tables.append(fleet.table)
+    for table in tables:
+        found = table.set_index(["axis", "coefficient"])
+        assert list(found.index) == [(axis, label) for axis in whole for label in whole[axis].coefficients]
+        for (axis, label), row in found.iterrows():
+            c = whole[axis][label].in_unit(row["unit"])
+            assert row["detected"] == c.detected
+            if c.detected:
+                # Spectra of segments and clusters that begin at some samples only know as much to a per cent.
+                assert abs(row["value"] - c.value) < 0.1 * c.std
+                assert row["std"] == pytest.approx(c.std, rel=0.05)

@@ -269,4 +269,5 @@ def differences(n, m, weights, options):
     if options.get("kind") == "modified":
         d = np.array([d[i : i + m].mean(axis=0) for i in range(count + 1 - m)]).reshape(-1, n)
     step = 1 if options.get("overlapping", True) else m
-    return d[:: max(m // 8, 1) if "estimator" in options else step]
+    # A pyramid takes every 2ᵏ⁻³-th of the clusters of 2ᵏ to 2ᵏ⁺¹ samples.
+    return d[:: max(2 ** (int(m).bit_length() - 4), 1) if "estimator" in options else step]
