@@ -5,11 +5,25 @@ Only numbers below 0.001 or from 1e7 on have a power of ten, e.g. "1.20×10⁻�
 """
 
 import math
+import re
 from collections.abc import Sequence
 
 # Numbers from _SMALL up to _LARGE are written without a power of ten.
 _SMALL, _LARGE = 1e-3, 1e7
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+# Control characters, halves of characters that a file system hands over, and marks that turn text around.
+_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff\u202a-\u202e\u2066-\u2069]")
+
+
+def harmless(text: str) -> str:
+    """Text from elsewhere that a terminal may show: blanks for white space, \\x1b for other controls."""
+
+    def safe(found: re.Match[str]) -> str:
+        return " " if found[0].isspace() else found[0].encode("unicode_escape").decode()
+
+    return _UNPRINTABLE.sub(safe, text)
 
 
 def format_with_error(value: float, std: float) -> str:

@@ -227,7 +227,7 @@ def document_in(path: str | os.PathLike[str], wanted: str) -> Any:
         return json.loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise AllanjaxError(f"{path}: no such file; check the path") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise AllanjaxError(f"{path}: not a JSON file, or damaged ({error}); give {wanted}") from error
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from allanjax.base.errors import AllanjaxError, UnitError
 from allanjax.base.late import presented
+from allanjax.base.wording import harmless
 from allanjax.record.units import COUNT_SIZES, SENSORS, Sensor, parse_sample_unit, same_unit
 from allanjax.record.validation import Source
 
@@ -97,6 +98,7 @@ class Column:
 
 def recognise(label: str) -> Column:
     """Recognise a column by its label, e.g. `gyro_x [deg/s]`, `field.linear_acceleration.z`, `%time`."""
+    label = harmless(label)
     stem, unit = split_unit(label)
     element = next((end for end in _ELEMENTS if stem.endswith(end)), None)
     words = _words(stem if element is None else stem.removesuffix(element) + _ELEMENTS[element])

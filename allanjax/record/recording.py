@@ -27,7 +27,15 @@ from allanjax.record.completion import (
 )
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.units import SI, Sensor
-from allanjax.record.validation import Source, as_columns, check_length, check_rate, check_values
+from allanjax.record.validation import (
+    Source,
+    as_columns,
+    check_length,
+    check_names,
+    check_rate,
+    check_values,
+    real_numbers,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,11 +114,12 @@ class Recording(ByValue):
         """
         source = Source(name or "array")
         units: dict[Sensor, str | None] = {"gyro": gyro_unit, "accel": accel_unit}
-        table = as_columns(np.asarray(values, dtype=float), source)
+        table = as_columns(real_numbers(values, source), source)
         notes: tuple[str, ...] = ()
         if names is None:
             names = default_names(table.shape[1], units, "names=", source)
             notes = (f"column order taken as {', '.join(names)}",)
+        check_names(names, "names=", source)
         if len(names) != table.shape[1]:
             raise source.error(
                 f"{len(names)} names for {table.shape[1]} columns; give one per column in names="

@@ -2,16 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
 from allanjax.base.errors import RecordingError
+from allanjax.base.wording import harmless
 
 MIN_SAMPLES = 16
 """Fewest samples that make a recording."""
-LARGEST = 1e100
-"""Largest size of a sample, in any unit: larger values overflow when scaled and squared."""
+LARGEST = 1e30
+"""Largest size of a sample, in any unit: powers of larger values overflow."""
+SMALLEST = 1e-30
+"""Least range of an axis, in any unit: powers of smaller values vanish."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Source:
 
     def error(self, message: str, about: str = "") -> RecordingError:
         """Return a RecordingError whose message begins with the label; see there for `about`."""
-        return RecordingError(f"{self.label}: {message}", about)
+        return RecordingError(f"{harmless(self.label)}: {message}", about)
 
 
 def check_rate(rate: float, source: Source) -> float:
@@ -63,6 +67,13 @@ def as_columns(values: Float[np.ndarray, "*shape"], source: Source) -> Float[np.
             f"values of shape {table.shape} seem transposed; pass values.T (one column per axis)"
         )
     return table
+
+
+def check_names(names: Sequence[str], argument: str, source: Source) -> None:
+    """Raise RecordingError if names of columns are not text."""
+    other = next((name for name in names if not isinstance(name, str)), None)
+    if other is not None:
+        raise source.error(f"{argument} takes names of columns, e.g. ['gyro_x', 'accel_z'], not {other!r}")
 
 
 def check_length(samples: int, source: Source) -> None:
@@ -92,7 +103,26 @@ def check_values(
             check_finite(column, label, source)
     if not living.any():
         raise constant_error(labels[0], float(values[0, 0]), source)
+    for label, column in zip(labels, values.T, strict=True):
+        if 0.0 < column.max() - column.min() < SMALLEST:
+            raise source.error(
+                f"column {label!r} varies by less than {SMALLEST:.0e}, as no sensor does; correct its unit"
+            )
     return living
+
+
+def real_numbers(values: Any, source: Source) -> Float[np.ndarray, "*shape"]:
+    """Values as an array of floats, nan where a masked array has none.
+
+    Raises:
+        RecordingError: complex numbers.
+        TypeError, ValueError: other values than numbers.
+    """
+    if np.iscomplexobj(values):
+        raise source.error("complex numbers are no samples; give their real part or their magnitude")
+    if isinstance(values, np.ma.MaskedArray):
+        return np.ma.filled(values.astype(float), np.nan)
+    return np.asarray(values, dtype=float)
 
 
 def usable(values: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:

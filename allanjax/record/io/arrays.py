@@ -98,7 +98,9 @@ def open_parquet(path: Path, source: Source) -> Table:
         check_claim(n * len(labels), path, source)
 
     def rows(chunk: int) -> Iterator[Columns]:
-        with damage_reported(source, "Parquet", "write it again"), pq.ParquetFile(path) as file:
+        # By default whole groups of rows are read before their first row.
+        opened = pq.ParquetFile(path, pre_buffer=False, buffer_size=1 << 20)
+        with damage_reported(source, "Parquet", "write it again"), opened as file:
             for batch in file.iter_batches(min(chunk, max(n, 1))):
                 yield tuple(map(_column, batch.columns))
 

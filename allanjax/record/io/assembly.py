@@ -43,6 +43,7 @@ from allanjax.record.validation import (
     bad_cells,
     check_finite,
     check_length,
+    check_names,
     check_rate,
     constant_error,
     usable,
@@ -129,6 +130,7 @@ def _repeated(names: Sequence[str]) -> list[str]:
 
 def _chosen(table: Table, count: int, columns: str | Sequence[str]) -> list[Column]:
     """Columns in the user's list: some names of the header, or names of all `count` by position."""
+    check_names(columns, "columns= (--columns)", table.source)
     entries = [entry.strip() for entry in (columns.split(",") if isinstance(columns, str) else columns)]
     names = [entry for entry in entries if entry not in _SKIP]
     if repeated := _repeated(names):

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from allanjax.base.wording import harmless
 from allanjax.record.io.arrays import HDF5, MAT, NPY, NPZ, PARQUET, TDMS
 from allanjax.record.io.flight_logs import DATAFLASH, ULOG
 from allanjax.record.io.ros import ROS
@@ -22,6 +23,8 @@ def format_of(path: Path, source: Source) -> Format:
             f"this folder is not a ROS 2 bag, as it has no metadata.yaml; give a file, or a pattern such as "
             f"'{path / '*.csv'}'"
         )
+    if path.exists() and not path.is_file():
+        raise source.error("a pipe or a device, which can be read only once; copy it to a file")
     try:
         with path.open("rb") as stream:
             magic = stream.read(520)
@@ -44,5 +47,6 @@ def is_bag(path: Path) -> bool:
 
 
 def name_of(path: Path) -> str:
-    """Return the name of a file without its suffix."""
-    return path.name.removesuffix(".gz").rsplit(".", 1)[0] or path.name
+    """Return the name of a file without its suffix, as it can be shown and written."""
+    name = harmless(path.name)
+    return name.removesuffix(".gz").rsplit(".", 1)[0] or name

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Union
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-from allanjax.base.errors import AllanjaxError
+from allanjax.base.errors import AllanjaxError, RecordingError
 from allanjax.record.columns import names_of, recognise
 from allanjax.record.io import read
 from allanjax.record.io.assembly import ChunkedRecording, assemble
 from allanjax.record.io.options import GapChoice, ReadOptions
 from allanjax.record.io.table import Table
 from allanjax.record.recording import Axis, Recording
-from allanjax.record.validation import Source, as_columns, check_rate, check_values
+from allanjax.record.validation import Source, as_columns, check_rate, check_values, real_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,11 +116,17 @@ def _columns(data: Any) -> dict[str, np.ndarray] | None:
         if recognise(label).role == "time":
             times = {label: np.asarray(index)}
     if isinstance(data, Mapping):
-        columns = {str(label): np.asarray(column) for label, column in data.items()}
+        columns = {str(label): _column(column, str(label)) for label, column in data.items()}
         return columns if all(column.ndim for column in columns.values()) else None
     if not hasattr(data, "columns"):
         return None
-    return times | {str(label): np.asarray(data[label]) for label in data.columns}
+    return times | {str(label): _column(data[label], str(label)) for label in data.columns}
+
+
+def _column(values: Any, label: str) -> np.ndarray:
+    """A column as an array; a masked or complex one as numbers."""
+    special = isinstance(values, np.ma.MaskedArray) or np.iscomplexobj(values)
+    return real_numbers(values, Source(f"column {label!r}")) if special else np.asarray(values)
 
 
 def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
@@ -133,7 +139,9 @@ def _samples(data: Any, rate: float | None) -> tuple[np.ndarray, float]:
     kind = type(data).__name__
     message = f"{'an' if kind[0] in 'AEIOaeio' else 'a'} {kind} is not a recording; {remedy}"
     try:
-        values = np.asarray(data, dtype=float)
+        values = real_numbers(data, Source("array"))
+    except RecordingError:
+        raise
     except (TypeError, ValueError) as error:
         raise AllanjaxError(message) from error
     if values.ndim == 0:

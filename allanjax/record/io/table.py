@@ -21,8 +21,9 @@ from allanjax.record.validation import Source, bad_cells
 Columns: TypeAlias = tuple[Shaped[np.ndarray, " rows"], ...]
 #: Options that select one of several recordings in a file.
 CHOICES = ("topic", "instance")
-# Largest plausible compression factor of a file; that of deflate, the most common, is below 1033.
-_EXPANSION = 1100
+# Largest plausible compression factor of a file, that of deflate, the most common, is below 1033; and of one
+# that claims so many bytes, as nothing but constant numbers is compressed more.
+_EXPANSION, _LARGE, _EXPANSION_OF_LARGE = 1100, 1 << 30, 100
 
 
 @dataclass(frozen=True)
@@ -147,9 +148,10 @@ def is_numeric(values: Shaped[np.ndarray, " samples"]) -> bool:
 def check_claim(claimed: int, path: Path, source: Source) -> None:
     """Raise RecordingError if a file claims more bytes than it can hold, before memory is allocated."""
     size = path.stat().st_size
-    if claimed > _EXPANSION * size:
+    if claimed > (_EXPANSION if claimed < _LARGE else _EXPANSION_OF_LARGE) * size:
         raise source.error(
-            f"the file claims to hold {claimed} bytes but has only {size}: it is damaged; copy it again"
+            f"the file claims to hold {claimed} bytes but has only {size}: it is damaged, or its numbers are "
+            "all equal; copy it again"
         )
 
 
