@@ -32,7 +32,7 @@ from allanjax.spectrum.cosine import SegmentedLevel, SegmentSpectra
 if TYPE_CHECKING:
     from allanjax.record.io.assembly import ChunkedRecording
 
-# Samples that are gathered before they are processed: a call of a compiled program costs as much as many.
+# Samples that are processed at once: a call of a compiled program costs as much as many; more need memory.
 _GATHERED = 1 << 17
 # Version of the format of snapshots.
 _FORMAT = 4
@@ -330,11 +330,13 @@ class AllanAccumulator:
         """Merge the buffered samples into the statistics."""
         if not self._gathered:
             return
-        values, start = np.concatenate(self._gathered), self.start + self._pyramid.n
-        self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
-        self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
-        self._windows = self._windows.updated(values)
-        self._ends = self._ends.merge(Ends.of(values))
+        gathered = self._gathered[0] if len(self._gathered) == 1 else np.concatenate(self._gathered)
+        for first in range(0, len(gathered), _GATHERED):
+            values, start = gathered[first : first + _GATHERED], self.start + self._pyramid.n
+            self._pyramid = self._pyramid.merge(Pyramid.of(values, start))
+            self._spectra = self._spectra.merge(SegmentSpectra.of(values, self.rate, start))
+            self._windows = self._windows.updated(values)
+            self._ends = self._ends.merge(Ends.of(values))
         self._gathered = []
 
     def __eq__(self, other: object) -> bool:

@@ -531,7 +531,7 @@ class ChunkedRecording:
             raise constant_error(labels[k], float(first[k]), place)
 
 
-def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: Any) -> ChunkedRecording:
+def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**18, **reading: Any) -> ChunkedRecording:
     """Open a static recording to read it in chunks: text (also gzip), .npy, Parquet or HDF5.
 
     Columns are recognised as in `read`. The sample rate is that of the time stamps in the first chunk unless
@@ -551,7 +551,7 @@ def read_chunks(path: str | os.PathLike[str], *, chunk: int = 2**20, **reading: 
 
 
 def open_chunks(
-    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**20, label: str | None = None
+    path: str | os.PathLike[str], options: ReadOptions, chunk: int = 2**18, label: str | None = None
 ) -> ChunkedRecording:
     """Open a recording with these options, as `read_chunks` does; messages name the file `label`."""
     path = Path(path)
@@ -570,7 +570,7 @@ def chunks_of(table: Table, name: str, options: ReadOptions, chunk: int) -> Chun
     """The recording in a table, to read it in chunks with these options, as `read_chunks` does."""
     source = table.source
     if chunk < 1:
-        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**20 is usual")
+        raise source.error(f"chunk must be at least 1 row, not {chunk}; 2**18 is usual")
     if options.allows_gaps:
         raise source.error(
             "gaps= (--gaps) needs the whole record: read it with read() (without --stream), or read a part "
