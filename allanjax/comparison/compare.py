@@ -39,8 +39,8 @@ from allanjax.estimate.fit import fit
 from allanjax.estimate.result import Fit, detail
 from allanjax.navigation.likely import NoiseLike, Sensors, sensors_of
 from allanjax.navigation.navigator import navigate
-from allanjax.noise.datasheet import LEAST, MINIMUM, DataSheet, datasheet, datasheets
-from allanjax.noise.estimate import SYMBOLS, Estimate, usual_unit
+from allanjax.noise.datasheet import LEAST, MINIMUM, NOT_GIVEN, USUAL, DataSheet, datasheet, datasheets
+from allanjax.noise.estimate import SYMBOLS, Estimate, title_of, usual_unit
 from allanjax.noise.model import Model, ModelParameter
 from allanjax.noise.simulate import SENSORS as PRESETS
 from allanjax.noise.simulate import SensorPreset
@@ -58,7 +58,8 @@ HORIZONS, LEVEL = (60.0, 600.0, 3600.0), 0.05
 # Short names of quantities without a symbol.
 _SHORT = {LEAST: "min σ"}
 _GRADES = ("grade of", "sensor", "by random walk", "by drift")
-# Nodes of the mean over a normal law.
+# Longest time of a drift as a multiple of the record; nodes of the mean over a normal law.
+_BEYOND = 3.0
 _NODES = 40
 
 
@@ -87,6 +88,21 @@ class Compared(NamedTuple):
     models: Mapping[str, Model]
     rate: float
     curve: AllanDeviation | None = None
+
+    @property
+    def longest(self) -> float:
+        """Longest time [s] of a drift that the record tells of; infinite for what is given."""
+        return math.inf if self.curve is None else _BEYOND * self.curve.n / self.curve.rate
+
+    def lacking(self, name: str) -> list[str]:
+        """Which of N, B and K a data sheet does not give for an axis, or what an error grows from."""
+        if not isinstance(self.noise, DataSheet):
+            return []
+        kinds = (
+            SENSORS if name == "position" else ("gyro",) if name == "heading" else (name.partition("_")[0],)
+        )
+        models = [model for kind, model in self.noise.models.items() if kind in kinds]
+        return [symbol for label, symbol in USUAL.items() if any(label not in m.term_labels for m in models)]
 
     @property
     def rate_of_models(self) -> float | None:
@@ -319,18 +335,21 @@ class Row(NamedTuple):
         parameter, differ = known[0].parameter, len({c.usual_unit for c in known}) > 1
         return usual_unit(parameter, self.sensor) if differ and parameter else known[0].usual_unit
 
-    def cells(self, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-        """Row of the printed table for each sensor that has the coefficient."""
-        for name, c, d in zip(names, self.estimates, self.differences, strict=True):
-            if c is not None:
-                title = c.symbol or _SHORT.get(c.label, c.title)
-                yield (
-                    self.axis,
-                    title,
-                    name,
-                    detail(c, self.unit)[2],
-                    *(("",) * 4 if d is None else d.cells()),
-                )
+    @property
+    def symbol(self) -> str:
+        """Symbol or short name of the coefficient."""
+        return SYMBOLS.get(self.label) or _SHORT.get(self.label) or title_of(self.label, self.sensor)
+
+    def is_lacking(self, one: Compared) -> bool:
+        """Whether a data sheet should have the coefficient, or what it follows from, and has not."""
+        return ("B" if self.label == LEAST else self.symbol) in one.lacking(self.axis)
+
+    def cells(self, sensors: Sequence[Compared]) -> Iterator[tuple[str, ...]]:
+        """Row of the printed table for each sensor that has the coefficient, or should have it."""
+        for one, c, d in zip(sensors, self.estimates, self.differences, strict=True):
+            if c is not None or self.is_lacking(one):
+                value = NOT_GIVEN if c is None else detail(c, self.unit)[2]
+                yield self.axis, self.symbol, one.label, value, *(("",) * 4 if d is None else d.cells())
 
 
 class Growth(NamedTuple):
@@ -339,7 +358,9 @@ class Growth(NamedTuple):
     Attributes:
         sensor: number of the sensor in the comparison.
         name: an axis, "heading" or "position".
-        value, lower, upper: at each horizon; the ends are nan for what is taken as exact.
+        value, lower, upper: at each horizon; the ends are nan for what is taken as exact. The value is nan
+            beyond three times the record, and if a data sheet gives neither B nor K.
+        is_bound: whether the value is a lower bound, as a data sheet does not give all of N, B and K.
     """
 
     sensor: int
@@ -347,6 +368,23 @@ class Growth(NamedTuple):
     value: Float[np.ndarray, " t"]
     lower: Float[np.ndarray, " t"]
     upper: Float[np.ndarray, " t"]
+    is_bound: bool = False
+
+    def known_of(self, one: Compared) -> Growth:
+        """As much of it as is known of the sensor."""
+        lacking = {*one.lacking(self.name)}
+        known = (np.array(HORIZONS) <= one.longest) & (not {"B", "K"} <= lacking)
+        value, lower, upper = (np.where(known, x, np.nan) for x in (self.value, self.lower, self.upper))
+        return self._replace(value=value, lower=lower, upper=upper, is_bound=bool(lacking))
+
+    def cells(self) -> Iterator[str]:
+        """Values with their intervals and units."""
+        unit, size = next(unit for begin, unit in SHOWN.items() if self.name.startswith(begin))
+        for value, low, high in zip(self.value, self.lower, self.upper, strict=True):
+            to, by = ("km", 1e3) if unit == "m" and value > 1e5 else (unit, size)
+            ends = f" ({format_range(low / by, high / by)})" if np.isfinite(low) else ""
+            least = "≥ " if self.is_bound else ""
+            yield NOT_GIVEN if np.isnan(value) else f"{least}{significant(value / by)}{ends} {to}"
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -371,7 +409,8 @@ class Comparison(ByValue, Tabled):
             if one.noise is not None:
                 own = sensors_of(one.noise, one.rate_of_models, 0)
                 each = own.axes.items()
-                found += [Growth(k, name, *drift(own, noise, np.array(HORIZONS))) for name, noise in each]
+                drifts = [Growth(k, name, *drift(own, noise, np.array(HORIZONS))) for name, noise in each]
+                found += [g.known_of(one) for g in drifts]
         # Of a data sheet, the drift of any axis stands below those of the axes.
         found.sort(key=lambda g: (g.name.partition("_")[0] != "gyro", "_" not in g.name, g.name))
         return tuple(found)
@@ -379,7 +418,7 @@ class Comparison(ByValue, Tabled):
     @functools.cached_property
     def growths(self) -> tuple[Growth, ...]:
         """Heading and position errors of a navigator at rest after the `HORIZONS`, see `navigate`."""
-        every = (g for k, one in enumerate(self.sensors) for g in _growths(k, one))
+        every = (g.known_of(one) for k, one in enumerate(self.sensors) for g in _growths(k, one))
         return tuple(sorted(every, key=lambda g: g.name))
 
     @property
@@ -403,15 +442,14 @@ class Comparison(ByValue, Tabled):
     def _records(self) -> list[dict[str, Any]]:
         rows = []
         for row in self.rows:
-            for label, c, d in zip(self.labels, row.estimates, row.differences, strict=True):
-                if c is not None:
-                    ends = (math.nan, math.nan) if d is None else d.interval
-                    rows.append(
-                        c.row()
-                        | {"axis": row.axis, "sensor": label, "ratio": math.nan if d is None else d.ratio}
-                        | {"ratio_lower_95": ends[0], "ratio_upper_95": ends[1]}
-                        | {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
-                    )
+            for one, c, d in zip(self.sensors, row.estimates, row.differences, strict=True):
+                if c is not None or row.is_lacking(one):
+                    ratio, (low, high) = (math.nan, (math.nan,) * 2) if d is None else (d.ratio, d.interval)
+                    own = {"coefficient": row.label, "value": math.nan} if c is None else c.row()
+                    own |= {"axis": row.axis, "sensor": one.label, "given": c is not None, "ratio": ratio}
+                    own |= {"ratio_lower_95": low, "ratio_upper_95": high}
+                    own |= {"p_value": None if d is None else d.corrected, "differs": d and d.differs}
+                    rows.append(own)
         return rows
 
     def to_dict(self) -> dict[str, Any]:
@@ -419,7 +457,7 @@ class Comparison(ByValue, Tabled):
         left_out = ("median", "lower_68", "upper_68")
         growths = [
             {"sensor": self.labels[g.sensor], "of": g.name}
-            | {name: getattr(g, name) for name in ("value", "lower", "upper")}
+            | {name: getattr(g, name) for name in ("value", "lower", "upper", "is_bound")}
             for g in (*self.drifts, *self.growths)
         ]
         return {
@@ -444,12 +482,12 @@ class Comparison(ByValue, Tabled):
 
     def _tables(self) -> list[list[Column]]:
         heads = ("axis", "of", "sensor", "value", "ratio", "95 %", "p", "differs")
-        cells = [cell for row in self.rows for cell in row.cells(self.labels)]
+        cells = [cell for row in self.rows for cell in row.cells(self.sensors)]
         times = [f"after {duration(t)}" for t in HORIZONS]
         tables = [columns_from(heads, cells), self._identified(), columns_from(_GRADES, self.grades)]
         for title, growths in (("drift", self.drifts), ("error", self.growths)):
             if growths:
-                rows = [(g.name, self.labels[g.sensor], *map(_shown, [g.name] * 3, *g[2:])) for g in growths]
+                rows = [(g.name, self.labels[g.sensor], *g.cells()) for g in growths]
                 tables.append(columns_from((title, "sensor", *times), rows))
         return tables
 
@@ -459,8 +497,11 @@ class Comparison(ByValue, Tabled):
         labels.sort(key=[*SYMBOLS, *labels].index)
         cells = []
         for kind, (k, name) in itertools.product(SENSORS, enumerate(self.labels)):
-            known = [(row.label, row.estimates[k]) for row in self.rows if row.sensor == kind]
-            own = {label: [_mark(c) for other, c in known if other == label] for label in labels}
+            known = [row for row in self.rows if row.sensor == kind]
+            own = {
+                label: [_mark(row, self.sensors[k], k) for row in known if row.label == label]
+                for label in labels
+            }
             if any(map(any, own.values())):
                 cells.append((kind, name, *(max(marks, default="") for marks in own.values())))
         heads = [SYMBOLS.get(label, label.replace("_", " ")) for label in labels]
@@ -477,17 +518,25 @@ class Comparison(ByValue, Tabled):
                 for label in (AngleRandomWalk.name(), LEAST)
             ]
             if any(graded):
-                found.append((str(kind), name, *graded))
+                found.append((str(kind), name, *(g or NOT_GIVEN for g in graded)))
         return found  # type: ignore[return-value]
 
     def _notes(self) -> Iterator[str]:
         yield from (f"{one.label}: {one.source}" for one in self.sensors)
-        yield f"grade: at best, by the worst axis; drift by the least Allan deviation; limits: {grades()[1]}"
+        yield (
+            "min σ: the least Allan deviation at any cluster time. ≥: at least, as the data sheet does "
+            "not give all of N, B and K. not given: by the data sheet (no drift without B or K), or by the "
+            "record, beyond three times its length"
+        )
+        yield f"grade: the best whose limits no axis exceeds, of drift by min σ; limits: {grades()[1]}"
 
 
-def _mark(c: Estimate | None) -> str:
-    """Whether a term is detected: "yes", "<" for a limit, "" for nothing."""
-    return "" if c is None else "yes" if c.detected or c.held else "<"
+def _mark(row: Row, one: Compared, k: int) -> str:
+    """Whether a sensor's term is detected: "yes", "<" for a limit, "not given", or "" for nothing."""
+    c = row.estimates[k]
+    if c is None:
+        return NOT_GIVEN if row.is_lacking(one) else ""
+    return "yes" if c.detected or c.held else "<"
 
 
 def _between(ends: tuple[float, float]) -> str:
@@ -507,15 +556,6 @@ SHOWN = {
     "heading": ("deg", math.pi / 180.0),
     "position": ("m", 1.0),
 }
-
-
-def _shown(name: str, value: float, low: float, high: float) -> str:
-    """A drift or an error with its interval, and its unit."""
-    unit, size = next(unit for begin, unit in SHOWN.items() if name.startswith(begin))
-    if unit == "m" and value > 1e5:
-        unit, size = "km", 1e3
-    ends = f" ({format_range(low / size, high / size)})" if np.isfinite(low) else ""
-    return f"{significant(value / size)}{ends} {unit}"
 
 
 def compare(*data: Comparable, labels: Sequence[str] | None = None, reference: int | str = 0) -> Comparison:
@@ -581,7 +621,7 @@ def _rows(sensors: Sequence[Compared], reference: int, axes: Sequence[str]) -> t
             n
             for of in every
             for n, c in of.items()
-            if (c.is_amplitude or n == LEAST) and (c.detected or c.held)
+            if (c.is_amplitude or n == LEAST) and (c.detected or c.held or n in USUAL)
         ]
         names = dict.fromkeys(n for n in held if n in (*SYMBOLS, LEAST) or held.count(n) > 1)
         for label in sorted(names, key=lambda name: [*SYMBOLS, *names].index(name)):

@@ -15,7 +15,7 @@ from allanjax.base.chi_squared import quantile
 from allanjax.base.errors import AllanjaxError
 from allanjax.base.wording import duration, without_error
 from allanjax.estimate.result import AxisFit, Fit
-from allanjax.noise.datasheet import DataSheet
+from allanjax.noise.datasheet import NOT_GIVEN, DataSheet
 from allanjax.noise.estimate import Estimate, title_of
 from allanjax.noise.terms.deterministic import Transient
 from allanjax.presentation import draw
@@ -352,7 +352,8 @@ def plot_comparison(comparison: Comparison, path: str | os.PathLike[str] | None 
     """Draw the Allan deviations of all sensors over one another, one panel per axis.
 
     Points are measured, with 68 % intervals; lines are models. A data sheet has one line for all axes of a
-    sensor. The key has the coefficients.
+    sensor, which is dotted, a lower bound, if the sheet does not give all of N, B and K. The key has the
+    coefficients.
     """
     # Here, as a comparison imports more than other pictures need.
     from allanjax.comparison.compare import axes_of
@@ -373,6 +374,7 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
     lines, points, key = [], [], []
     for k, one in enumerate(comparison.sensors):
         look, style = _looks(k)
+        lacking = one.lacking(axis.name)
         has_curve = one.curve is not None and axis.name in one.curve.names
         if has_curve:
             assert one.curve is not None
@@ -380,12 +382,15 @@ def _panel_of_sensors(comparison: Comparison, axis: Axis) -> Panel:
             points.append(Points(own.x, own.y, own.spread, one.label, style))
         if (model := one.model(axis.name)) is not None:
             time = one.curve.cluster_time if has_curve and one.curve is not None else _TIMES_OF_MODEL
+            if lacking:
+                look |= {"linestyle": ":"}
             lines.append((time, one.deviation(axis.name, time) / scale, look))
         if model is not None or has_curve:
             known = [c for c in one.of(axis.name).values() if c.is_amplitude and (c.detected or c.held)]
             values = ", ".join(_value(c) for c in known if c.symbol in "NBKQR")
             absent = "not a measurement" if model is None else "nothing detected"
-            key.append(KeyEntry(f"{one.label}: {values or absent}", look))
+            least = f"; at least: {' and '.join(lacking)} {NOT_GIVEN}" if lacking else ""
+            key.append(KeyEntry(f"{one.label}: {values or absent}{least}", look))
 
     def fill(panel: Axes) -> None:
         for x, y, look in lines:
